@@ -1,0 +1,1 @@
+"""Compares models and controllers: prediction error, transfer, exploitability, report."""

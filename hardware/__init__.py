@@ -1,0 +1,1 @@
+"""The robot: emulated cars, trackers, excitation, recording."""

@@ -1,0 +1,45 @@
+"""The contract of a controller: a family of control laws, one for each parameter vector."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Self
+
+from sysid_evo.arrays import Array
+from sysid_evo.tasks.task import TaskState
+
+
+@dataclass(frozen=True)
+class View:
+    """All that a controller may look at, for P candidates in E trials.
+
+    ``observation`` (P, E, n_observations); ``state`` (P, E, nx); ``task_state`` with P E trials,
+    candidate first; ``noise`` (P, E, n) or None.
+    """
+
+    observation: Array
+    state: Array
+    task_state: TaskState
+    noise: Array | None = None
+
+
+class Controller(ABC):
+    """A control law with ``n_parameters`` parameters and ``n_memory`` numbers of memory.
+
+    Batched over parameter vectors: P candidates act in E trials at once. Memory starts at zero.
+    """
+
+    n_parameters: int
+    n_memory: int
+
+    @abstractmethod
+    def bind(self, n_observations: int, n_outputs: int) -> Self:
+        """Return this controller with that many inputs and outputs."""
+
+    @abstractmethod
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        """Return outputs in [-1, 1], (P, E, n_outputs), and the new memory (P, E, n_memory).
+
+        ``parameters`` is (P, n_parameters), ``memory`` (P, E, n_memory).
+        """

@@ -1,0 +1,52 @@
+"""The recurrent network of the paper: five inputs, six hidden units, two outputs (section 5.2)."""
+
+from __future__ import annotations
+
+import copy
+from typing import Self
+
+import numpy as np
+
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.controllers.controller import Controller, View
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import register_controller
+
+
+@register_controller("recurrent")
+class RecurrentNetwork(Controller):
+    """An Elman network: hidden units see the inputs and all hidden units one step ago.
+
+    ::
+
+        h_t = tanh(W_in o_t + W_h h_{t-1}),    y_t = tanh(W_out h_t)
+
+    The parameters are W_in (n_inputs, hidden), W_h (hidden, hidden), W_out (hidden, n_outputs), row
+    by row; no bias of its own, since the task observes a constant 1. With 5 inputs, 6 hidden units
+    and 2 outputs there are 78 (paper, section 5.2).
+    """
+
+    def __init__(self, *, hidden: int = 6) -> None:
+        if hidden < 1:
+            raise InvalidArgument(f"recurrent: expected at least one hidden unit, got {hidden}")
+        self.hidden = hidden
+        self.n_memory = hidden
+
+    def bind(self, n_observations: int, n_outputs: int) -> Self:
+        bound = copy.copy(self)
+        bound.n_inputs, bound.n_outputs = n_observations, n_outputs
+        bound.n_parameters = self.hidden * (n_observations + self.hidden + n_outputs)
+        return bound
+
+    n_inputs: int
+    n_outputs: int
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        check_shape("parameters", parameters, (None, self.n_parameters))
+        h, i, o = self.hidden, self.n_inputs, self.n_outputs
+        candidates = len(parameters)
+        w_in = parameters[:, : i * h].reshape(candidates, i, h)
+        w_hidden = parameters[:, i * h : (i + h) * h].reshape(candidates, h, h)
+        w_out = parameters[:, (i + h) * h :].reshape(candidates, h, o)
+        hidden = np.tanh(view.observation @ w_in + memory @ w_hidden)
+        return np.tanh(hidden @ w_out), hidden

@@ -1,0 +1,227 @@
+"""Several episodes of one system: made from arrays or tables, split, windowed, stored."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.arrays import Array, BoolArray, check_shape
+from sysid_evo.data.moving import moving_rows
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.windows import Windows, cut_windows
+from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
+from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """N single steps: ``carry`` (N, n_carry) under ``control`` (N, nu) leads to ``after`` (N, nx).
+
+    ``carry`` is the state, then earlier states, then earlier controls, newest first.
+    """
+
+    carry: Array
+    control: Array
+    after: Array
+
+    def __len__(self) -> int:
+        return len(self.after)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
+
+    ``notes`` list what the preparation has to say about the recording.
+    """
+
+    system: System
+    episodes: tuple[Trajectory, ...]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "episodes", tuple(self.episodes))
+        if not self.episodes:
+            raise InvalidData("data set: expected at least one episode, got none")
+        names = [episode.name for episode in self.episodes]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InvalidData(f"data set: episode names must differ, repeated: {', '.join(map(repr, repeated))}")
+        system = self.system
+        for episode in self.episodes:
+            check_shape(f"states of {episode.name!r}", episode.states, (None, system.nx))
+            check_shape(f"controls of {episode.name!r}", episode.controls, (None, system.nu))
+            if episode.pose is not None:
+                check_shape(f"pose of {episode.name!r}", episode.pose, (None, system.n_pose))
+            if not np.isclose(episode.dt, system.dt, rtol=1e-9, atol=0.0):
+                raise InvalidData(
+                    f"episode {episode.name!r}: expected dt = {system.dt} s as the system has, got {episode.dt} s"
+                )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        system: System,
+        states: Sequence[npt.ArrayLike],
+        controls: Sequence[npt.ArrayLike],
+        *,
+        poses: Sequence[npt.ArrayLike] | None = None,
+        names: Sequence[str] | None = None,
+    ) -> Dataset:
+        """Make a data set from one array of states and one of controls for each episode.
+
+        States are (T + 1, nx). Controls are (T, nu), or (T + 1, nu) as logs have them: the last row
+        then leads nowhere and is left out.
+        """
+        if len(states) != len(controls) or (poses is not None and len(poses) != len(states)):
+            raise ShapeError(
+                f"expected as many control (and pose) arrays as state arrays, got {len(states)} states, "
+                f"{len(controls)} controls" + ("" if poses is None else f", {len(poses)} poses")
+            )
+        names = [f"episode-{i}" for i in range(len(states))] if names is None else names
+        episodes = []
+        for i, (x, u, name) in enumerate(zip(states, controls, names, strict=True)):
+            x = check_shape(f"states of {name!r}", x, (None, system.nx))
+            u = check_shape(f"controls of {name!r}", u, (None, system.nu))
+            u = u[:-1] if len(u) == len(x) else u
+            pose = None if poses is None else np.asarray(poses[i], dtype=np.float64)
+            episodes.append(Trajectory(x, u, system.dt, pose, name))
+        return cls(system, tuple(episodes))
+
+    @classmethod
+    def from_pandas(cls, system: System, frame: pd.DataFrame, *, episode: str | None = None) -> Dataset:
+        """Make a data set from a table with one column for each channel, one row for each ``dt``.
+
+        ``episode`` is the column that names the episodes (default: all rows are one). Pose columns
+        (``x``, ``y``, ``heading`` for a planar body) are taken if all are there.
+        """
+        wanted = [*system.state_names, *system.control_names, *([episode] if episode else [])]
+        missing = [name for name in wanted if name not in frame.columns]
+        if missing:
+            raise InvalidData(f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}")
+        pose_names = [] if system.motion is None else list(system.motion.pose_names)
+        has_pose = bool(pose_names) and all(name in frame.columns for name in pose_names)
+        groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]
+        tables = [(str(name), table) for name, table in groups]
+        return cls.from_arrays(
+            system,
+            [table[list(system.state_names)].to_numpy() for _, table in tables],
+            [table[list(system.control_names)].to_numpy() for _, table in tables],
+            poses=[table[pose_names].to_numpy() for _, table in tables] if has_pose else None,
+            names=[name for name, _ in tables],
+        )
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return len(self.episodes)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return iter(self.episodes)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps in all episodes."""
+        return sum(len(episode) for episode in self.episodes)
+
+    @property
+    def duration(self) -> float:
+        """Length of all episodes in seconds."""
+        return self.n_steps * self.system.dt
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(episode.name for episode in self.episodes)
+
+    @cached_property
+    def moving(self) -> tuple[BoolArray, ...]:
+        """For each episode, which samples (T + 1,) are not part of a standstill (`moving_rows`)."""
+        return tuple(moving_rows(episode.states, self.system) for episode in self.episodes)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of the system and of every number."""
+        digest = hashlib.sha256(json.dumps(self.system.to_dict(), sort_keys=True).encode())
+        for episode in self.episodes:
+            digest.update(episode.name.encode())
+            for array in (episode.states, episode.controls, episode.pose):
+                digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def with_episodes(self, episodes: Sequence[Trajectory]) -> Dataset:
+        """Return a data set of the same system with other episodes."""
+        return replace(self, episodes=tuple(episodes))
+
+    def split(self, test: Sequence[str] | float) -> tuple[Dataset, Dataset]:
+        """Return training and test set: by episode names, or the last share of time of each episode.
+
+        A piece of an episode, such as ``log[0:400]``, goes where its name ``log`` goes.
+        """
+        if isinstance(test, (int, float)):
+            if not 0.0 < test < 1.0:
+                raise InvalidArgument(f"split: expected a share between 0 and 1, got {test}")
+            cuts = [len(episode) - round(test * len(episode)) for episode in self.episodes]
+            pairs = [(e[:cut], e[cut:]) for e, cut in zip(self.episodes, cuts, strict=True) if 0 < cut < len(e)]
+            if not pairs:
+                raise InvalidData(f"split: every episode is too short to split at {test}")
+            return self.with_episodes([a for a, _ in pairs]), self.with_episodes([b for _, b in pairs])
+        unknown = [name for name in test if not any(_is_part(episode.name, name) for episode in self.episodes)]
+        if unknown:
+            raise InvalidArgument(
+                f"split: no episode is called {', '.join(map(repr, unknown))}; there are {', '.join(self.names)}"
+            )
+        chosen = [any(_is_part(episode.name, name) for name in test) for episode in self.episodes]
+        if all(chosen) or not any(chosen):
+            raise InvalidArgument("split: both sides need an episode; name some, not all or none, for the test")
+        return (
+            self.with_episodes([e for e, hit in zip(self.episodes, chosen, strict=True) if not hit]),
+            self.with_episodes([e for e, hit in zip(self.episodes, chosen, strict=True) if hit]),
+        )
+
+    def windows(
+        self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
+    ) -> Windows:
+        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, starts stand still nowhere."""
+        if horizon < 1 or stride < 1 or history < 0:
+            raise InvalidArgument(
+                f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"
+            )
+        rows = self.moving if moving else None
+        return cut_windows(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
+
+    def transitions(self, *, state_lags: int = 0, control_lags: int = 0) -> Transitions:
+        """Return every single step with that many earlier states and controls."""
+        history = max(state_lags, control_lags)
+        w = self.windows(1, history=history)
+        parts = [w.past_states[:, -1 - lag] for lag in range(state_lags + 1)]
+        parts += [w.past_controls[:, -1 - lag] for lag in range(control_lags)]
+        if not len(w):
+            raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
+        return Transitions(np.concatenate(parts, axis=1), w.controls[:, 0], w.states[:, 0])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
+        from sysid_evo.data.storage import save_dataset
+
+        return save_dataset(self, Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Dataset:
+        """Read what `save` wrote. Raises `ArtefactError`."""
+        from sysid_evo.data.storage import load_dataset
+
+        return load_dataset(Path(path))
+
+
+def _is_part(episode: str, name: str) -> bool:
+    return episode == name or episode.startswith(f"{name}[")

@@ -1,0 +1,89 @@
+"""A data set on disk: ``dataset.json`` and ``samples.parquet`` in a folder of its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.errors import ArtefactError
+from sysid_evo.files import write_atomically
+from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from sysid_evo.data.dataset import Dataset
+
+SCHEMA = "sysid-evo/dataset/1"
+HEADER, SAMPLES = "dataset.json", "samples.parquet"
+
+
+def save_dataset(dataset: Dataset, folder: Path) -> Path:
+    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null."""
+    system = dataset.system
+    columns: dict[str, list[Any]] = {"episode": [], "step": []}
+    names = (*system.state_names, *system.control_names, *_pose_names(system))
+    columns.update({name: [] for name in names})
+    for episode in dataset.episodes:
+        rows = len(episode) + 1
+        blank = np.full((1, system.nu), np.nan)
+        pose = np.full((rows, system.n_pose), np.nan) if episode.pose is None else episode.pose
+        table = np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
+        columns["episode"].append(pa.array([episode.name] * rows))
+        columns["step"].append(pa.array(np.arange(rows)))
+        for i, name in enumerate(names):
+            columns[name].append(pa.array(table[:, i], from_pandas=True))
+    table = pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
+    header = {
+        "schema": SCHEMA,
+        "system": system.to_dict(),
+        "episodes": [{"name": e.name, "steps": len(e), "pose": e.pose is not None} for e in dataset.episodes],
+        "notes": list(dataset.notes),
+        "fingerprint": dataset.fingerprint,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / SAMPLES, lambda path: pq.write_table(table, path))
+    write_atomically(folder / HEADER, lambda path: path.write_text(json.dumps(header, indent=1, allow_nan=False)))
+    return folder
+
+
+def load_dataset(folder: Path) -> Dataset:
+    """Read what `save_dataset` wrote. Raises `ArtefactError` if it is damaged or of another version."""
+    from sysid_evo.data.dataset import Dataset
+
+    path = folder / HEADER
+    try:
+        header = json.loads(path.read_text())
+        if header.get("schema") != SCHEMA:
+            raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
+        system = System.from_dict(header["system"])
+        table = pq.read_table(folder / SAMPLES)
+        data = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+        episodes, first = [], 0
+        for entry in header["episodes"]:
+            rows = slice(first, first + entry["steps"] + 1)
+            first = rows.stop
+            states = np.column_stack([data[name][rows] for name in system.state_names])
+            controls = np.column_stack([data[name][rows][:-1] for name in system.control_names])
+            pose = np.column_stack([data[name][rows] for name in _pose_names(system)]) if entry["pose"] else None
+            episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"]))
+        dataset = Dataset(system, tuple(episodes), tuple(header["notes"]))
+    except FileNotFoundError as error:
+        raise ArtefactError(
+            f"{folder}: expected a data set ({HEADER} and {SAMPLES}), {error.filename} is missing"
+        ) from error
+    except (KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        if isinstance(error, ArtefactError):
+            raise
+        raise ArtefactError(f"{folder}: not a readable data set: {type(error).__name__}: {error}") from error
+    if dataset.fingerprint != header["fingerprint"]:
+        raise ArtefactError(f"{folder}: the samples do not match the fingerprint in {HEADER}; the files were changed")
+    return dataset
+
+
+def _pose_names(system: System) -> tuple[str, ...]:
+    return () if system.motion is None else system.motion.pose_names

@@ -1,0 +1,227 @@
+"""The contract of everything that steps: models and emulated robots."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from sklearn.base import BaseEstimator
+
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted
+
+if TYPE_CHECKING:
+    from sysid_evo.data import Dataset
+    from sysid_evo.progress import Progress
+    from sysid_evo.system import System
+
+
+class Dynamics(ABC):
+    """Anything that steps by one ``system.dt``.
+
+    The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
+    is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
+    numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
+    never drawn inside.
+    """
+
+    system: System
+    n_carry: int
+    n_lags: int = 0
+    n_noise: int = 0
+    n_draws: int = 0
+
+    @property
+    def envelope(self) -> Array | None:
+        """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
+        return None
+
+    @abstractmethod
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        """Return the carry (B, n_carry) after a history.
+
+        ``states`` (B, n_lags + 1, nx) ends at the present, ``controls`` (B, n_lags, nu) at the
+        sample before it, ``draws`` is (B, n_draws).
+        """
+
+    @abstractmethod
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise).
+
+        Pure: the same arguments give the same result, each row for itself.
+        """
+
+
+class DynamicsModel(Dynamics, BaseEstimator):
+    """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
+
+    A family writes ``__init__`` (which only stores its arguments), `fit`, and one of
+
+    - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);
+    - `next_state`, if it predicts the next state;
+    - `step`, if its carry is more than states and controls.
+
+    A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
+    that many earlier states (newest first) and that many earlier controls (newest first).
+
+    What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
+    anything else is derived from them when needed. Every `fit` also records ``system_`` and
+    ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
+    ranges, beyond which a simulation is clipped.
+    """
+
+    family: ClassVar[str] = ""
+    knowledge: ClassVar[str] = "black"
+    envelope_multiple: ClassVar[float] = 2.0
+    state_lags: int = 0
+    control_lags: int = 0
+    system_: System
+    envelope_: Array
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "fit" in cls.__dict__:
+            cls.fit = _recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+
+    @property
+    def system(self) -> System:  # type: ignore[override]  # known only after fit
+        """The system of the training data. Raises `NotFitted` before `fit`."""
+        if not hasattr(self, "system_"):
+            raise NotFitted(f"{type(self).__name__} is not fitted yet: call fit(dataset, rng=...) first")
+        return self.system_
+
+    @property
+    def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+        return max(self.state_lags, self.control_lags)
+
+    @property
+    def n_carry(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+        return self.system.nx * (1 + self.state_lags) + self.system.nu * self.control_lags
+
+    @property
+    def envelope(self) -> Array | None:
+        return getattr(self, "envelope_", None)
+
+    @abstractmethod
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        """Learn from ``dataset`` and return self; ``progress(done, total)`` is called now and then."""
+
+    def check_system(self, system: System) -> None:
+        """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        batch = len(states)
+        parts = [states[:, -1 - lag] for lag in range(self.state_lags + 1)]
+        parts += [controls[:, -1 - lag] for lag in range(self.control_lags)]
+        return np.concatenate(parts, axis=1).reshape(batch, self.n_carry)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = self.next_state(carry, control)
+        if not self.n_lags:
+            return after
+        nx, nu = self.system.nx, self.system.nu
+        states = carry[:, : nx * self.state_lags]
+        controls = np.concatenate([control, carry[:, nx * (1 + self.state_lags) :]], axis=1)
+        return np.concatenate([after, states, controls[:, : nu * self.control_lags]], axis=1)
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        """Return the next state (B, nx); by default the integral of `acceleration`."""
+        return self.system.integrate(carry[:, : self.system.nx], self.acceleration(carry, control))
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        """Return the change of the state per second (B, nx), with the frame's rotation taken out."""
+        raise TypeError(f"{type(self).__name__} must define one of acceleration, next_state, step")
+
+    def simulate(
+        self,
+        states: Array,
+        past_controls: Array,
+        controls: Array,
+        *,
+        samples: int | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Array:
+        """Run free under recorded controls: return the states (B, H, nx) after each of H steps.
+
+        ``states`` (B, L + 1, nx) and ``past_controls`` (B, L, nu) are the measured history (L at
+        least ``n_lags``; more is left unused), ``controls`` is (B, H, nu). States are clipped to
+        the envelope; a state that is not a number becomes its upper limit there and stays nan
+        without one. With ``samples``, a stochastic model is run that often: (samples, B, H, nx).
+        """
+        system = self.system
+        states = check_shape("states", states, (None, None, system.nx))
+        controls = check_shape("controls", controls, (len(states), None, system.nu))
+        past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
+        lags = self.n_lags
+        if states.shape[1] < lags + 1:
+            raise InvalidData(f"{type(self).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
+        states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
+        if samples is not None:
+            states, past_controls, controls = (
+                np.repeat(a[None], samples, axis=0).reshape(-1, *a.shape[1:]) for a in (states, past_controls, controls)
+            )
+        batch, horizon = controls.shape[:2]
+        rng = np.random.default_rng(0) if rng is None else rng
+        draws = rng.standard_normal((batch, self.n_draws)) if self.n_draws else None
+        out = np.empty((batch, horizon, system.nx))
+        with np.errstate(all="ignore"):
+            carry = self.start(states, past_controls, draws)
+            for k in range(horizon):
+                noise = rng.standard_normal((batch, self.n_noise)) if self.n_noise else None
+                carry, _ = clip_state(self.step(carry, controls[:, k], noise), self.envelope)
+                out[:, k] = carry[:, : system.nx]
+        return out if samples is None else out.reshape(samples, -1, horizon, system.nx)
+
+
+def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:
+    """Clip the state at the head of ``carry`` to ``envelope``; also return which rows were changed (B,).
+
+    A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
+    """
+    if envelope is None:
+        return carry, np.zeros(len(carry), dtype=bool)
+    low, high = envelope
+    state = carry[:, : len(low)]
+    inside = (state >= low) & (state <= high)
+    if inside.all():
+        return carry, np.zeros(len(carry), dtype=bool)
+    clipped = carry.copy()
+    clipped[:, : len(low)] = np.where(np.isnan(state), high, np.clip(state, low, high))
+    return clipped, ~inside.all(axis=1)
+
+
+def training_envelope(states: Array, multiple: float) -> Array:
+    """Return the centre of ``states`` (N, nx) plus and minus ``multiple`` half ranges, (2, nx)."""
+    low, high = states.min(axis=0), states.max(axis=0)
+    centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
+    return np.stack([centre - multiple * half, centre + multiple * half])
+
+
+def _recorded(fit: Any) -> Any:
+    """Wrap a family's `fit`: check the system before it, record system and envelope."""
+
+    @functools.wraps(fit)
+    def wrapped(
+        self: DynamicsModel, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None
+    ) -> DynamicsModel:
+        self.check_system(dataset.system)
+        self.system_ = dataset.system
+        states = np.concatenate([episode.states for episode in dataset.episodes])
+        self.envelope_ = training_envelope(states, self.envelope_multiple)
+        fitted = fit(self, dataset, rng=rng, progress=progress)
+        if fitted is not self:
+            raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
+        return self
+
+    return wrapped
+
+
+def require_planar(model: DynamicsModel, system: System) -> None:
+    """Raise `IncompatibleSystem` unless the states of ``system`` move a planar body."""
+    if system.motion is None or system.motion.kind != "planar_body":
+        raise IncompatibleSystem(
+            f"{type(model).__name__} describes a planar body, but the system has "
+            f"{'no motion' if system.motion is None else 'the motion ' + system.motion.kind}"
+        )

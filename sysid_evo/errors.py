@@ -1,0 +1,70 @@
+"""Every error this library raises: each is a `SysidEvoError` and a builtin exception."""
+
+from __future__ import annotations
+
+
+class SysidEvoError(Exception):
+    """The base of all errors of this library."""
+
+
+class ShapeError(SysidEvoError, ValueError):
+    """An array has the wrong shape or type."""
+
+
+class InvalidSystem(SysidEvoError, ValueError):
+    """A channel, a system or a motion contradicts itself."""
+
+
+class IncompatibleSystem(SysidEvoError, ValueError):
+    """A model family cannot describe this system."""
+
+
+class IncompatibleTask(SysidEvoError, ValueError):
+    """A task needs a role that the system lacks."""
+
+
+class InvalidData(SysidEvoError, ValueError):
+    """A recording cannot be used as it is."""
+
+
+class NotFitted(SysidEvoError, AttributeError):
+    """A model was used before `fit`."""
+
+
+class InvalidArgument(SysidEvoError, ValueError):
+    """An argument is out of its range."""
+
+
+class UnknownName(SysidEvoError, KeyError):
+    """A registry has no entry of this name."""
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+
+class RegistrationError(SysidEvoError, ValueError):
+    """A name is registered twice, or under another name than its entry point says."""
+
+
+class PluginError(SysidEvoError, ImportError):
+    """A plugin's module cannot be imported."""
+
+
+class MissingExtra(PluginError):
+    """A plugin needs an optional dependency that is not installed."""
+
+
+class ContractViolation(SysidEvoError, AssertionError):
+    """An implementation does not keep the contract of its base class."""
+
+
+class ArtefactError(SysidEvoError, ValueError):
+    """A stored file is damaged, of another version, or not what it claims to be."""
+
+
+class PluginWarning(UserWarning):
+    """A plugin was left out of a list because it cannot be loaded."""
+
+
+class DataWarning(UserWarning):
+    """Something about a recording that the user should know."""

@@ -1,0 +1,219 @@
+"""What a robot is to this library: named states and controls, a sampling time, a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.arrays import Array, IntArray, check_last
+from sysid_evo.errors import InvalidSystem
+from sysid_evo.motion import Motion, motion_from_dict
+
+SWITCH_MARGIN = 0.9
+"""Boundaries between levels are equal parts of [-1, 1] drawn together by this factor.
+
+Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
+"""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One state or control: its name, unit, limits, discrete levels and neutral value.
+
+    ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
+    continuous. ``neutral`` is the value at rest (a state) or without a command (a control).
+    """
+
+    name: str
+    unit: str = ""
+    low: float = -np.inf
+    high: float = np.inf
+    levels: tuple[float, ...] | None = None
+    neutral: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InvalidSystem("channel: expected a name, got an empty string")
+        if self.levels is not None:
+            levels = tuple(float(level) for level in self.levels)
+            if len(levels) < 2 or any(b <= a for a, b in pairwise(levels)):
+                raise InvalidSystem(f"channel {self.name!r}: expected two or more rising levels, got {self.levels}")
+            object.__setattr__(self, "levels", levels)
+            object.__setattr__(self, "low", max(self.low, levels[0]))
+            object.__setattr__(self, "high", min(self.high, levels[-1]))
+            if (self.low, self.high) != (levels[0], levels[-1]):
+                raise InvalidSystem(f"channel {self.name!r}: levels {levels} lie outside [{self.low}, {self.high}]")
+        if not self.low < self.high:
+            raise InvalidSystem(f"channel {self.name!r}: expected low < high, got [{self.low}, {self.high}]")
+        if not self.low <= self.neutral <= self.high:
+            raise InvalidSystem(
+                f"channel {self.name!r}: neutral value {self.neutral} lies outside [{self.low}, {self.high}]"
+            )
+
+    @property
+    def bounded(self) -> bool:
+        """Whether both limits are finite."""
+        return bool(np.isfinite(self.low) and np.isfinite(self.high))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the channel as strict JSON (an absent limit is null)."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "low": self.low if np.isfinite(self.low) else None,
+            "high": self.high if np.isfinite(self.high) else None,
+            "levels": None if self.levels is None else list(self.levels),
+            "neutral": self.neutral,
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> Channel:
+        """Undo `to_dict`."""
+        return cls(
+            name=value["name"],
+            unit=value["unit"],
+            low=-np.inf if value["low"] is None else value["low"],
+            high=np.inf if value["high"] is None else value["high"],
+            levels=None if value["levels"] is None else tuple(value["levels"]),
+            neutral=value["neutral"],
+        )
+
+
+@dataclass(frozen=True)
+class System:
+    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose."""
+
+    states: tuple[Channel, ...]
+    controls: tuple[Channel, ...]
+    dt: float
+    motion: Motion | None = None
+    name: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "states", tuple(self.states))
+        object.__setattr__(self, "controls", tuple(self.controls))
+        if not self.states:
+            raise InvalidSystem("system: expected at least one state channel, got none")
+        names = [channel.name for channel in (*self.states, *self.controls)]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InvalidSystem(f"system: channel names must differ, repeated: {', '.join(repeated)}")
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt}")
+        if self.motion is not None:
+            self.motion.check(self.state_names)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    @property
+    def nu(self) -> int:
+        """Number of controls."""
+        return len(self.controls)
+
+    @property
+    def n_pose(self) -> int:
+        """Number of pose coordinates, 0 without a motion."""
+        return 0 if self.motion is None else self.motion.n_pose
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return tuple(channel.name for channel in self.states)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        return tuple(channel.name for channel in self.controls)
+
+    @cached_property
+    def neutral_state(self) -> Array:
+        """The state at rest, (nx,)."""
+        return np.array([channel.neutral for channel in self.states], dtype=np.float64)
+
+    @cached_property
+    def neutral_control(self) -> Array:
+        """The control without a command, (nu,)."""
+        return np.array([channel.neutral for channel in self.controls], dtype=np.float64)
+
+    def actuate(self, raw: Array) -> Array:
+        """Turn controller outputs in [-1, 1] into legal controls, (..., nu) -> (..., nu).
+
+        A continuous channel scales [-1, 1] to its limits. A discrete one switches between its
+        levels: its boundaries are equal parts of [-1, 1] times 0.9, so three levels switch at
+        -0.3 and 0.3 (paper, section 5.2). Outputs beyond [-1, 1] saturate.
+        """
+        raw = check_last("raw", raw, self.nu)
+        control = np.empty_like(raw)
+        for i, channel in enumerate(self.controls):
+            if channel.levels is not None:
+                control[..., i] = np.asarray(channel.levels)[level_index(raw[..., i], len(channel.levels))]
+            elif channel.bounded:
+                share = (np.clip(raw[..., i], -1.0, 1.0) + 1.0) / 2.0
+                control[..., i] = channel.low + share * (channel.high - channel.low)
+            else:
+                raise InvalidSystem(
+                    f"control {channel.name!r} has no finite limits, so [-1, 1] cannot be scaled to it: "
+                    "give low and high, or levels"
+                )
+        return control
+
+    def acceleration(self, before: Array, after: Array) -> Array:
+        """Return the change from ``before`` to ``after`` per second, (..., nx) each.
+
+        The motion takes the rotation of its frame out of the velocities it knows (paper,
+        footnote 1); all other channels are plain differences.
+        """
+        before, after = check_last("before", before, self.nx), check_last("after", after, self.nx)
+        if self.motion is None:
+            return (after - before) / self.dt
+        return self.motion.acceleration(before, after, self.dt, self.state_names)
+
+    def integrate(self, state: Array, acceleration: Array) -> Array:
+        """Return the state one ``dt`` later: the exact inverse of `acceleration`."""
+        if self.motion is None:
+            return state + acceleration * self.dt
+        return self.motion.integrate(state, acceleration, self.dt, self.state_names)
+
+    def with_dt(self, dt: float) -> System:
+        """Return the same system sampled every ``dt`` seconds."""
+        return System(self.states, self.controls, dt, self.motion, self.name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the system as strict JSON."""
+        return {
+            "name": self.name,
+            "dt": self.dt,
+            "states": [channel.to_dict() for channel in self.states],
+            "controls": [channel.to_dict() for channel in self.controls],
+            "motion": None if self.motion is None else self.motion.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> System:
+        """Undo `to_dict`."""
+        return cls(
+            states=tuple(Channel.from_dict(channel) for channel in value["states"]),
+            controls=tuple(Channel.from_dict(channel) for channel in value["controls"]),
+            dt=value["dt"],
+            motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
+            name=value["name"],
+        )
+
+
+def level_boundaries(n_levels: int) -> Array:
+    """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
+    return SWITCH_MARGIN * (2.0 * np.arange(1, n_levels) / n_levels - 1.0)
+
+
+def level_index(raw: Array, n_levels: int) -> IntArray:
+    """Return the level (from 0) that each output in [-1, 1] selects; a boundary itself is inner."""
+    index = np.zeros(np.shape(raw), dtype=np.int64)
+    for boundary in level_boundaries(n_levels):
+        index += (raw >= boundary) if boundary < 0 else (raw > boundary)
+    return index

@@ -1,0 +1,6 @@
+"""Tasks: what a controller is evolved for."""
+
+from sysid_evo.tasks.point_to_point import PointToPoint
+from sysid_evo.tasks.task import Task, TaskState
+
+__all__ = ["PointToPoint", "Task", "TaskState"]

@@ -1,0 +1,120 @@
+"""Point-to-point racing: pass as many random waypoints as possible (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, cast
+
+import numpy as np
+
+from sysid_evo.arrays import Array, IntArray, Seeds
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.motion import PlanarBody
+from sysid_evo.randomness import TASK_STREAM, generator
+from sysid_evo.registry import register_task
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.task import Task, TaskState
+
+
+@dataclass(frozen=True)
+class PointToPointState(TaskState):
+    """``waypoints`` (E, horizon + 1, 2) m for each trial, ``trial`` and ``passed`` (B,)."""
+
+    shared: ClassVar[frozenset[str]] = frozenset({"waypoints"})
+
+    waypoints: Array
+    trial: IntArray
+    passed: IntArray
+
+    @property
+    def waypoint(self) -> Array:
+        """The waypoint to pass next, (B, 2) m."""
+        return self.waypoints[self.trial, self.passed]
+
+
+@register_task("point_to_point")
+class PointToPoint(Task):
+    """Fitness is the number of waypoints passed in ``horizon`` steps.
+
+    A waypoint is passed when the centre of the body is within ``waypoint_radius`` of it (0.3 m);
+    the next one then appears at a random place, uniform over the disc of ``arena_radius`` (1.5 m)
+    around the origin. Trials start at rest in the origin, heading along x (the paper does not say).
+    Only the next waypoint is known.
+
+    | observation | unit |
+    |---|---|
+    | bias, always 1 | |
+    | forward speed | m/s |
+    | yaw rate | rad/s |
+    | angle from the heading to the waypoint, counter-clockwise, in (-pi, pi] | rad |
+    | distance to the waypoint | m |
+    """
+
+    fitness_unit = "waypoints"
+    observations = (
+        Channel("bias", neutral=1.0),
+        Channel("forward_speed", "m/s"),
+        Channel("yaw_rate", "rad/s"),
+        Channel("waypoint_angle", "rad", -np.pi, np.pi),
+        Channel("waypoint_distance", "m"),
+    )
+
+    def __init__(self, *, horizon: int = 500, waypoint_radius: float = 0.3, arena_radius: float = 1.5) -> None:
+        if horizon < 1 or waypoint_radius <= 0 or arena_radius <= 0:
+            raise InvalidArgument(
+                "point_to_point: expected horizon >= 1 and radii > 0, "
+                f"got {horizon}, {waypoint_radius} m, {arena_radius} m"
+            )
+        self.horizon = horizon
+        self.waypoint_radius = waypoint_radius
+        self.arena_radius = arena_radius
+
+    def check_system(self, system: System) -> None:
+        if not isinstance(system.motion, PlanarBody):
+            raise IncompatibleTask(
+                "point_to_point needs a planar body (roles forward and yaw_rate); "
+                f"{system.name or 'this system'} has {'no motion' if system.motion is None else system.motion.kind}"
+            )
+
+    def begin(self, seeds: Seeds) -> PointToPointState:
+        trials = len(seeds)
+        waypoints = np.empty((trials, self.horizon + 1, 2))
+        for trial, seed in enumerate(seeds):
+            radius, angle = generator(seed, TASK_STREAM).random((2, self.horizon + 1))
+            radius, angle = self.arena_radius * np.sqrt(radius), 2.0 * np.pi * angle
+            waypoints[trial, :, 0], waypoints[trial, :, 1] = radius * np.cos(angle), radius * np.sin(angle)
+        return PointToPointState(
+            state=np.tile(self.system.neutral_state, (trials, 1)),
+            pose=np.zeros((trials, 3)),
+            alive=np.ones(trials, dtype=bool),
+            waypoints=waypoints,
+            trial=np.arange(trials),
+            passed=np.zeros(trials, dtype=np.int64),
+        )
+
+    def observe(self, task_state: TaskState, state: Array) -> Array:
+        here = cast("PointToPointState", task_state)
+        forward, _, yaw_rate = self._planar.indices(self.system.state_names)
+        to = here.waypoint - here.pose[:, :2]
+        angle = np.arctan2(to[:, 1], to[:, 0]) - here.pose[:, 2]
+        observation = np.empty((len(state), 5))
+        observation[:, 0] = 1.0
+        observation[:, 1] = state[:, forward]
+        observation[:, 2] = state[:, yaw_rate]
+        observation[:, 3] = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+        observation[:, 4] = np.hypot(to[:, 0], to[:, 1])
+        return observation
+
+    def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
+        here = cast("PointToPointState", task_state)
+        pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
+        to = here.waypoint - pose[:, :2]
+        near = to[:, 0] ** 2 + to[:, 1] ** 2 <= self.waypoint_radius**2
+        return replace(here, pose=pose, passed=here.passed + near), after
+
+    def fitness(self, task_state: TaskState) -> Array:
+        return cast("PointToPointState", task_state).passed.astype(np.float64)
+
+    @property
+    def _planar(self) -> PlanarBody:
+        return cast("PlanarBody", self.system.motion)

@@ -1,0 +1,83 @@
+"""The contract of a task: what to achieve, how to observe it, when it is over."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from sysid_evo.arrays import Array, BoolArray, Seeds
+from sysid_evo.system import Channel, System
+
+
+@dataclass(frozen=True)
+class TaskState:
+    """Where a batch of B trials stands. Tasks add fields of leading length B, or shared ones.
+
+    ``state`` (B, nx) is the start state, ``pose`` (B, n_pose), ``alive`` (B,) is false once a trial
+    is over. A field in `shared` is common to all copies of a trial and never repeated.
+    """
+
+    shared: ClassVar[frozenset[str]] = frozenset()
+
+    state: Array
+    pose: Array
+    alive: BoolArray
+
+    def tile(self, copies: int) -> Self:
+        """Return the trials of every one of ``copies`` candidates: candidate first, trial second."""
+        changed = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name not in self.shared:
+                changed[item.name] = np.tile(value, (copies,) + (1,) * (value.ndim - 1))
+        return replace(self, **changed)
+
+    def keep(self, advanced: Self, going: BoolArray) -> Self:
+        """Return ``advanced`` for the trials in ``going`` (B,), and this state for all others."""
+        changed = {}
+        for item in fields(self):
+            old, new = getattr(self, item.name), getattr(advanced, item.name)
+            if item.name not in self.shared:
+                changed[item.name] = np.where(going.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+        return replace(advanced, **changed)
+
+
+class Task(ABC):
+    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``."""
+
+    horizon: int
+    worst: float = 0.0
+    fitness_unit: str = ""
+    observations: tuple[Channel, ...]
+    system: System
+
+    def bind(self, system: System) -> Self:
+        """Return this task on ``system``; raises `IncompatibleTask` naming the role it lacks."""
+        self.check_system(system)
+        bound = copy.copy(self)
+        bound.system = system
+        return bound
+
+    @abstractmethod
+    def check_system(self, system: System) -> None:
+        """Raise `IncompatibleTask` if ``system`` lacks a role that this task needs."""
+
+    @abstractmethod
+    def begin(self, seeds: Seeds) -> TaskState:
+        """Return one trial for each of the seeds (E,): start state, pose, and what the task draws."""
+
+    @abstractmethod
+    def observe(self, task_state: TaskState, state: Array) -> Array:
+        """Return what the controller is given, (B, len(observations)), in state (B, nx)."""
+
+    @abstractmethod
+    def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
+        """Return the trials one step on, and the state (B, nx), which a wall may have altered."""
+
+    @abstractmethod
+    def fitness(self, task_state: TaskState) -> Array:
+        """Return the fitness (B,) so far."""
