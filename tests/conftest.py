@@ -1,0 +1,55 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+ROOT = Path(__file__).parents[1]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="also run the heavy tests")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--slow"):
+        for item in items:
+            if "slow" in item.keywords:
+                item.add_marker(pytest.mark.skip(reason="heavy: run with --slow"))
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder with recordings of real cars, from SYSID_EVO_DATA or beside the project."""
+    path = Path(os.environ.get("SYSID_EVO_DATA", ROOT.parent / "shared" / "data"))
+    if not path.is_dir():
+        pytest.skip(f"no recordings at {path}: set SYSID_EVO_DATA to the folder that holds them")
+    return path
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20070707)
+
+
+@pytest.fixture(scope="session")
+def car() -> System:
+    """The toy car of the paper: three speeds, two three-way switches, 20 Hz."""
+    return System(
+        states=(
+            Channel("forward_speed", "m/s"),
+            Channel("lateral_speed", "m/s"),
+            Channel("yaw_rate", "rad/s"),
+        ),
+        controls=(Channel("drive", levels=(-1.0, 0.0, 1.0)), Channel("steer", levels=(-1.0, 0.0, 1.0))),
+        dt=0.05,
+        motion=PlanarBody(),
+        name="toy car",
+    )
