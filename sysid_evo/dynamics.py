@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -66,15 +67,18 @@ class DynamicsModel(Dynamics, BaseEstimator):
     A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
     that many earlier states (newest first) and that many earlier controls (newest first).
 
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
+    ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper).
+
     What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
     anything else is derived from them when needed. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
     ranges, beyond which a simulation is clipped.
     """
 
-    family: ClassVar[str] = ""
     knowledge: ClassVar[str] = "black"
     envelope_multiple: ClassVar[float] = 2.0
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     state_lags: int = 0
     control_lags: int = 0
     system_: System

@@ -8,9 +8,10 @@ import importlib.util
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
 from packaging.requirements import Requirement
@@ -49,6 +50,11 @@ class Registry(Generic[T]):
     def names(self) -> tuple[str, ...]:
         """Return every known name, sorted; nothing is imported."""
         return tuple(sorted({*self._entries, *self._points()}))
+
+    @property
+    def loaded(self) -> Mapping[str, Callable[..., T]]:
+        """The names whose module has been imported, with their classes or factories."""
+        return MappingProxyType(self._entries)
 
     def get(self, name: str) -> Callable[..., T]:
         """Return the class or factory called ``name``, importing its module if need be.

@@ -61,7 +61,6 @@ def cut_windows(
     each episode, every ``stride``-th candidate is kept only where its mask is true.
     """
     first = history if first is None else max(first, history)
-    nx, nu = episodes[0].states.shape[1], episodes[0].controls.shape[1]
     parts: list[tuple[Array, Array, Array, Array, IntArray, IntArray]] = []
     for number, episode in enumerate(episodes):
         start = np.arange(first, len(episode) - horizon + 1, stride, dtype=np.int64)
@@ -83,10 +82,10 @@ def cut_windows(
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     return Windows(
-        past_states.reshape(-1, history + 1, nx),
-        past_controls.reshape(-1, history, nu),
-        controls.reshape(-1, horizon, nu),
-        states.reshape(-1, horizon, nx),
+        past_states,
+        past_controls,
+        controls,
+        states,
         numbers,
         starts,
     )

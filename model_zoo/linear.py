@@ -1,0 +1,57 @@
+"""Dynamic mode decomposition with control: the next state is linear in state and control."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_model
+
+
+@register_model("linear")
+class Linear(DynamicsModel):
+    """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
+
+    With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
+    penalises the squares of A and B on standardised inputs; ``intercept`` fits c.
+    """
+
+    knowledge = "black"
+
+    def __init__(
+        self, *, ridge: float = 0.0, intercept: bool = True, state_lags: int = 0, control_lags: int = 0
+    ) -> None:
+        self.ridge = ridge
+        self.intercept = intercept
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        if self.ridge < 0 or self.state_lags < 0 or self.control_lags < 0:
+            raise InvalidArgument(
+                "linear: expected ridge, state_lags and control_lags >= 0, "
+                f"got {self.ridge}, {self.state_lags}, {self.control_lags}"
+            )
+        data = dataset.transitions(state_lags=self.state_lags, control_lags=self.control_lags)
+        regressors = np.concatenate([data.carry, data.control], axis=1)
+        centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
+        target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
+        scale = regressors.std(axis=0)
+        scale[scale == 0] = 1.0
+        penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
+        left = np.concatenate([(regressors - centre) / scale, penalty])
+        right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])
+        solution, *_ = np.linalg.lstsq(left, right, rcond=None)
+        self.coefficients_ = solution / scale[:, None]
+        self.intercept_ = target_centre - centre @ self.coefficients_
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        n = carry.shape[1]
+        return carry @ self.coefficients_[:n] + control @ self.coefficients_[n:] + self.intercept_

@@ -1,0 +1,64 @@
+"""Nearest neighbour: one table of recorded states and accelerations for each command (paper, section 4.3)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from model_zoo.command_cells import CommandCells
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_model
+
+
+@register_model("nearest_neighbour")
+class NearestNeighbour(DynamicsModel):
+    """The acceleration recorded in the nearest state under the same command.
+
+    Distance is Euclidean in the states' own units (paper). A continuous control falls into the
+    nearest of ``levels`` steps of its range and joins the state as a further input; a command that
+    was never recorded uses the table of the nearest one that was.
+    """
+
+    knowledge = "dark grey"
+
+    def __init__(self, *, levels: int = 3) -> None:
+        self.levels = levels
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        cells = CommandCells.of(dataset.system, self.levels)
+        data = dataset.transitions()
+        cell = cells.index(data.control)
+        order = np.argsort(cell, kind="stable")
+        self.cell_ = cell[order]
+        self.points_ = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)[order]
+        self.accelerations_ = dataset.system.acceleration(data.carry, data.after)[order]
+        self.__dict__.pop("_tables", None)
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        cells, tables, serving = self._tables
+        query = np.concatenate([carry, control[:, cells.exact]], axis=1)
+        table = serving[cells.index(control)]
+        result = np.empty((len(carry), self.accelerations_.shape[1]))
+        for number, (tree, rows) in tables.items():
+            asked = np.flatnonzero(table == number)
+            if len(asked):
+                _, nearest = tree.query(query[asked])
+                result[asked] = self.accelerations_[rows][nearest]
+        return result
+
+    @cached_property
+    def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:
+        cells = CommandCells.of(self.system, self.levels)
+        filled, first, count = np.unique(self.cell_, return_index=True, return_counts=True)
+        tables = {}
+        for number, begin, size in zip(filled, first, count, strict=True):
+            rows = slice(int(begin), int(begin + size))
+            tables[int(number)] = (cKDTree(self.points_[rows], leafsize=8), rows)
+        return cells, tables, cells.fallback(filled)

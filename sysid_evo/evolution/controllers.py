@@ -1,0 +1,114 @@
+"""Evolving a controller against one model or an ensemble, and choosing the champion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.engine import Runner
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.champion import Champion
+from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.progress import Progress
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import make_controller, make_strategy, make_task
+from sysid_evo.system import System
+from sysid_evo.tasks.task import Task
+
+SELECTION = 2**31
+"""The generation number of the fresh trials on which champions are chosen: never reached by a run."""
+
+
+@dataclass(frozen=True)
+class ControllerEvolution:
+    """How controllers are evolved: names from the registries and numbers, all of it storable.
+
+    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
+    which the best counts (paper: 2); the champion is the best of the last parents on
+    ``selection_trials`` fresh trials.
+    """
+
+    generations: int = 300
+    trials: int = 10
+    runs: int = 1
+    aggregate: str = "min"
+    selection_trials: int = 50
+    controller: str = "recurrent"
+    controller_parameters: Mapping[str, Any] = field(default_factory=dict)
+    task: str = "point_to_point"
+    task_parameters: Mapping[str, Any] = field(default_factory=dict)
+    strategy: str = "mu_plus_lambda"
+    strategy_parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("generations", "trials", "runs", "selection_trials"):
+            if getattr(self, name) < 1:
+                raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+
+    def make_task(self, system: System) -> Task:
+        """Return the task, bound to ``system``."""
+        task: Task = make_task(self.task, **self.task_parameters).bind(system)
+        return task
+
+    def make_controller(self, task: Task) -> Controller:
+        """Return the controller with the inputs of ``task`` and the outputs of its system."""
+        controller: Controller = make_controller(self.controller, **self.controller_parameters)
+        return controller.bind(len(task.observations), task.system.nu)
+
+
+def evolve_controller(
+    name: str,
+    runners: Mapping[str, Runner],
+    system: System,
+    settings: ControllerEvolution,
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Champion:
+    """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
+
+    ``progress`` is called after every generation. The result depends on ``seed`` alone.
+    """
+    task = settings.make_task(system)
+    controller = settings.make_controller(task)
+    total = settings.runs * settings.generations
+    best: tuple[float, Champion] | None = None
+    for run in range(settings.runs):
+        run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
+        strategy: EvolutionStrategy = make_strategy(
+            settings.strategy, n_parameters=controller.n_parameters, seed=run_seed, **settings.strategy_parameters
+        )
+        objective = EnsembleObjective(
+            tuple(runners.values()), controller, task, run_seed, settings.trials, settings.aggregate
+        )
+        history = []
+        for generation in evolve(strategy, objective, settings.generations):
+            history.append(generation.summary)
+            if progress is not None:
+                progress(run * settings.generations + generation.index + 1, total)
+        elite = strategy.elite
+        seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
+        fitness = objective.on_trials(elite, seeds)
+        winner = int(np.argmax(fitness))
+        champion = Champion(
+            name=name,
+            parameters=elite[winner],
+            against=tuple(runners),
+            aggregate=settings.aggregate,
+            seed=seed,
+            history=np.array(history),
+            controller=settings.controller,
+            controller_parameters=settings.controller_parameters,
+            task=settings.task,
+            task_parameters=settings.task_parameters,
+        )
+        if best is None or fitness[winner] > best[0]:
+            best = (float(fitness[winner]), champion)
+    assert best is not None
+    return best[1]

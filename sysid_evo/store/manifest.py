@@ -1,0 +1,102 @@
+"""The strict JSON beside every artefact: what it is, what made it, and the digest of its tensors."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from sysid_evo.errors import ArtefactError
+from sysid_evo.files import write_atomically
+
+SCHEMA: Literal["sysid-evo/artefact/1"] = "sysid-evo/artefact/1"
+MAX_MANIFEST_BYTES = 4 * 2**20
+RECORDED = ("sysid-evo", "numpy", "scipy", "scikit-learn")
+
+
+class Manifest(BaseModel):
+    """What stands in ``<artefact>.json``. Unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    schema_: Literal["sysid-evo/artefact/1"] = SCHEMA
+    kind: Literal["model", "controller"]
+    name: str
+    module: str
+    parameters: dict[str, Any]
+    learned: dict[str, Any]
+    system: dict[str, Any] | None
+    seed: int | None
+    data: str | None
+    versions: dict[str, str]
+    tensors: dict[str, list[int]]
+    sha256: str
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the libraries whose results are stored."""
+    found = {"python": platform.python_version()}
+    for name in RECORDED:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def write_artefact(path: Path, tensors: dict[str, np.ndarray[Any, Any]], fields: dict[str, Any]) -> Path:
+    """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest."""
+    tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    target = _with(path, ".safetensors")
+    write_atomically(target, lambda temporary: save_file(tensors, temporary))
+    manifest = Manifest(
+        versions=versions(),
+        tensors={name: list(tensor.shape) for name, tensor in tensors.items()},
+        sha256=hashlib.sha256(target.read_bytes()).hexdigest(),
+        **fields,
+    )
+    text = manifest.model_dump_json(indent=1)
+    return write_atomically(_with(path, ".json"), lambda temporary: temporary.write_text(text))
+
+
+def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Manifest, dict[str, np.ndarray[Any, Any]]]:
+    """Return manifest and tensors. Raises `ArtefactError` with the reason if either is not what it claims."""
+    source, target = _with(path, ".json"), _with(path, ".safetensors")
+    for file in (source, target):
+        if not file.is_file():
+            raise ArtefactError(f"{file}: expected one half of a stored {kind}, found no such file")
+    if source.stat().st_size > MAX_MANIFEST_BYTES:
+        raise ArtefactError(f"{source}: a manifest has at most {MAX_MANIFEST_BYTES} bytes, this is larger")
+    try:
+        manifest = Manifest.model_validate_json(source.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {where}: {first['msg']}") from error
+    if manifest.kind != kind:
+        raise ArtefactError(f"{source}: expected a stored {kind}, got a {manifest.kind}")
+    with target.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    if digest != manifest.sha256:
+        raise ArtefactError(f"{target}: its SHA-256 is not the one in {source.name}: damaged, or not its partner")
+    try:
+        tensors = load_file(target)
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ArtefactError(f"{target}: not a safetensors file: {error}") from error
+    shapes = {name: list(tensor.shape) for name, tensor in tensors.items()}
+    if shapes != manifest.tensors:
+        raise ArtefactError(f"{target}: expected the tensors {manifest.tensors}, got {shapes}")
+    return manifest, tensors
+
+
+def _with(path: Path, suffix: str) -> Path:
+    """Replace the suffix of an artefact; a dot elsewhere in its name stays."""
+    stem = path.with_suffix("") if path.suffix in (".json", ".safetensors") else path
+    return stem.with_name(stem.name + suffix)

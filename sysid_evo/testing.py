@@ -1,0 +1,204 @@
+"""The contract of a model family as a test suite: what plugin authors run, and what CI runs.
+
+Each check is a function of a fitted model and the data it was fitted to; its docstring is the
+sentence that must hold. A broken one raises `ContractViolation`.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from sklearn.base import clone
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import ContractViolation, NotFitted
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import make_model, models
+from sysid_evo.store import load_model, save_model
+from sysid_evo.system import Channel, System
+
+Check: TypeAlias = Callable[[DynamicsModel, Dataset], None]
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """One check: its sentence, and why it failed (None if it holds)."""
+
+    sentence: str
+    failure: str | None
+
+
+def check_model(name: str, dataset: Dataset | None = None, **parameters: object) -> None:
+    """Fit the registered family ``name`` and raise `ContractViolation` listing every broken sentence."""
+    broken = [result for result in run_checks(name, dataset, **parameters) if result.failure is not None]
+    if broken:
+        lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
+        raise ContractViolation(f"model {name!r} breaks {len(broken)} of the contract's sentences:\n{lines}")
+
+
+def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered family ``name``, fitted to ``dataset``.
+
+    Without a data set the checks use `example_dataset`. ``parameters`` go to the constructor; the
+    family's ``quick`` preset holds for the others.
+    """
+    dataset = example_dataset() if dataset is None else dataset
+    quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
+    model = make_model(name, **{**quick, **parameters})
+    yield _run(an_unfitted_model_says_so, model, dataset)
+    model.fit(dataset, rng=np.random.default_rng(1))
+    for check in CHECKS:
+        yield _run(check, model, dataset)
+
+
+def example_dataset(seed: int = 0, episodes: int = 3, steps: int = 200) -> Dataset:
+    """Return a small recording of a made-up car with drag, thrust and steering, and a little noise."""
+    system = System(
+        states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
+        controls=(Channel("drive", levels=(-1.0, 0.0, 1.0)), Channel("steer", levels=(-1.0, 0.0, 1.0))),
+        dt=0.05,
+        motion=PlanarBody(),
+        name="made-up car",
+    )
+    rng = np.random.default_rng(seed)
+    states = np.zeros((episodes, steps + 1, system.nx))
+    controls = np.repeat(rng.integers(-1, 2, (episodes, steps // 5 + 1, 2)), 5, axis=1)[:, :steps].astype(float)
+    for k in range(steps):
+        u, v, r = states[:, k].T
+        drive, steer = controls[:, k].T
+        acceleration = np.stack([3.0 * drive - 1.5 * u, -5.0 * v + 0.2 * u * r, 4.0 * u * steer - 3.0 * r], axis=1)
+        noise = 0.01 * rng.standard_normal((episodes, system.nx))
+        states[:, k + 1] = system.integrate(states[:, k], acceleration) + noise
+    return Dataset.from_arrays(system, list(states), list(controls))
+
+
+def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
+    """A model that is not fitted says so instead of failing somewhere inside"""
+    try:
+        model.simulate(
+            np.zeros((1, 1, dataset.system.nx)),
+            np.zeros((1, 0, dataset.system.nu)),
+            np.zeros((1, 1, dataset.system.nu)),
+        )
+    except NotFitted:
+        return
+    raise ContractViolation("simulate before fit should raise NotFitted")
+
+
+def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) -> None:
+    """A step turns a carry (B, n_carry) into a carry of the same shape, in float64"""
+    carry, control = _some_inputs(model, dataset)
+    after = model.step(carry, control)
+    if carry.shape[1] != model.n_carry:
+        raise ContractViolation(f"start gives a carry of {carry.shape[1]} numbers, n_carry says {model.n_carry}")
+    if after.shape != carry.shape or after.dtype != np.float64:
+        raise ContractViolation(f"expected {carry.shape} float64, got {after.shape} {after.dtype}")
+    if not np.isfinite(after).all():
+        raise ContractViolation("a step from a training state is not finite")
+
+
+def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> None:
+    """The carry begins with the state"""
+    windows = dataset.windows(1, history=model.n_lags)
+    carry = model.start(windows.past_states, windows.past_controls)
+    if not np.array_equal(carry[:, : dataset.system.nx], windows.start_states):
+        raise ContractViolation("carry[:, :nx] after start is not the last measured state")
+
+
+def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
+    """Every row of a batch is computed for itself"""
+    carry, control = _some_inputs(model, dataset)
+    together = model.step(carry, control)
+    alone = np.concatenate([model.step(carry[i : i + 1], control[i : i + 1]) for i in range(len(carry))])
+    backwards = model.step(carry[::-1].copy(), control[::-1].copy())[::-1]
+    if not (np.allclose(together, alone, rtol=1e-9, atol=1e-12) and np.allclose(together, backwards, rtol=1e-9)):
+        raise ContractViolation("a row's result changes with the other rows of its batch")
+
+
+def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
+    """A step changes neither its arguments nor its own later results"""
+    carry, control = _some_inputs(model, dataset)
+    kept = carry.copy(), control.copy()
+    first, second = model.step(carry, control), model.step(carry, control)
+    if not (np.array_equal(carry, kept[0]) and np.array_equal(control, kept[1])):
+        raise ContractViolation("step overwrites its arguments")
+    if not np.array_equal(first, second):
+        raise ContractViolation("the same step twice gives two results")
+
+
+def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
+    """A free run equals its steps one after the other"""
+    windows = dataset.windows(5, stride=20, history=model.n_lags)
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    carry = model.start(windows.past_states, windows.past_controls)
+    for k in range(5):
+        carry = model.step(carry, windows.controls[:, k])
+        if model.envelope is not None:
+            state = np.clip(carry[:, : dataset.system.nx], *model.envelope)
+            carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
+        if not np.allclose(carry[:, : dataset.system.nx], simulated[:, k]):
+            raise ContractViolation(f"they differ at step {k + 1}")
+
+
+def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) -> None:
+    """The same data and seed give the same model"""
+    again = clone(model).fit(dataset, rng=np.random.default_rng(1))
+    carry, control = _some_inputs(model, dataset)
+    if not np.array_equal(model.step(carry, control), again.step(carry, control)):
+        raise ContractViolation("two fits with the same seed step differently")
+
+
+def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
+    """get_params and clone give back the constructor's arguments, unfitted"""
+    copy = clone(model)
+    if copy.get_params() != model.get_params():
+        raise ContractViolation(f"expected {model.get_params()}, got {copy.get_params()}")
+    if hasattr(copy, "system_"):
+        raise ContractViolation("a clone must not be fitted")
+
+
+def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) -> None:
+    """A stored model steps bit for bit as before"""
+    carry, control = _some_inputs(model, dataset)
+    with tempfile.TemporaryDirectory() as folder:
+        save_model(model, Path(folder) / "model")
+        loaded = load_model(Path(folder) / "model")
+    if not np.array_equal(loaded.step(carry, control), model.step(carry, control)):
+        raise ContractViolation("it steps differently after loading")
+    if loaded.get_params() != model.get_params():
+        raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
+
+
+CHECKS: tuple[Check, ...] = (
+    a_step_has_the_right_shape_and_type,
+    the_carry_begins_with_the_state,
+    rows_are_independent,
+    a_step_is_pure,
+    free_run_equals_chained_steps,
+    the_same_seed_fits_the_same_model,
+    parameters_survive_clone,
+    saving_and_loading_keeps_every_step,
+)
+
+
+def _some_inputs(model: DynamicsModel, dataset: Dataset) -> tuple[Array, Array]:
+    windows = dataset.windows(1, stride=7, history=model.n_lags)
+    return model.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+
+
+def _run(check: Check, model: DynamicsModel, dataset: Dataset) -> CheckResult:
+    sentence = (check.__doc__ or check.__name__).strip()
+    try:
+        check(model, dataset)
+    except ContractViolation as error:
+        return CheckResult(sentence, str(error))
+    except Exception as error:  # a plugin may fail in any way: that is what is being found out
+        return CheckResult(sentence, f"{type(error).__name__}: {error}")
+    return CheckResult(sentence, None)
