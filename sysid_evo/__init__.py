@@ -1,1 +1,5 @@
-"""A framework that identifies models of a robot, evolves controllers in them and compares both."""
+"""Identify several models of a robot, evolve controllers in them, and see which still work on the robot."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,19 @@
+"""The emulated toy car as a robot: the stand-in for the paper's car (section 3)."""
+
+from __future__ import annotations
+
+from hardware.car_parameters import CarParameters
+from hardware.car_physics import CarPhysics
+from hardware.emulated_robot import EmulatedRobot
+from sysid_evo.registry import register_robot
+
+REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
+
+
+@register_robot("emulated_car")
+def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
+    """Return the nominal car, or with ``seed`` another of its kind, see `CarParameters.perturbed`."""
+    nominal = CarParameters()
+    if seed is None:
+        return EmulatedRobot("emulated_car", CarPhysics(nominal), repeats=REPEATS)
+    return EmulatedRobot(f"emulated_car:{seed}", CarPhysics(nominal.perturbed(seed)), repeats=REPEATS)

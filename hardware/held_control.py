@@ -1,0 +1,48 @@
+"""A fine dynamics at a coarser rate: the control is held while the fine one repeats its step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.errors import InvalidArgument
+
+
+class HeldControl(Dynamics):
+    """``fine`` seen every ``repeats`` of its steps, under a control held in between.
+
+    One step takes ``repeats`` times the noise of the fine one, (B, repeats * fine.n_noise), the
+    earliest first. A history is held in the same way: each coarse sample stands for ``repeats``.
+    """
+
+    def __init__(self, fine: Dynamics, repeats: int) -> None:
+        if repeats < 1:
+            raise InvalidArgument(f"held control: expected at least one fine step, got {repeats}")
+        self.fine = fine
+        self.repeats = repeats
+        self.system = fine.system.with_dt(round(fine.system.dt * repeats, 12))
+        self.n_carry = fine.n_carry
+        self.n_lags = -(-fine.n_lags // repeats)
+        self.n_noise = fine.n_noise * repeats
+        self.n_draws = fine.n_draws
+
+    @property
+    def envelope(self) -> Array | None:
+        return self.fine.envelope
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        lags = self.fine.n_lags
+        held = np.repeat(controls, self.repeats, axis=1)
+        earlier = np.repeat(states[:, :-1], self.repeats, axis=1)
+        return self.fine.start(
+            np.concatenate([earlier[:, earlier.shape[1] - lags :], states[:, -1:]], axis=1),
+            held[:, held.shape[1] - lags :],
+            draws,
+        )
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        size = self.fine.n_noise
+        for k in range(self.repeats):
+            carry = self.fine.step(carry, control, None if noise is None else noise[:, k * size : (k + 1) * size])
+        return carry

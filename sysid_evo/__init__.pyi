@@ -1,0 +1,71 @@
+from .controllers import Controller, RecurrentNetwork, View
+from .data import Dataset, Trajectory, Transitions, Windows
+from .dynamics import Dynamics, DynamicsModel
+from .engine import DynamicsRunner, Rollouts, Runner, rollout
+from .errors import SysidEvoError
+from .evolution import Champion, ControllerEvolution, EvolutionStrategy, MuPlusLambda, evolve, evolve_controller
+from .motion import PlanarBody
+from .randomness import trial_seeds
+from .registry import (
+    load_plugin,
+    make_controller,
+    make_model,
+    make_robot,
+    make_strategy,
+    make_task,
+    register_controller,
+    register_model,
+    register_reader,
+    register_robot,
+    register_strategy,
+    register_task,
+)
+from .store import load_champion, load_model, save_champion, save_model
+from .system import Channel, System
+from .tasks import PointToPoint, Task, TaskState
+
+__all__ = [
+    "Champion",
+    "Channel",
+    "Controller",
+    "ControllerEvolution",
+    "Dataset",
+    "Dynamics",
+    "DynamicsModel",
+    "DynamicsRunner",
+    "EvolutionStrategy",
+    "MuPlusLambda",
+    "PlanarBody",
+    "PointToPoint",
+    "RecurrentNetwork",
+    "Rollouts",
+    "Runner",
+    "System",
+    "SysidEvoError",
+    "Task",
+    "TaskState",
+    "Trajectory",
+    "Transitions",
+    "View",
+    "Windows",
+    "evolve",
+    "evolve_controller",
+    "load_champion",
+    "load_model",
+    "load_plugin",
+    "make_controller",
+    "make_model",
+    "make_robot",
+    "make_strategy",
+    "make_task",
+    "register_controller",
+    "register_model",
+    "register_reader",
+    "register_robot",
+    "register_strategy",
+    "register_task",
+    "rollout",
+    "save_champion",
+    "save_model",
+    "trial_seeds",
+]
