@@ -51,7 +51,7 @@ class CarParameters:
 
     front_grip: float = _quantity(0.96, "N", 0.15, "largest sideways force of the front tyres")
     rear_grip: float = _quantity(1.1, "N", 0.15, "largest sideways force of the rear tyres, without thrust")
-    thrust_grip_loss: float = _quantity(0.5, "1", 0.2, "share of the rear grip that full thrust uses up")
+    thrust_grip_loss: float = _quantity(0.5, "1", 0.2, "most of the rear grip, as a share, that traction uses up")
     slip_gain: float = _quantity(6.0, "1/rad", 0.15, "how soon a slip angle saturates a tyre")
     slip_floor: float = _quantity(0.4, "m/s", 0.1, "slower than this, slip is measured against this speed")
 

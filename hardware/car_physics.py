@@ -65,6 +65,7 @@ class Coefficients(NamedTuple):
     front_grip: float
     rear_grip: float
     thrust_grip_loss: float
+    traction_share: float
     slip_gain: float
     slip_floor: float
     noise_keep: float
@@ -100,6 +101,7 @@ def coefficients(parameters: CarParameters) -> Coefficients:
         front_grip=p.front_grip,
         rear_grip=p.rear_grip,
         thrust_grip_loss=p.thrust_grip_loss,
+        traction_share=p.thrust_grip_loss / p.thrust_forward,
         slip_gain=p.slip_gain,
         slip_floor=p.slip_floor,
         noise_keep=noise_keep,
@@ -121,7 +123,7 @@ def fine_step(
 
     Plain arithmetic on lanes: the same lines serve a batch and single numbers. A single-track car::
 
-        du/dt = thrust - drag u - F_f sin(d) / m + v r + noise       friction then takes its share of u
+        du/dt = traction - drag u - F_f sin(d) / m + v r + noise     friction then takes its share of u
         dv/dt = (F_f cos(d) + F_r) / m - u r
         dr/dt = (a F_f cos(d) - b F_r) / I + noise
         F     = -grip tanh(gain slip / max(|u|, floor)),   slip: the axle's sideways speed in m/s
@@ -137,8 +139,8 @@ def fine_step(
     slack = np.minimum(np.maximum(slack + motor * p.slack_rate, -1.0), 1.0)
     meshed = motor * slack >= power
     pull = np.maximum(motor, 0.0) * p.thrust_forward + np.minimum(motor, 0.0) * p.thrust_backward
-    thrust = pull * (battery - sag) * meshed
-    drag = p.rolling_drag + p.coasting_drag + (p.back_emf - p.coasting_drag) * power
+    braking = p.coasting_drag + (p.back_emf - p.coasting_drag) * power
+    traction = pull * (battery - sag) * meshed - braking * u
 
     target = steer * (p.steer_mean + p.steer_difference * steer) + p.steer_offset
     steering = steering + (target - steering) * p.steering_rate
@@ -149,7 +151,7 @@ def fine_step(
     pace = np.maximum(speed, p.slip_floor)
     gain = p.slip_gain / pace
     front = np.tanh(gain * (u * sine - (v + p.front_axle * r) * cosine)) * p.front_grip
-    grip = p.rear_grip * (1.0 - p.thrust_grip_loss * power * meshed)
+    grip = p.rear_grip * (1.0 - np.minimum(abs(traction) * p.traction_share, p.thrust_grip_loss))
     rear = np.tanh(gain * (p.rear_axle * r - v)) * grip
     across = front * cosine
 
@@ -157,7 +159,8 @@ def fine_step(
     yaw_noise = yaw_noise * p.noise_keep + yaw_draw * p.yaw_noise
     shake = speed / pace
 
-    pushed = u + (thrust - drag * u - front * sine * p.inverse_mass + v * r + force_noise * shake) * FINE_DT
+    push = traction - p.rolling_drag * u - front * sine * p.inverse_mass
+    pushed = u + (push + v * r + force_noise * shake) * FINE_DT
     v = v + ((across + rear) * p.inverse_mass - u * r) * FINE_DT
     r = r + ((p.front_axle * across - p.rear_axle * rear) * p.inverse_inertia + yaw_noise * shake) * FINE_DT
 

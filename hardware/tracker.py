@@ -17,7 +17,7 @@ CORRELATION = 0.3
 class OpticalTracker:
     """Adds first-order correlated normal errors to planar poses, frame by frame.
 
-    Standard deviations are 1 mm in x and y and 0.3 degrees in heading.
+    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -27,7 +27,8 @@ class OpticalTracker:
 
     def observe(self, pose: Array) -> Array:
         """Return what the tracker makes of the true ``pose`` (3,): m, m, rad."""
-        measured = pose + self._scale * self._error
+        measured: Array = pose + self._scale * self._error
+        measured[2] = (measured[2] + math.pi) % (2.0 * math.pi) - math.pi
         fresh = math.sqrt(1.0 - CORRELATION**2)
         self._error = CORRELATION * self._error + fresh * self._rng.standard_normal(3)
         return measured

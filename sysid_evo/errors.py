@@ -54,6 +54,10 @@ class MissingExtra(PluginError):
     """A plugin needs an optional dependency that is not installed."""
 
 
+class LinkLost(SysidEvoError, ConnectionError):
+    """A robot or its tracker is silent, or the connection is closed."""
+
+
 class ContractViolation(SysidEvoError, AssertionError):
     """An implementation does not keep the contract of its base class."""
 

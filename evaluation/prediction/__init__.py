@@ -1,0 +1,24 @@
+"""How well models predict: errors at several horizons and in free run, with intervals."""
+
+from evaluation.prediction.assess import PERSISTENCE, assess_model, assess_prediction
+from evaluation.prediction.bootstrap import Interval
+from evaluation.prediction.cases import MeasuredCases, measured_cases
+from evaluation.prediction.persistence import Persistence
+from evaluation.prediction.protocol import PredictionProtocol
+from evaluation.prediction.scores import Difference, Divergence, ErrorScore, ModelPrediction, Prediction
+
+__all__ = [
+    "PERSISTENCE",
+    "Difference",
+    "Divergence",
+    "ErrorScore",
+    "Interval",
+    "MeasuredCases",
+    "ModelPrediction",
+    "Persistence",
+    "Prediction",
+    "PredictionProtocol",
+    "assess_model",
+    "assess_prediction",
+    "measured_cases",
+]

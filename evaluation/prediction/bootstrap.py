@@ -1,0 +1,71 @@
+"""Intervals for errors of overlapping windows: a bootstrap that draws whole blocks (Kuensch 1989)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from evaluation.prediction.metrics import mean_over_channels
+from sysid_evo.arrays import Array, IntArray
+
+
+class Interval(NamedTuple):
+    """A confidence interval."""
+
+    low: float
+    high: float
+
+    def spans(self, value: float) -> bool:
+        """Whether ``value`` lies inside."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class BlockErrors:
+    """Squared errors summed over each of K blocks, (K, nx), and the number of rows in each (K,)."""
+
+    squares: Array
+    counts: IntArray
+
+    @classmethod
+    def of(cls, errors: Array, blocks: IntArray) -> BlockErrors:
+        """Sum ``errors`` (N, nx) over the rows of each number in ``blocks`` (N,)."""
+        numbers, row_block = np.unique(blocks, return_inverse=True)
+        squares = np.zeros((len(numbers), errors.shape[1]))
+        np.add.at(squares, row_block, errors**2)
+        return cls(squares, np.bincount(row_block, minlength=len(numbers)).astype(np.int64))
+
+    def rmse(self, picks: IntArray) -> Array:
+        """Return the RMSE (R, nx) of each of R draws of blocks, (R, K); nan for a draw without rows."""
+        count = self.counts[picks].sum(axis=1)[:, None]
+        total = self.squares[picks].sum(axis=1)
+        mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+        return np.asarray(np.sqrt(mean))
+
+    def resampled_n(self, std: Array, resamples: int, seed: int) -> Array:
+        """Return N, the mean NRMSE over channels, of every draw (R,).
+
+        The draws depend on the number of blocks and ``seed`` alone: two models scored on the same
+        windows meet the same draws, so that their differences are paired.
+        """
+        picks = draw_blocks(len(self.counts), resamples, seed)
+        scale = np.where(std > 0, std, np.nan)
+        return mean_over_channels(self.rmse(picks) / scale)
+
+
+def draw_blocks(blocks: int, resamples: int, seed: int) -> IntArray:
+    """Return ``resamples`` draws of ``blocks`` from as many, with replacement."""
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, max(blocks, 1), (resamples, blocks), dtype=np.int64)
+
+
+def interval(values: Array, confidence: float) -> Interval:
+    """Return the central interval that holds the share ``confidence`` of ``values``; nan is left out."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return Interval(float("nan"), float("nan"))
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(known, [tail, 100.0 - tail])
+    return Interval(float(low), float(high))

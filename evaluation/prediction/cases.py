@@ -1,0 +1,152 @@
+"""The measured side of a prediction test: windows, free runs, scales and the guard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.prediction.protocol import PredictionProtocol
+from sysid_evo.arrays import Array, BoolArray, IntArray
+from sysid_evo.data import Dataset, Windows
+from sysid_evo.errors import InvalidData
+from sysid_evo.system import System
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """One episode from sample ``first`` on: H steps to its end, and which targets move (H,)."""
+
+    episode: str
+    past_states: Array
+    past_controls: Array
+    controls: Array
+    states: Array
+    moving: BoolArray
+
+
+@dataclass(frozen=True)
+class MeasuredCases:
+    """All that a model is asked to predict, the same for every model.
+
+    ``moving`` (N, H) says which targets of the ``windows`` count; ``window_block`` (N,) numbers the
+    bootstrap blocks. ``horizons`` are those of the protocol that the episodes are long enough for.
+    ``std`` and ``rms`` (nx,) are those of the truth over the moving samples of the test set;
+    ``guard`` (2, nx) are the limits to which predictions are clipped. ``notes`` say what was left out.
+    """
+
+    system: System
+    protocol: PredictionProtocol
+    horizons: tuple[int, ...]
+    windows: Windows
+    moving: BoolArray
+    window_block: IntArray
+    free_runs: tuple[FreeRun, ...]
+    std: Array
+    rms: Array
+    guard: Array
+    notes: tuple[str, ...]
+
+
+def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtocol) -> MeasuredCases:
+    """Cut ``test`` into windows and free runs; ``training`` gives the guard only.
+
+    A horizon that no episode is long enough for is left out with a note. Raises `InvalidData` if
+    nothing in the test set moves, or its system is another one.
+    """
+    if training.system != test.system:
+        raise InvalidData("prediction: training and test set must have the same system, got two different ones")
+    system = test.system
+    notes = []
+    windows, horizons = _windows(test, protocol)
+    ahead = windows.start[:, None] + 1 + np.arange(windows.states.shape[1])
+    moving = np.zeros(ahead.shape, dtype=bool)
+    for number, rows in enumerate(test.moving):
+        chosen = windows.episode == number
+        moving[chosen] = rows[ahead[chosen]]
+    horizons = tuple(horizon for horizon in horizons if moving[:, horizon - 1].any())
+    left_out = [horizon for horizon in protocol.horizons if horizon not in horizons]
+    if left_out:
+        longest = max(len(episode) for episode in test.episodes) - protocol.first
+        notes.append(
+            f"horizon {_listed(left_out)} left out: no moving test window is that long "
+            f"(the longest episode leaves {max(longest, 0)} steps after sample {protocol.first})"
+        )
+    truth = np.concatenate([e.states[rows] for e, rows in zip(test.episodes, test.moving, strict=True)])
+    if not len(truth):
+        raise InvalidData("prediction: the test set stands still throughout; hold back an episode that moves")
+    std, rms = truth.std(axis=0), np.sqrt(np.mean(truth**2, axis=0))
+    constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
+    if constant:
+        notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
+    short = [episode.name for episode in test.episodes if len(episode) <= protocol.first]
+    if short:
+        notes.append(f"no free run of {_listed(short)}: shorter than {protocol.first + 1} steps")
+    return MeasuredCases(
+        system=system,
+        protocol=protocol,
+        horizons=horizons,
+        windows=windows,
+        moving=moving,
+        window_block=_window_blocks(windows, protocol.block_windows),
+        free_runs=_free_runs(test, protocol),
+        std=std,
+        rms=rms,
+        guard=_guard(training, protocol.guard_multiple),
+        notes=tuple(notes),
+    )
+
+
+def _windows(test: Dataset, protocol: PredictionProtocol) -> tuple[Windows, tuple[int, ...]]:
+    """Cut windows of the longest horizon that any episode is long enough for."""
+    for count in range(len(protocol.horizons), 0, -1):
+        windows = test.windows(
+            protocol.horizons[count - 1],
+            stride=protocol.stride,
+            history=protocol.history,
+            first=protocol.first,
+            moving=True,
+        )
+        if len(windows):
+            return windows, protocol.horizons[:count]
+    return windows, ()
+
+
+def _window_blocks(windows: Windows, size: int) -> IntArray:
+    """Number blocks of ``size`` consecutive windows; no block crosses an episode."""
+    blocks = np.zeros(len(windows), dtype=np.int64)
+    offset = 0
+    for number in np.unique(windows.episode):
+        rows = np.flatnonzero(windows.episode == number)
+        blocks[rows] = offset + np.arange(len(rows)) // size
+        offset = int(blocks[rows[-1]]) + 1
+    return blocks
+
+
+def _free_runs(test: Dataset, protocol: PredictionProtocol) -> tuple[FreeRun, ...]:
+    first, begin = protocol.first, protocol.first - protocol.history
+    return tuple(
+        FreeRun(
+            episode=episode.name,
+            past_states=episode.states[begin : first + 1],
+            past_controls=episode.controls[begin:first],
+            controls=episode.controls[first:],
+            states=episode.states[first + 1 :],
+            moving=rows[first + 1 :],
+        )
+        for episode, rows in zip(test.episodes, test.moving, strict=True)
+        if len(episode) > first
+    )
+
+
+def _guard(training: Dataset, multiple: float) -> Array:
+    states = np.concatenate([e.states[rows] for e, rows in zip(training.episodes, training.moving, strict=True)])
+    if not len(states):
+        raise InvalidData("prediction: the training set stands still throughout")
+    limit = multiple * np.abs(states).max(axis=0)
+    limit = np.where(limit > 0, limit, np.inf)
+    return np.stack([-limit, limit])
+
+
+def _listed(items: list[int] | list[str]) -> str:
+    return ", ".join(map(str, items))

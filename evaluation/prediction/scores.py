@@ -1,0 +1,153 @@
+"""The scores of one model, of several, and of two compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evaluation.prediction.bootstrap import Interval, interval
+from evaluation.prediction.cases import MeasuredCases
+from evaluation.prediction.metrics import mean_over_channels
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+
+
+@dataclass(frozen=True)
+class ErrorScore:
+    """Errors ``horizon`` steps after a measured start, or over a free run (``horizon`` None).
+
+    Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE
+    of the signal's RMS), ``nrmse`` (RMSE of the truth's standard deviation). ``samples`` were scored.
+    ``resampled_n`` (R,) is N for every draw of the block bootstrap.
+    """
+
+    horizon: int | None
+    samples: int
+    rmse: Array
+    error_std: Array
+    relative_percent: Array
+    nrmse: Array
+    interval: Interval
+    resampled_n: Array = field(repr=False)
+
+    @property
+    def n(self) -> float:
+        """N: the mean NRMSE over channels; channels that are constant in the truth are left out."""
+        return float(mean_over_channels(self.nrmse))
+
+    @property
+    def fit_percent(self) -> Array:
+        """100 (1 - NRMSE), per channel (nx,)."""
+        return 100.0 * (1.0 - self.nrmse)
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """How often and when simulations reached the model's envelope or the guard.
+
+    ``share`` of the windows; ``median_time`` in s of the first touch among those;
+    ``free_run_times`` in s, one for each free run, None for never.
+    """
+
+    share: float
+    median_time: float | None
+    free_run_times: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class ModelPrediction:
+    """All prediction scores of one model, or the ``reason`` why there are none.
+
+    ``curve`` (H,) is N after each step up to the longest horizon; ``free_states`` are the predicted
+    states (T, nx) of each free run.
+    """
+
+    name: str
+    family: str
+    at: tuple[ErrorScore, ...] = ()
+    free_run: ErrorScore | None = None
+    curve: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    divergence: Divergence | None = None
+    free_states: tuple[Array, ...] = field(default=(), repr=False)
+    notes: tuple[str, ...] = ()
+    reason: str = ""
+
+    @property
+    def failed(self) -> bool:
+        return bool(self.reason)
+
+    def score(self, horizon: int | None) -> ErrorScore | None:
+        """Return the score at ``horizon`` steps, or of the free run (None); None where there is none."""
+        if horizon is None:
+            return self.free_run
+        return next((score for score in self.at if score.horizon == horizon), None)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """N of ``first`` minus N of ``second`` on the same windows, with its paired interval."""
+
+    first: str
+    second: str
+    horizon: int | None
+    difference: float
+    interval: Interval
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes zero."""
+        return not self.interval.spans(0.0)
+
+    @property
+    def verdict(self) -> str:
+        """The comparison in words."""
+        if not self.significant:
+            return "no significant difference"
+        better, worse = (self.first, self.second) if self.difference < 0 else (self.second, self.first)
+        return f"{better} better than {worse}"
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The prediction errors of several models on the same cases; persistence comes first."""
+
+    cases: MeasuredCases
+    models: tuple[ModelPrediction, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(model.name for model in self.models)
+
+    @property
+    def horizons(self) -> tuple[int | None, ...]:
+        """The horizons that were scored, in steps; None, the free run, is last."""
+        free: tuple[int | None, ...] = (None,) if self.cases.free_runs else ()
+        return (*self.cases.horizons, *free)
+
+    def model(self, name: str) -> ModelPrediction:
+        """Return the scores of the model called ``name``. Raises `InvalidArgument`."""
+        for model in self.models:
+            if model.name == name:
+                return model
+        raise InvalidArgument(f"prediction: no model is called {name!r}; there are {', '.join(self.names)}")
+
+    def compare(self, first: str, second: str, horizon: int | None) -> Difference | None:
+        """Compare two models by a paired block bootstrap; None where one of them has no score."""
+        a, b = self.model(first).score(horizon), self.model(second).score(horizon)
+        if a is None or b is None:
+            return None
+        spread = interval(a.resampled_n - b.resampled_n, self.cases.protocol.confidence)
+        return Difference(first, second, horizon, a.n - b.n, spread)
+
+    def ranking(self, horizon: int | None) -> tuple[ModelPrediction, ...]:
+        """Return the models that have a score at ``horizon``, lowest N first."""
+        scored = [(score.n, model) for model in self.models if (score := model.score(horizon)) is not None]
+        known = [(n, model) for n, model in scored if np.isfinite(n)]
+        return tuple(model for _, model in sorted(known, key=lambda pair: pair[0]))
+
+    def differences(self, horizon: int | None) -> tuple[Difference, ...]:
+        """Compare every other model with the best one at ``horizon``, in order of N."""
+        ranking = self.ranking(horizon)
+        compared = [self.compare(model.name, ranking[0].name, horizon) for model in ranking[1:]]
+        return tuple(difference for difference in compared if difference is not None)
