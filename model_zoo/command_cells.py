@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.system import Channel, System
 
 
@@ -24,7 +24,7 @@ class CommandCells:
 
     @classmethod
     def of(cls, system: System, n_levels: int) -> CommandCells:
-        """Return the cells of ``system``. Raises `InvalidArgument`."""
+        """Return the cells of ``system``. Raises `IncompatibleSystem`, or `InvalidArgument` for ``n_levels``."""
         if n_levels < 2:
             raise InvalidArgument(f"levels: expected at least 2 for a continuous control, got {n_levels}")
         return cls(
@@ -38,6 +38,11 @@ class CommandCells:
         return int(np.prod([len(levels) for levels in self.levels]))
 
     @property
+    def midpoints(self) -> tuple[Array, ...]:
+        """The boundaries between the levels of each control; a boundary belongs to the lower level."""
+        return tuple((levels[1:] + levels[:-1]) / 2.0 for levels in self.levels)
+
+    @property
     def centres(self) -> Array:
         """The levels of each cell, (count, nu)."""
         return np.stack([axis.ravel() for axis in np.meshgrid(*self.levels, indexing="ij")], axis=1)
@@ -45,9 +50,8 @@ class CommandCells:
     def index(self, control: Array) -> IntArray:
         """Return the cell of each control, (B, nu) -> (B,)."""
         cell = np.zeros(len(control), dtype=np.int64)
-        for i, levels in enumerate(self.levels):
-            nearest = np.searchsorted((levels[1:] + levels[:-1]) / 2.0, control[:, i])
-            cell = cell * len(levels) + nearest
+        for i, between in enumerate(self.midpoints):
+            cell = cell * (len(between) + 1) + np.searchsorted(between, control[:, i])
         return cell
 
     def fallback(self, filled: IntArray) -> IntArray:
@@ -65,7 +69,7 @@ def _levels(channel: Channel, n_levels: int) -> Array:
     if channel.levels is not None:
         return np.asarray(channel.levels)
     if not channel.bounded:
-        raise InvalidArgument(
+        raise IncompatibleSystem(
             f"control {channel.name!r} is continuous and has no limits, so it cannot be cut into levels: give limits"
         )
     return np.linspace(channel.low, channel.high, n_levels)

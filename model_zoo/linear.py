@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 @register_model("linear")
@@ -43,7 +46,7 @@ class Linear(DynamicsModel):
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
         scale = regressors.std(axis=0)
-        scale[scale == 0] = 1.0
+        scale[scale <= 1e-12 * np.abs(regressors).max(axis=0)] = 1.0  # constant but for rounding
         penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
         left = np.concatenate([(regressors - centre) / scale, penalty])
         right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])
@@ -55,3 +58,15 @@ class Linear(DynamicsModel):
     def next_state(self, carry: Array, control: Array) -> Array:
         n = carry.shape[1]
         return carry @ self.coefficients_[:n] + control @ self.coefficients_[n:] + self.intercept_
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+
+        one_layer = network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)
+        return stepping_kernel(
+            one_layer,
+            self.system,
+            output="next_state",
+            state_lags=self.state_lags,
+            control_lags=self.control_lags,
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -14,6 +14,10 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.system import System
 
 
 @register_model("nearest_neighbour")
@@ -29,6 +33,9 @@ class NearestNeighbour(DynamicsModel):
 
     def __init__(self, *, levels: int = 3) -> None:
         self.levels = levels
+
+    def check_system(self, system: System) -> None:
+        CommandCells.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
@@ -52,6 +59,20 @@ class NearestNeighbour(DynamicsModel):
                 _, nearest = tree.query(query[asked])
                 result[asked] = self.accelerations_[rows][nearest]
         return result
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
+
+        cells, tables, serving = self._tables
+        place = {number: i for i, number in enumerate(tables)}
+        predictor = neighbour_predictor(
+            [(self.points_[rows], self.accelerations_[rows]) for _, rows in tables.values()],
+            np.array([place[int(number)] for number in serving]),
+            cells.midpoints,
+            cells.exact,
+            self.system.nx,
+        )
+        return stepping_kernel(predictor, self.system, output="acceleration")
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

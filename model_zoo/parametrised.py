@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 PARAMETERS = (
     ("thrust_forward", "m/s^2"),
@@ -86,12 +89,27 @@ class Parametrised(DynamicsModel):
             spread=0.2,
             rng=rng,
             progress=progress,
+            kernel=lambda population: self._kernels(np.abs(population) * scale),
         )
         self.parameters_ = np.abs(best) * scale
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
+
+    def kernel(self) -> DynamicsKernel:
+        return self._kernels(self.parameters_[None])[0]
+
+    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
+        """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
+        from model_zoo.parametrised_kernel import equation_one
+        from sysid_evo.engine.kernels import Predictor, stepping_kernel
+
+        roles = [-1 if role is None else role for role in self.roles]
+        flat = np.concatenate([np.tile([*roles, self.system.dt], (len(parameters), 1)), parameters], axis=1)
+        kernel = stepping_kernel(Predictor(equation_one, flat[0], 0), self.system, output="next_state")
+        head = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
+        return kernel, np.concatenate([np.tile(head, (len(flat), 1)), flat], axis=1)
 
     @property
     def roles(self) -> tuple[int, int | None, int, int, int]:

@@ -15,6 +15,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted
 
 if TYPE_CHECKING:
     from sysid_evo.data import Dataset
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.progress import Progress
     from sysid_evo.system import System
 
@@ -53,6 +54,11 @@ class Dynamics(ABC):
 
         Pure: the same arguments give the same result, each row for itself.
         """
+
+
+    def kernel(self) -> DynamicsKernel | None:
+        """Return the compiled form of `step`, if it has one."""
+        return None
 
 
 class DynamicsModel(Dynamics, BaseEstimator):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from sysid_evo.arrays import Array
 from sysid_evo.tasks.task import TaskState
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import ControllerKernel
 
 
 @dataclass(frozen=True)
@@ -43,3 +46,7 @@ class Controller(ABC):
 
         ``parameters`` is (P, n_parameters), ``memory`` (P, E, n_memory).
         """
+
+    def kernel(self) -> ControllerKernel | None:
+        """Return the compiled form of `act` of a bound controller, if it has one."""
+        return None

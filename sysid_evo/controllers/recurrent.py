@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from sysid_evo.arrays import Array, check_shape
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_controller
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import ControllerKernel
 
 
 @register_controller("recurrent")
@@ -50,3 +53,8 @@ class RecurrentNetwork(Controller):
         w_out = parameters[:, (i + h) * h :].reshape(candidates, h, o)
         hidden = np.tanh(view.observation @ w_in + memory @ w_hidden)
         return np.tanh(hidden @ w_out), hidden
+
+    def kernel(self) -> ControllerKernel:
+        from sysid_evo.engine.kernels.recurrent import recurrent_kernel
+
+        return recurrent_kernel(self.n_inputs, self.hidden, self.n_outputs)

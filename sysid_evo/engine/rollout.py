@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
 from sysid_evo.arrays import Array, IntArray, Seeds, check_shape
 from sysid_evo.controllers.controller import Controller
@@ -12,6 +13,9 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import reference
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.tasks.task import Task, TaskState
+
+
+Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
 
 
 @dataclass(frozen=True)
@@ -45,28 +49,90 @@ class Runner(Protocol):
 
 @dataclass(frozen=True)
 class DynamicsRunner:
-    """Runs controllers on a `Dynamics`: a model or an emulated robot."""
+    """Runs controllers on a `Dynamics`: a model or an emulated robot.
+
+    ``engine`` and ``threads`` as for `rollout`.
+    """
 
     dynamics: Dynamics
+    engine: Engine = "auto"
+    threads: int | None = None
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
     ) -> Rollouts:
         """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
-        return rollout(self.dynamics, controller, parameters, task, seeds, record=record)
+        return rollout(
+            self.dynamics,
+            controller,
+            parameters,
+            task,
+            seeds,
+            record=record,
+            engine=self.engine,
+            threads=self.threads,
+        )
 
 
 def rollout(
-    dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    dynamics: Dynamics,
+    controller: Controller,
+    parameters: Array,
+    task: Task,
+    seeds: Seeds,
+    *,
+    record: bool = False,
+    engine: Engine = "auto",
+    threads: int | None = None,
 ) -> Rollouts:
     """Run every candidate ``parameters`` (P, n_parameters) in a trial of every seed (E,).
 
     Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
-    Raises `IncompatibleTask`, `ShapeError`.
+
+    ``engine`` is "float32" or "float64" (all three kernels compiled), "mixed" (controller and task
+    compiled, the dynamics' own NumPy step) or "reference" (NumPy, any object); "auto" takes the first
+    of float32, mixed, reference for which there are kernels. `Rollouts.engine` says which ran.
+    Scores do not depend on ``threads`` (default: all processors this process may use).
+    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
     task = task.bind(dynamics.system)
     controller = controller.bind(len(task.observations), dynamics.system.nu)
     parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
     if len(seeds) < 1:
         raise InvalidArgument("rollout: expected at least one trial seed, got none")
+    if engine not in ("auto", "reference", "mixed", "float32", "float64"):
+        raise InvalidArgument(f"rollout: engine is auto, reference, mixed, float32 or float64, not {engine!r}")
+    if engine == "reference":
+        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+    kernels = {"dynamics": dynamics.kernel(), "controller": controller.kernel(), "task": task.kernel()}
+    missing = [role for role, kernel in kernels.items() if kernel is None]
+    if engine in ("float32", "float64") and missing:
+        raise InvalidArgument(f"rollout: engine {engine!r} needs kernels, and there is none of the {', '.join(missing)}")
+    if not missing and engine != "mixed":
+        from sysid_evo.engine.compiled import run
+
+        return Rollouts(
+            **run.run(
+                run.Kernels(**kernels),  # type: ignore[arg-type]  # none is missing
+                dynamics,
+                controller,
+                parameters,
+                task,
+                seeds,
+                record=record,
+                precision="float64" if engine == "float64" else "float32",
+                threads=threads or available_processors(),
+            )
+        )
+    if missing in ([], ["dynamics"]) and not record:
+        from sysid_evo.engine.compiled import mixed
+
+        return Rollouts(**mixed.run(kernels["controller"], kernels["task"], dynamics, controller, parameters, task, seeds))
+    if engine == "mixed":
+        raise InvalidArgument("rollout: engine 'mixed' needs kernels of controller and task, and does not record")
     return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+
+
+def available_processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -15,8 +15,14 @@ from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.progress import Progress
 
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
 PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
 """(P, n) parameters, (P, W, nx) states, (W, nu) controls -> (P, W, nx) next states."""
+
+PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array]"]
+"""(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate."""
 
 CHOICE_WINDOWS = 500
 
@@ -47,8 +53,12 @@ class ModelEvolution:
         spread: float,
         rng: np.random.Generator,
         progress: Progress | None = None,
+        kernel: PopulationKernel | None = None,
     ) -> Array:
-        """Return the best parameters found, (n,), starting around ``initial`` (n,)."""
+        """Return the best parameters found, (n,), starting around ``initial`` (n,).
+
+        With ``kernel``, the compiled form of ``step``, generations run compiled.
+        """
         every = dataset.windows(self.horizon)
         if not len(every):
             raise InvalidData(f"data set: no episode is longer than {self.horizon} steps, the horizon of the fit")
@@ -65,7 +75,8 @@ class ModelEvolution:
 
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
-            return -final_error(step, population, every[draw.integers(len(every), size=self.windows)])
+            chosen = every[draw.integers(len(every), size=self.windows)]
+            return -(final_error(step, population, chosen) if kernel is None else kernel_error(kernel, population, chosen))
 
         for generation in evolve(strategy, objective, self.generations):
             if progress is not None:
@@ -75,10 +86,28 @@ class ModelEvolution:
 
 
 def final_error(step: PopulationStep, population: Array, windows: Windows) -> Array:
-    """Return the mean square difference (P,) of the last state of ``windows``; inf where it diverges."""
+    """Return the mean square difference (P,) of the last state of ``windows``; the largest number where it diverges."""
     state = np.repeat(windows.start_states[None], len(population), axis=0)
     with np.errstate(all="ignore"):
         for k in range(windows.controls.shape[1]):
             state = step(population, state, windows.controls[:, k])
         error = np.mean((state - windows.states[:, -1]) ** 2, axis=(1, 2))
+    return np.where(np.isfinite(error), error, np.finfo(float).max)
+
+
+def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows) -> Array:
+    """Return what `final_error` does, compiled, on all processors."""
+    from sysid_evo.engine import available_processors
+    from sysid_evo.engine.compiled.open_loop import final_errors
+
+    compiled, parameters = kernel(population)
+    error = final_errors(
+        compiled.source,
+        compiled.n_scratch,
+        parameters,
+        windows.start_states,
+        windows.controls,
+        windows.states[:, -1],
+        threads=available_processors(),
+    )
     return np.where(np.isfinite(error), error, np.finfo(float).max)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import TaskKernel
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,11 @@ class PointToPoint(Task):
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("PointToPointState", task_state).passed.astype(np.float64)
+
+    def kernel(self) -> TaskKernel:
+        from sysid_evo.engine.kernels.waypoints import waypoints_kernel
+
+        return waypoints_kernel(self.system, self.waypoint_radius, self.horizon + 1)
 
     @property
     def _planar(self) -> PlanarBody:

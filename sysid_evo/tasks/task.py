@@ -5,12 +5,15 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray, Seeds
 from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import TaskKernel
 
 
 @dataclass(frozen=True)
@@ -81,3 +84,7 @@ class Task(ABC):
     @abstractmethod
     def fitness(self, task_state: TaskState) -> Array:
         """Return the fitness (B,) so far."""
+
+    def kernel(self) -> TaskKernel | None:
+        """Return the compiled form of a bound task, if it has one."""
+        return None

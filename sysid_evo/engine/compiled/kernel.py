@@ -1,0 +1,70 @@
+"""What an author hands over: a kernel function, its flat parameter array, and how much room it needs.
+
+Arrays in kernels are one-dimensional, rows of 64 lanes one after the other: row i, lane l stands at
+``i * LANES + l``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource
+
+if TYPE_CHECKING:
+    from sysid_evo.tasks.task import TaskState
+
+DYNAMICS = "types.void(R, R, R, R, R)"
+"""``(carry, control, noise, parameters, scratch)``: overwrite ``carry`` with the next one."""
+CONTROLLER = "types.void(R, R, R, R, R, R)"
+"""``(theta, memory, observation, raw, parameters, scratch)``: write ``raw``, overwrite ``memory``."""
+OBSERVE = "types.void(R, R, R, R)"
+"""``(task, state, observation, parameters)``: write ``observation``."""
+ADVANCE = "types.void(R, R, R, I, R, R)"
+"""``(task, before, after, trials, trial_data, parameters)``: overwrite ``task``, perhaps ``after``.
+
+Row 0 of ``task`` is the fitness, row 1 is 1.0 while the trial is alive; ``trials`` (64,) is the trial
+of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
+"""
+
+
+@dataclass(frozen=True)
+class DynamicsKernel:
+    """The compiled form of `Dynamics.step`."""
+
+    source: KernelSource
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    n_scratch: int = 0
+
+
+@dataclass(frozen=True)
+class ControllerKernel:
+    """The compiled form of `Controller.act`."""
+
+    source: KernelSource
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    n_scratch: int = 0
+
+
+@dataclass(frozen=True)
+class TaskKernel:
+    """The compiled form of a bound task.
+
+    ``rows`` turns the state of E trials into task rows (n_rows, E); ``state`` turns the rows of B
+    trials (n_rows, B), tiled from those, back. ``trial_data`` (E, n) is what advancing looks up.
+    ``pose_row`` is the first of ``n_pose`` rows that hold the pose.
+    """
+
+    observe: KernelSource
+    advance: KernelSource
+    n_rows: int
+    rows: Callable[[TaskState], Array]
+    trial_data: Callable[[TaskState], Array]
+    state: Callable[[TaskState, Array], TaskState]
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    pose_row: int = 2
+    n_pose: int = 0

@@ -1,0 +1,187 @@
+"""A vector of 64 lanes as a Numba type, so that a sum over many rows stays in registers.
+
+Block kernels hold 64 rollouts side by side: row i of a quantity is ``array[i * LANES : (i + 1) *
+LANES]``. Plain loops over lanes vectorise by themselves; what they cannot do is keep an accumulator
+in registers across an inner loop. A row as a value can: `load` and `splat` make one, ``+ - *`` and
+`where_less` combine them, `store` writes one, `lowest` reduces one; `load_quarter` and
+`splat_quarter` make rows of sixteen.
+
+`view` moves the beginning of an array: an index that is a loop's own counter is known not to be
+negative, ``start + i`` is not, and Numba's test for it would keep the loop from vectorising; a slice
+would count references in the loop.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, overload, register_model
+
+LANES = 64
+QUARTER = LANES // 4
+
+
+class LanesType(types.Type):
+    """A vector of ``count`` numbers of one precision."""
+
+    def __init__(self, dtype: types.Type, count: int) -> None:
+        self.dtype, self.count = dtype, count
+        super().__init__(name=f"Lanes({dtype}, {count})")
+
+
+@register_model(LanesType)
+class LanesModel(models.PrimitiveModel):
+    """Represents the lanes as one LLVM vector."""
+
+    def __init__(self, manager: Any, lanes: LanesType) -> None:
+        scalar = ir.FloatType() if lanes.dtype == types.float32 else ir.DoubleType()
+        super().__init__(manager, lanes, ir.VectorType(scalar, lanes.count))
+
+
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: Any) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [offset]), ir.PointerType(vector))
+
+
+def _load(array: Any, count: int) -> Any:
+    lanes = LanesType(array.dtype, count)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(lanes)
+        row = builder.load(_pointer(context, builder, signature.args[0], *arguments, vector))
+        row.align = array.dtype.bitwidth // 8
+        return row
+
+    return lanes(array, types.int64), generate
+
+
+def _splat(number: Any, count: int) -> Any:
+    lanes = LanesType(number, count)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(lanes)
+        empty = ir.Constant(vector, ir.Undefined)
+        first = builder.insert_element(empty, arguments[0], ir.Constant(ir.IntType(32), 0))
+        return builder.shuffle_vector(first, empty, ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count))
+
+    return lanes(number), generate
+
+
+@intrinsic
+def load(typing_context, array, offset):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return the row of ``array`` that begins at ``offset``."""
+    return _load(array, LANES)
+
+
+@intrinsic
+def load_quarter(typing_context, array, offset):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return a quarter of a row of ``array`` that begins at ``offset``."""
+    return _load(array, QUARTER)
+
+
+@intrinsic
+def splat(typing_context, number):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return a row with ``number`` in every lane."""
+    return _splat(number, LANES)
+
+
+@intrinsic
+def splat_quarter(typing_context, number):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return a quarter of a row with ``number`` in every lane."""
+    return _splat(number, QUARTER)
+
+
+@intrinsic
+def store(typing_context, array, offset, row):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Write ``row`` into ``array`` from ``offset`` on."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(signature.args[2])
+        pointer = _pointer(context, builder, signature.args[0], arguments[0], arguments[1], vector)
+        builder.store(arguments[2], pointer).align = array.dtype.bitwidth // 8
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, row), generate
+
+
+def _operation(name: str) -> Any:
+    """Return a function of two rows that is one LLVM instruction, lane by lane."""
+
+    @intrinsic
+    def operation(typing_context, a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return getattr(builder, name)(*arguments, flags=("contract",))
+
+        return a(a, b), generate
+
+    return operation
+
+
+_add, _sub, _mul = _operation("fadd"), _operation("fsub"), _operation("fmul")
+
+
+@intrinsic
+def where_less(typing_context, a, b, x, y):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return x in the lanes where a < b, else y."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", *arguments[:2]), *arguments[2:])
+
+    return x(a, b, x, y), generate
+
+
+def _are_lanes(a: Any, b: Any) -> bool:
+    return isinstance(a, LanesType) and isinstance(b, LanesType)
+
+
+@overload(operator.add)
+def _lanes_add(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    if _are_lanes(a, b):
+        return lambda a, b: _add(a, b)
+    return None
+
+
+@overload(operator.sub)
+def _lanes_sub(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    if _are_lanes(a, b):
+        return lambda a, b: _sub(a, b)
+    return None
+
+
+@overload(operator.mul)
+def _lanes_mul(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    if _are_lanes(a, b):
+        return lambda a, b: _mul(a, b)
+    return None
+
+
+@intrinsic
+def lowest(typing_context, row):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return the smallest number of a row (or of a quarter); none may be nan."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(signature.args[0])
+        kind = "f32" if row.dtype == types.float32 else "f64"
+        name = f"llvm.vector.reduce.fmin.v{row.count}{kind}"
+        reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector.element, [vector]), name)
+        return builder.call(reduce, arguments, fastmath=("nnan",))
+
+    return row.dtype(row), generate
+
+
+@intrinsic
+def view(typing_context, array, first):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        moved = context.make_array(signature.args[0])(context, builder, arguments[0])
+        moved.data = builder.gep(moved.data, [arguments[1]])
+        moved.meminfo = ir.Constant(moved.meminfo.type, None)
+        moved.parent = ir.Constant(moved.parent.type, None)
+        return moved._getvalue()
+
+    return array(array, types.int64), generate

@@ -1,0 +1,300 @@
+"""The loops over time, as kernel functions: closed loop with a controller, open loop over windows.
+
+They know nothing about cars: kernels come as first-class functions, sizes in an integer array.
+"""
+
+from __future__ import annotations
+
+from sysid_evo.engine.compiled.lanes import LANES, view
+
+TRIALS, HORIZON, N_CARRY, NX, NU, N_MEMORY, N_TASK, N_NOISE, N_THETA, ROLLOUTS, RECORD, POSE_ROW, N_POSE = range(13)
+
+CLOSED_LOOP = (
+    "types.void(types.FunctionType(types.void(R, R, R, R, R)), types.FunctionType(types.void(R, R, R, R, R, R)), "
+    "types.FunctionType(types.void(R, R, R, R)), types.FunctionType(types.void(R, R, R, I, R, R)), "
+    "I, R, R, R, R, R, R, R, R, R, R, types.int64, types.int64, R, R, R, R, R, R, R, R, R, R, R, R, I, I, "
+    "R, I, I, I, R, R, R, R)"
+)
+
+
+def closed_loop(  # type: ignore[no-untyped-def]  # a kernel function
+    dynamics, controller, observe, advance, sizes,
+    dynamics_parameters, controller_parameters, task_parameters,
+    theta_of, start, task_start, trial_data, noise_of, envelope, actuation, first, last,
+    carry, control, noise, memory, observation, raw, before, task, theta, kept, scratch, controller_scratch,
+    trials, dead,
+    fitness, survived, clipped, diverged, final_task, states, controls, poses,
+):  # fmt: skip
+    """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
+    horizon, nx, nu = sizes[HORIZON], sizes[NX], sizes[NU]
+    n_carry, n_task, n_noise = sizes[N_CARRY], sizes[N_TASK], sizes[N_NOISE]
+    n_trials, rollouts, n_theta = sizes[TRIALS], sizes[ROLLOUTS], sizes[N_THETA]
+    n_pose, pose_row = sizes[N_POSE], sizes[POSE_ROW]
+    for block in range(first, last):
+        for lane in range(LANES):
+            rollout = min(block * LANES + lane, rollouts - 1)
+            trial = rollout % n_trials
+            candidate = rollout // n_trials
+            trials[lane] = trial
+            dead[lane] = 0
+            for row in range(n_carry):
+                carry[row * LANES + lane] = start[trial * n_carry + row]
+            for row in range(n_task):
+                task[row * LANES + lane] = task_start[trial * n_task + row]
+            for row in range(n_theta):
+                theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
+        for i in range(sizes[N_MEMORY] * LANES):
+            memory[i] = 0.0
+        n_dead = 0
+        for lane in range(LANES):
+            if task[LANES + lane] == 0.0:
+                dead[lane] = 1
+                n_dead += 1
+        for k in range(horizon):
+            if n_dead == LANES:
+                break
+            observe(task, carry, observation, task_parameters)
+            controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
+            actuate(raw, control, actuation, nu)
+            for row in range(n_noise):
+                for lane in range(LANES):
+                    noise[row * LANES + lane] = noise_of[(trials[lane] * horizon + k) * n_noise + row]
+            for i in range(nx * LANES):
+                before[i] = carry[i]
+            if n_dead > 0:
+                keep(carry, n_carry, task, n_task, kept)
+            dynamics(carry, control, noise, dynamics_parameters, scratch)
+            if suspicious(carry, envelope, n_carry, nx, observation) > 0:
+                for lane in range(LANES):
+                    rollout = block * LANES + lane
+                    if dead[lane] == 0 and not finite(carry, n_carry, lane):
+                        dead[lane] = 2
+                        n_dead += 1
+                        for row in range(n_task):
+                            kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
+                        if rollout < rollouts:
+                            diverged[rollout] = 1
+                            survived[rollout] = k
+                    if dead[lane] == 2:
+                        for row in range(n_carry):
+                            carry[row * LANES + lane] = 0.0
+                            kept[row * LANES + lane] = 0.0
+                    elif clip(carry, envelope, nx, lane) and dead[lane] == 0 and rollout < rollouts:
+                        clipped[rollout] += 1
+            advance(task, before, carry, trials, trial_data, task_parameters)
+            if n_dead > 0:
+                restore(carry, n_carry, task, n_task, kept, dead)
+            if sizes[RECORD] == 1:
+                for lane in range(LANES):
+                    rollout = block * LANES + lane
+                    if dead[lane] == 0 and rollout < rollouts:
+                        at = rollout * (horizon + 1) + k
+                        for row in range(nx):
+                            states[at * nx + row] = before[row * LANES + lane]
+                            states[(at + 1) * nx + row] = carry[row * LANES + lane]
+                        for row in range(nu):
+                            controls[(rollout * horizon + k) * nu + row] = control[row * LANES + lane]
+                        for row in range(n_pose):
+                            poses[(at + 1) * n_pose + row] = task[(pose_row + row) * LANES + lane]
+            ended = 0
+            for lane in range(LANES):
+                ended += 1 if task[LANES + lane] == 0.0 else 0
+            if ended > 0:
+                for lane in range(LANES):
+                    if dead[lane] == 0 and task[LANES + lane] == 0.0:
+                        dead[lane] = 1
+                        n_dead += 1
+                        if block * LANES + lane < rollouts:
+                            survived[block * LANES + lane] = k + 1
+        for lane in range(LANES):
+            rollout = block * LANES + lane
+            if rollout < rollouts:
+                fitness[rollout] = task[lane]
+                for row in range(n_task):
+                    final_task[rollout * n_task + row] = task[row * LANES + lane]
+                if dead[lane] == 0:
+                    survived[rollout] = horizon
+
+
+def suspicious(carry, envelope, n_carry, nx, marks):  # type: ignore[no-untyped-def]  # a kernel function
+    """Count the lanes whose state left the envelope or whose carry is not finite; ``marks`` is overwritten."""
+    for lane in range(LANES):
+        marks[lane] = 0.0
+    for row in range(nx):
+        low, high = envelope[row], envelope[nx + row]
+        for lane in range(LANES):
+            value = carry[row * LANES + lane]
+            inside = (value >= low) & (value <= high)
+            marks[lane] += (value - value) if inside else 1.0
+    for row in range(nx, n_carry):
+        for lane in range(LANES):
+            value = carry[row * LANES + lane]
+            marks[lane] += value - value
+    count = 0
+    for lane in range(LANES):
+        count += 1 if marks[lane] != 0.0 else 0
+    return count
+
+
+def finite(carry, n_carry, lane):  # type: ignore[no-untyped-def]  # a kernel function
+    """Whether every number of one lane's carry is finite."""
+    off = 0.0
+    for row in range(n_carry):
+        off += carry[row * LANES + lane] - carry[row * LANES + lane]
+    return off == 0.0
+
+
+def clip(carry, envelope, nx, lane):  # type: ignore[no-untyped-def]  # a kernel function
+    """Clip one lane's state to the envelope (low, then high of each state); whether that changed it."""
+    touched = False
+    for row in range(nx):
+        value = carry[row * LANES + lane]
+        if value < envelope[row]:
+            carry[row * LANES + lane] = envelope[row]
+            touched = True
+        elif value > envelope[nx + row]:
+            carry[row * LANES + lane] = envelope[nx + row]
+            touched = True
+    return touched
+
+
+def actuate(raw, control, actuation, nu):  # type: ignore[no-untyped-def]  # a kernel function
+    """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
+    width = int(actuation[0])
+    for row in range(nu):
+        at = 1 + row * width
+        count = int(actuation[at])
+        if count == 0:
+            low = actuation[at + 1]
+            span = actuation[at + 2] - low
+            for lane in range(LANES):
+                share = (min(max(raw[row * LANES + lane], -1.0), 1.0) + 1.0) * 0.5
+                control[row * LANES + lane] = low + share * span
+        else:
+            for lane in range(LANES):
+                control[row * LANES + lane] = actuation[at + 3]
+            for i in range(1, count):
+                boundary = actuation[at + 3 + 2 * i]
+                level = actuation[at + 2 + 2 * i]
+                if boundary < 0.0:
+                    for lane in range(LANES):
+                        hit = raw[row * LANES + lane] >= boundary
+                        control[row * LANES + lane] = level if hit else control[row * LANES + lane]
+                else:
+                    for lane in range(LANES):
+                        hit = raw[row * LANES + lane] > boundary
+                        control[row * LANES + lane] = level if hit else control[row * LANES + lane]
+
+
+def keep(carry, n_carry, task, n_task, kept):  # type: ignore[no-untyped-def]  # a kernel function
+    """Copy carry and task, so that lanes whose trial is over can be put back."""
+    for i in range(n_carry * LANES):
+        kept[i] = carry[i]
+    for i in range(n_task * LANES):
+        kept[n_carry * LANES + i] = task[i]
+
+
+def restore(carry, n_carry, task, n_task, kept, dead):  # type: ignore[no-untyped-def]  # a kernel function
+    """Undo the step of the lanes whose trial is over."""
+    for lane in range(LANES):
+        if dead[lane] != 0:
+            for row in range(n_carry):
+                carry[row * LANES + lane] = kept[row * LANES + lane]
+            for row in range(n_task):
+                task[row * LANES + lane] = kept[(n_carry + row) * LANES + lane]
+
+
+OPEN_LOOP = "types.void(types.FunctionType(types.void(R, R, R, R, R)), I, R, R, R, R, types.int64, types.int64, R, R, R, R, R, R)"
+CANDIDATES, WINDOWS, STEPS, OPEN_CARRY, OPEN_NX, OPEN_NU, OPEN_PARAMETERS = range(7)
+
+
+def open_loop(  # type: ignore[no-untyped-def]  # a kernel function
+    dynamics, sizes, parameters_of, start, controls, truth, first, last,
+    carry, control, noise, parameters, scratch, error,
+):  # fmt: skip
+    """Simulate every window under recorded controls for candidates ``first`` to ``last``.
+
+    ``error`` of a candidate is the mean over windows and states of the square difference
+    after the last step; not a number where a simulation diverged.
+    """
+    windows, steps, n_carry = sizes[WINDOWS], sizes[STEPS], sizes[OPEN_CARRY]
+    nx, nu, n_parameters = sizes[OPEN_NX], sizes[OPEN_NU], sizes[OPEN_PARAMETERS]
+    for candidate in range(first, last):
+        for i in range(n_parameters):
+            parameters[i] = parameters_of[candidate * n_parameters + i]
+        total = 0.0
+        for block in range((windows + LANES - 1) // LANES):
+            used = min(LANES, windows - block * LANES)
+            for lane in range(LANES):
+                window = min(block * LANES + lane, windows - 1)
+                for row in range(n_carry):
+                    carry[row * LANES + lane] = start[window * n_carry + row]
+            for k in range(steps):
+                for lane in range(LANES):
+                    window = min(block * LANES + lane, windows - 1)
+                    for row in range(nu):
+                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
+                dynamics(carry, control, noise, parameters, scratch)
+            for row in range(nx):
+                for lane in range(used):
+                    off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
+                    total += off * off
+        error[candidate] = total / float(windows * nx)
+
+
+DECIDE = (
+    "types.void(types.FunctionType(types.void(R, R, R, R, R, R)), types.FunctionType(types.void(R, R, R, R)), "
+    "I, R, R, R, R, R, R, R, R, R, R, R, R, R)"
+)
+
+
+def decide(  # type: ignore[no-untyped-def]  # a kernel function
+    controller, observe, sizes, controller_parameters, task_parameters, actuation,
+    state, theta_of, memory_of, task_of, control_of, carry, control, observation, raw, scratch,
+):  # fmt: skip
+    """One control for every rollout: ``state`` and ``control_of`` (rollouts, n), the others block by block."""
+    nx, nu, n_memory, n_task, n_theta = sizes[NX], sizes[NU], sizes[N_MEMORY], sizes[N_TASK], sizes[N_THETA]
+    rollouts = sizes[ROLLOUTS]
+    for block in range((rollouts + LANES - 1) // LANES):
+        for lane in range(LANES):
+            rollout = min(block * LANES + lane, rollouts - 1)
+            for row in range(nx):
+                carry[row * LANES + lane] = state[rollout * nx + row]
+        task = view(task_of, block * n_task * LANES)
+        observe(task, carry, observation, task_parameters)
+        theta = view(theta_of, block * n_theta * LANES)
+        memory = view(memory_of, block * n_memory * LANES)
+        controller(theta, memory, observation, raw, controller_parameters, scratch)
+        actuate(raw, control, actuation, nu)
+        for lane in range(min(LANES, rollouts - block * LANES)):
+            for row in range(nu):
+                control_of[(block * LANES + lane) * nu + row] = control[row * LANES + lane]
+
+
+SETTLE = "types.void(types.FunctionType(types.void(R, R, R, I, R, R)), I, R, R, R, R, R, I, R, R, R, I)"
+
+
+def settle(  # type: ignore[no-untyped-def]  # a kernel function
+    advance, sizes, task_parameters, trial_data, state, reached, task_of, dead_of, before, carry, kept, trials,
+):  # fmt: skip
+    """Advance the task of every rollout that is not over; ``reached`` (rollouts, nx) may be altered."""
+    nx, n_task, rollouts = sizes[NX], sizes[N_TASK], sizes[ROLLOUTS]
+    for block in range((rollouts + LANES - 1) // LANES):
+        for lane in range(LANES):
+            rollout = min(block * LANES + lane, rollouts - 1)
+            trials[lane] = rollout % sizes[TRIALS]
+            for row in range(nx):
+                before[row * LANES + lane] = state[rollout * nx + row]
+                carry[row * LANES + lane] = reached[rollout * nx + row]
+        task = view(task_of, block * n_task * LANES)
+        for i in range(n_task * LANES):
+            kept[i] = task[i]
+        advance(task, before, carry, trials, trial_data, task_parameters)
+        for lane in range(min(LANES, rollouts - block * LANES)):
+            rollout = block * LANES + lane
+            if dead_of[rollout] != 0:
+                for row in range(n_task):
+                    task[row * LANES + lane] = kept[row * LANES + lane]
+            else:
+                for row in range(nx):
+                    reached[rollout * nx + row] = carry[row * LANES + lane]

@@ -1,0 +1,201 @@
+"""The fast form of the rollout: prepares arrays, runs the compiled loop on threads, reads the results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.arrays import Array, Seeds
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
+from sysid_evo.engine.compiled.kernel import (
+    ADVANCE,
+    CONTROLLER,
+    DYNAMICS,
+    OBSERVE,
+    ControllerKernel,
+    DynamicsKernel,
+    TaskKernel,
+)
+from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.randomness import step_noise, trial_draws
+from sysid_evo.system import System, level_boundaries
+from sysid_evo.tasks.task import Task
+
+
+CACHE_LINE = 64
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """The three kernels of a rollout."""
+
+    dynamics: DynamicsKernel
+    controller: ControllerKernel
+    task: TaskKernel
+
+
+@cache
+def compiled(source: Source, signature: str, precision: Precision) -> Any:
+    """Return the kernel as a first-class function, compiled at most once a process."""
+    return compile_kernel(source, signature, precision)
+
+
+@cache
+def closed_loop(precision: Precision) -> Any:
+    """Return the compiled loop."""
+    return compile_kernel(KernelSource(loops.closed_loop), loops.CLOSED_LOOP, precision, pointer=False)
+
+
+@cache
+def pool(threads: int) -> ThreadPoolExecutor:
+    """Return a pool of that many threads, kept for the life of the process."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="rollout")
+
+
+def spread(work: Callable[[int, int], None], count: int, threads: int) -> None:
+    """Call ``work(first, last)`` for parts of ``range(count)``, at once on up to ``threads`` threads."""
+    parts = max(1, min(threads, count))
+    if parts == 1:
+        work(0, count)
+        return
+    edges = np.linspace(0, count, parts + 1).astype(int)
+    list(pool(parts).map(work, edges[:-1], edges[1:]))
+
+
+def aligned(array: Any) -> Any:
+    """Return a copy that begins on a cache line (a vector load across two lines costs twice), never empty."""
+    room = np.zeros(array.size + CACHE_LINE // array.itemsize, array.dtype)
+    first = -room.ctypes.data % CACHE_LINE // array.itemsize
+    copied = room[first : first + max(1, array.size)]
+    copied[: array.size] = array
+    return copied
+
+
+def actuation_table(system: System) -> Array:
+    """Return `System.actuate` as numbers: the width of a row, then one row a control.
+
+    ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous.
+    """
+    most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
+    table = np.zeros((system.nu, 4 + 2 * most))
+    for row, channel in zip(table, system.controls, strict=True):
+        row[1], row[2] = channel.low, channel.high
+        if channel.levels is not None:
+            row[0], row[3] = len(channel.levels), channel.levels[0]
+            for i, boundary in enumerate(level_boundaries(len(channel.levels)), start=1):
+                row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], boundary
+    return np.concatenate([[table.shape[1]], table.ravel()])
+
+
+def run(
+    kernels: Kernels,
+    dynamics: Dynamics,
+    controller: Controller,
+    parameters: Array,
+    task: Task,
+    seeds: Seeds,
+    *,
+    record: bool,
+    precision: Precision = "float32",
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Run bound ``controller`` and ``task`` compiled; return the fields of `Rollouts`."""
+    system, real = dynamics.system, np.dtype(precision)
+    candidates, trials = len(parameters), len(seeds)
+    rollouts = candidates * trials
+    began = task.begin(seeds)
+    states = np.repeat(began.state[:, None], dynamics.n_lags + 1, axis=1)
+    past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
+    carry = dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws))
+    rows = kernels.task.rows(began)
+    envelope = dynamics.envelope
+    if envelope is None:
+        envelope = np.stack([np.full(system.nx, -np.inf), np.full(system.nx, np.inf)])
+
+    def flat(array: Array) -> Any:
+        return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
+
+    sizes = np.zeros(16, np.int64)
+    n_observations = len(task.observations)
+    sizes[: loops.N_POSE + 1] = (
+        trials, task.horizon, carry.shape[1], system.nx, system.nu, controller.n_memory, len(rows),
+        dynamics.n_noise, parameters.shape[1], rollouts, int(record), kernels.task.pose_row, kernels.task.n_pose,
+    )  # fmt: skip
+    fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
+    survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
+    kept = rollouts if record else 0
+    tape = [
+        np.zeros(max(1, kept * n), real)
+        for n in (
+            (task.horizon + 1) * system.nx,
+            task.horizon * system.nu,
+            (task.horizon + 1) * kernels.task.n_pose,
+        )
+    ]
+    functions = (
+        compiled(kernels.dynamics.source, DYNAMICS, precision),
+        compiled(kernels.controller.source, CONTROLLER, precision),
+        compiled(kernels.task.observe, OBSERVE, precision),
+        compiled(kernels.task.advance, ADVANCE, precision),
+    )
+    shared = (
+        sizes, flat(kernels.dynamics.parameters), flat(kernels.controller.parameters), flat(kernels.task.parameters),
+        flat(parameters), flat(carry), flat(rows.T), flat(kernels.task.trial_data(began)),
+        flat(step_noise(seeds, task.horizon, dynamics.n_noise)), flat(envelope), flat(actuation_table(system)),
+    )  # fmt: skip
+    results = (fitness, survived, clipped, diverged, final, *tape)
+    loop = closed_loop(precision)
+
+    def work(first: int, last: int) -> None:
+        buffers = [
+            aligned(np.zeros(n * LANES, real))
+            for n in (
+                carry.shape[1], system.nu, dynamics.n_noise, controller.n_memory, n_observations, system.nu,
+                system.nx, len(rows), parameters.shape[1], carry.shape[1] + len(rows),
+                kernels.dynamics.n_scratch, kernels.controller.n_scratch,
+            )
+        ]  # fmt: skip
+        lanes = (np.zeros(LANES, np.int64), np.zeros(LANES, np.int64))
+        loop(*functions, *shared, first, last, *buffers, *lanes, *results)
+
+    spread(work, -(-rollouts // LANES), threads)
+    score = np.where(diverged > 0, task.worst - 1.0 + survived / task.horizon, fitness.astype(np.float64))
+    final_rows = final.reshape(rollouts, len(rows)).T.astype(np.float64)
+    grid = (candidates, trials)
+    return {
+        "fitness": score.reshape(grid),
+        "survived": survived.reshape(grid),
+        "clipped": clipped.reshape(grid),
+        "task_state": kernels.task.state(began.tile(candidates), final_rows),
+        "engine": f"compiled {precision}",
+        "trajectories": _trajectories(tape, survived, began.pose, task, system, trials) if record else (),
+    }
+
+
+def _trajectories(
+    tape: list[Any], survived: Any, pose: Array, task: Task, system: System, trials: int
+) -> tuple[Trajectory, ...]:
+    states, controls, poses = (array.astype(np.float64) for array in tape)
+    states = states.reshape(-1, task.horizon + 1, system.nx)
+    controls = controls.reshape(-1, task.horizon, system.nu)
+    poses = poses.reshape(len(states), task.horizon + 1, -1) if pose.shape[1] else None
+    found = []
+    for i, steps in enumerate(survived):
+        if steps == 0:
+            continue
+        where = None
+        if poses is not None:
+            where = poses[i, : steps + 1]
+            where[0] = pose[i % trials]
+        name = f"candidate-{i // trials}-trial-{i % trials}"
+        found.append(Trajectory(states[i, : steps + 1], controls[i, :steps], system.dt, where, name))
+    return tuple(found)

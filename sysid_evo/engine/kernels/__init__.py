@@ -1,0 +1,18 @@
+"""The kernel library: predictors, and the shells that make a model's step of them."""
+
+from sysid_evo.engine.kernels.command_networks import command_network_predictor
+from sysid_evo.engine.kernels.neighbours import neighbour_predictor
+from sysid_evo.engine.kernels.networks import network_predictor
+from sysid_evo.engine.kernels.polynomial import polynomial_predictor
+from sysid_evo.engine.kernels.runge_kutta import runge_kutta_predictor
+from sysid_evo.engine.kernels.stepping import Predictor, stepping_kernel
+
+__all__ = [
+    "Predictor",
+    "command_network_predictor",
+    "network_predictor",
+    "neighbour_predictor",
+    "polynomial_predictor",
+    "runge_kutta_predictor",
+    "stepping_kernel",
+]

@@ -1,0 +1,100 @@
+"""Multi-layer perceptrons over lanes: one network, or the mean of several of the same shape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.kernels.runge_kutta import move
+from sysid_evo.engine.kernels.stepping import Predictor, copy
+from sysid_evo.errors import InvalidArgument
+
+N_NETWORKS, N_LAYERS, N_CARRY, N_CONTROL, SIZES = range(5)
+
+
+Layers: TypeAlias = Sequence[tuple[Array, Array]]
+"""Weights (n_in, n_out) and bias (n_out,) of every layer; hidden layers are tanh, the last is linear."""
+
+
+def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
+    """Return a predictor of the mean output of several networks of one shape.
+
+    Their inputs are ``n_carry`` rows of the carry, then ``n_control`` of the control.
+    """
+    sizes = [networks[0][0][0].shape[0], *(weights.shape[1] for weights, _ in networks[0])]
+    if sizes[0] != n_carry + n_control or any(
+        [weights.shape[1] for weights, _ in layers] != sizes[1:] for layers in networks
+    ):
+        raise InvalidArgument(f"networks: expected {n_carry} + {n_control} inputs and equal shapes, got {sizes}")
+    flat = [np.concatenate([bias, weights.ravel()]) for layers in networks for weights, bias in layers]
+    head = [len(networks), len(sizes) - 1, n_carry, n_control, *sizes]
+    return Predictor(
+        network, np.concatenate([np.array(head, dtype=np.float64), *flat]), n_scratch=sizes[0] + 2 * max(sizes)
+    )
+
+
+def network(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """Write the mean output of all networks (a predictor, see `stepping`)."""
+    n_networks, n_layers = int(p[N_NETWORKS]), int(p[N_LAYERS])
+    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
+    widest = 0
+    for layer in range(n_layers + 1):
+        widest = max(widest, int(p[SIZES + layer]))
+    copy(x, scratch, n_carry * LANES)
+    copy(u, view(scratch, n_carry * LANES), n_control * LANES)
+    even = view(scratch, (n_carry + n_control) * LANES)
+    odd = view(even, widest * LANES)
+    weights = view(p, SIZES + n_layers + 1)
+    size = int(p[SIZES + n_layers]) * LANES
+    for member in range(n_networks):
+        for layer in range(n_layers):
+            n_in, n_out = int(p[SIZES + layer]), int(p[SIZES + layer + 1])
+            source = scratch if layer == 0 else (even if layer % 2 == 1 else odd)
+            target = even if layer % 2 == 0 else odd
+            dense(source, n_in, weights, target, n_out)
+            if layer < n_layers - 1:
+                squash(target, n_out * LANES)
+            elif member == 0:
+                copy(target, y, size)
+            else:
+                move(y, target, 1.0, y, size)
+            weights = view(weights, n_out * (n_in + 1))
+    if n_networks > 1:
+        share = 1.0 / n_networks
+        for i in range(size):
+            y[i] *= share
+
+
+def squash(x, count):  # type: ignore[no-untyped-def]  # a kernel function
+    """Replace ``count`` numbers by their tanh."""
+    for i in range(count):
+        x[i] = math.tanh(x[i])
+
+
+def dense(x, n_in, p, y, n_out):  # type: ignore[no-untyped-def]  # a kernel function
+    """y_j = b_j + sum_i W_ij x_i for every lane, four outputs at a time so that a row is read once for all."""
+    j = 0
+    while j + 4 <= n_out:
+        a, b, c, d = splat(p[j]), splat(p[j + 1]), splat(p[j + 2]), splat(p[j + 3])
+        for i in range(n_in):
+            row, w = load(x, i * LANES), n_out + i * n_out + j
+            a = a + splat(p[w]) * row
+            b = b + splat(p[w + 1]) * row
+            c = c + splat(p[w + 2]) * row
+            d = d + splat(p[w + 3]) * row
+        store(y, j * LANES, a)
+        store(y, (j + 1) * LANES, b)
+        store(y, (j + 2) * LANES, c)
+        store(y, (j + 3) * LANES, d)
+        j += 4
+    while j < n_out:
+        a = splat(p[j])
+        for i in range(n_in):
+            a = a + splat(p[n_out + i * n_out + j]) * load(x, i * LANES)
+        store(y, j * LANES, a)
+        j += 1

@@ -1,0 +1,109 @@
+"""Sparse polynomials over lanes, arranged for a control that is held.
+
+Every output is a sum over monomials of the state whose factors are polynomials in the control. The
+factors are computed once a step, the monomials as often as an integrator asks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.kernels.stepping import Predictor
+from sysid_evo.errors import InvalidArgument
+
+N_OUT, N_STATE, N_CONTROL, N_FACTORS, AFTER_CHAINS, HEADER = range(6)
+
+
+def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: int, n_control: int) -> Predictor:
+    """Return a predictor for y_j = sum_t C_tj prod_i z_i^P_ti with z the carry's rows, then the control's.
+
+    ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), perhaps sparse.
+    Layout: the chains of state and control monomials (parent, variable); then for every output its
+    number of factors, and for each factor its state monomial; then for each factor its number of
+    terms, and control monomial and coefficient of each.
+    """
+    exponents = np.asarray(powers, dtype=np.int64)
+    if exponents.ndim != 2 or exponents.shape[1] != n_carry + n_control or (exponents < 0).any():
+        raise InvalidArgument(
+            f"polynomial: expected exponents >= 0 of {n_carry} + {n_control} variables, got shape {exponents.shape}"
+        )
+    states, controls = _Chain(n_carry), _Chain(n_control)
+    factors: list[dict[int, list[tuple[int, float]]]] = []
+    for output in range(coefficients.shape[1]):
+        found: dict[int, list[tuple[int, float]]] = {}
+        for term in np.flatnonzero(coefficients[:, output]):
+            power = tuple(int(e) for e in exponents[term])
+            place, held = states.place(power[:n_carry]), controls.place(power[n_carry:])
+            found.setdefault(place, []).append((held, float(coefficients[term, output])))
+        factors.append(found)
+    chains = [number for chain in (states, controls) for link in chain.links for number in link]
+    n_factors = sum(len(found) for found in factors)
+    flat: list[float] = [
+        coefficients.shape[1], len(states.links), len(controls.links), n_factors, HEADER + len(chains), *chains,
+    ]  # fmt: skip
+    for found in factors:
+        flat += [len(found), *found]
+    for found in factors:
+        for terms in found.values():
+            flat += [len(terms), *(number for term in terms for number in term)]
+    rows = n_factors + max(len(states.links), len(controls.links)) + 1
+    return Predictor(polynomial, np.array(flat), n_scratch=rows, prepare=control_factors)
+
+
+class _Chain:
+    """Monomials in an order in which each is an earlier one times a variable; 0 is the constant 1."""
+
+    def __init__(self, variables: int) -> None:
+        self.known: dict[tuple[int, ...], int] = {(0,) * variables: 0}
+        self.links: list[tuple[int, int]] = []
+
+    def place(self, power: tuple[int, ...]) -> int:
+        if power not in self.known:
+            variable = max(i for i, exponent in enumerate(power) if exponent)
+            parent = self.place((*power[:variable], power[variable] - 1, *power[variable + 1 :]))
+            self.links.append((parent, variable))
+            self.known[power] = len(self.links)
+        return self.known[power]
+
+
+def control_factors(u, p, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """Write the factor of every state monomial of every output: a polynomial in the control."""
+    n_factors = int(p[N_FACTORS])
+    monomials = view(scratch, n_factors * LANES)
+    raise_powers(u, view(p, HEADER + 2 * int(p[N_STATE])), int(p[N_CONTROL]), monomials)
+    place = int(p[AFTER_CHAINS]) + int(p[N_OUT]) + n_factors
+    for factor in range(n_factors):
+        total = splat(0.0)
+        count = int(p[place])
+        place += 1
+        for _ in range(count):
+            total = total + splat(p[place + 1]) * load(monomials, int(p[place]) * LANES)
+            place += 2
+        store(scratch, factor * LANES, total)
+
+
+def polynomial(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """Write every output: the sum over its state monomials, each times its factor."""
+    monomials = view(scratch, int(p[N_FACTORS]) * LANES)
+    raise_powers(x, view(p, HEADER), int(p[N_STATE]), monomials)
+    place, factor = int(p[AFTER_CHAINS]), 0
+    for output in range(int(p[N_OUT])):
+        total = splat(0.0)
+        count = int(p[place])
+        place += 1
+        for _ in range(count):
+            total = total + load(scratch, factor * LANES) * load(monomials, int(p[place]) * LANES)
+            place += 1
+            factor += 1
+        store(y, output * LANES, total)
+
+
+def raise_powers(z, chain, count, monomials):  # type: ignore[no-untyped-def]  # a kernel function
+    """Write the constant 1 and ``count`` monomials, each an earlier one times a variable."""
+    store(monomials, 0, splat(1.0))
+    for link in range(count):
+        parent, variable = int(chain[2 * link]), int(chain[2 * link + 1])
+        store(monomials, (link + 1) * LANES, load(monomials, parent * LANES) * load(z, variable * LANES))

@@ -1,0 +1,40 @@
+"""The recurrent network over lanes: every lane has a parameter vector of its own."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.kernel import ControllerKernel
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store
+
+N_INPUTS, HIDDEN, N_OUTPUTS = range(3)
+
+
+def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:
+    """Return the compiled form of `RecurrentNetwork`."""
+    return ControllerKernel(KernelSource(recurrent), np.array([n_inputs, hidden, n_outputs], dtype=float), hidden)
+
+
+def recurrent(theta, memory, observation, raw, parameters, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """h = tanh(W_in o + W_h h), y = tanh(W_out h), see `RecurrentNetwork`."""
+    n_inputs, hidden, n_outputs = int(parameters[N_INPUTS]), int(parameters[HIDDEN]), int(parameters[N_OUTPUTS])
+    for j in range(hidden):
+        total = splat(0.0)
+        for i in range(n_inputs):
+            total = total + load(theta, (i * hidden + j) * LANES) * load(observation, i * LANES)
+        for i in range(hidden):
+            total = total + load(theta, ((n_inputs + i) * hidden + j) * LANES) * load(memory, i * LANES)
+        store(scratch, j * LANES, total)
+    for i in range(hidden * LANES):
+        memory[i] = math.tanh(scratch[i])
+    outward = (n_inputs + hidden) * hidden
+    for j in range(n_outputs):
+        total = splat(0.0)
+        for i in range(hidden):
+            total = total + load(theta, (outward + i * n_outputs + j) * LANES) * load(memory, i * LANES)
+        store(raw, j * LANES, total)
+    for i in range(n_outputs * LANES):
+        raw[i] = math.tanh(raw[i])

@@ -1,0 +1,116 @@
+"""From a prediction to the next carry: integration, frame rotation, lags. The shell of most model kernels.
+
+A *predictor* is a block function ``predict(x, u, p, y, scratch)``: it reads rows of the carry ``x``
+and of the control ``u``, its own parameters ``p``, and writes ``nx`` rows to ``y``; ``scratch`` is
+room of its own. A function ``prepare(u, p, scratch)`` may fill the head of that room once a step, before
+an integrator asks several times under the same control.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import System
+
+Output: TypeAlias = Literal["next_state", "acceleration"]
+
+NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, HEADER = range(10)
+NEXT_STATE, PLAIN, PLANAR = range(3)
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """A block function, its flat parameters, the rows of scratch it needs, and what prepares them."""
+
+    function: Any
+    parameters: Array
+    n_scratch: int
+    prepare: Any = None
+
+    @property
+    def bindings(self) -> dict[str, Any]:
+        """What a shell binds: ``predict`` and ``prepare``."""
+        return {"predict": self.function, "prepare": self.prepare or nothing_to_prepare}
+
+
+def nothing_to_prepare(u, p, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """Leave the scratch as it is."""
+    return
+
+
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Output,
+    state_lags: int = 0,
+    control_lags: int = 0,
+) -> DynamicsKernel:
+    """Return the kernel of a model whose predictor gives the next state or an acceleration.
+
+    The carry is that of `DynamicsModel`: state, earlier states, earlier controls.
+    """
+    header = np.zeros(HEADER)
+    header[[NX, NU, STATE_LAGS, CONTROL_LAGS, DT]] = system.nx, system.nu, state_lags, control_lags, system.dt
+    if output == "acceleration":
+        header[MODE] = PLAIN
+        if isinstance(system.motion, PlanarBody):
+            forward, lateral, yaw_rate = system.motion.indices(system.state_names)
+            if lateral is not None:
+                header[[MODE, FORWARD, LATERAL, YAW_RATE]] = PLANAR, forward, lateral, yaw_rate
+    return DynamicsKernel(
+        KernelSource(step, predictor.bindings),
+        np.concatenate([header, np.ravel(predictor.parameters)]),
+        system.nx + predictor.n_scratch,
+    )
+
+
+def step(carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+    """Predict, integrate, and shift the lags."""
+    nx, nu = int(parameters[NX]), int(parameters[NU])
+    own, room = view(parameters, HEADER), view(scratch, nx * LANES)
+    prepare(control, own, room)  # type: ignore[name-defined]  # noqa: F821  # bound
+    predict(carry, control, own, scratch, room)  # type: ignore[name-defined]  # noqa: F821  # bound
+    mode, dt = int(parameters[MODE]), parameters[DT]
+    if mode != NEXT_STATE:
+        for i in range(nx * LANES):
+            scratch[i] = carry[i] + dt * scratch[i]
+    if mode == PLANAR:
+        forward, lateral = int(parameters[FORWARD]) * LANES, int(parameters[LATERAL]) * LANES
+        turn_back(view(scratch, forward), view(scratch, lateral), view(carry, int(parameters[YAW_RATE]) * LANES), dt)
+    state_lags, control_lags = int(parameters[STATE_LAGS]), int(parameters[CONTROL_LAGS])
+    rows = nx * LANES
+    for back in range(state_lags, 0, -1):
+        copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
+    past = view(carry, (1 + state_lags) * rows)
+    rows = nu * LANES
+    for back in range(control_lags - 1, 0, -1):
+        copy(view(past, (back - 1) * rows), view(past, back * rows), rows)
+    if control_lags > 0:
+        copy(control, past, rows)
+    copy(scratch, carry, nx * LANES)
+
+
+def turn_back(along, across, yaw_rate, dt):  # type: ignore[no-untyped-def]  # a kernel function
+    """Take the frame's own rotation out of the velocities: R(-r dt), see `PlanarBody`."""
+    for lane in range(LANES):
+        angle = yaw_rate[lane] * dt
+        c, s = math.cos(angle), math.sin(angle)
+        forward, lateral = along[lane], across[lane]
+        along[lane] = c * forward + s * lateral
+        across[lane] = c * lateral - s * forward
+
+
+def copy(source, target, count):  # type: ignore[no-untyped-def]  # a kernel function
+    """Copy ``count`` numbers."""
+    for i in range(count):
+        target[i] = source[i]
