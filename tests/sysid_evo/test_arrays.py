@@ -28,5 +28,5 @@ def test_a_wrong_shape_is_named_with_both_sides() -> None:
 @pytest.mark.parametrize("value", ["text", [[1.0], [1.0, 2.0]], [object()]])
 def test_what_is_no_array_of_numbers_is_named(value: object) -> None:
     for check in (lambda: check_shape("poses", value, (None,)), lambda: check_last("poses", value, 1)):
-        with pytest.raises(ShapeError, match="poses: expected numbers, got (str|list)"):
+        with pytest.raises(ShapeError, match=r"poses: expected numbers, got (str|list)"):
             check()
