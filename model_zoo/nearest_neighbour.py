@@ -14,6 +14,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
