@@ -18,7 +18,6 @@ from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.system import System
 
 
 @register_model("nearest_neighbour")

@@ -102,7 +102,7 @@ class Parametrised(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
-        from model_zoo.parametrised_kernel import equation_one
+        from model_zoo.kernels.parametrised import equation_one
         from sysid_evo.engine.kernels import Predictor, stepping_kernel
 
         roles = [-1 if role is None else role for role in self.roles]

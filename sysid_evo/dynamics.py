@@ -55,7 +55,6 @@ class Dynamics(ABC):
         Pure: the same arguments give the same result, each row for itself.
         """
 
-
     def kernel(self) -> DynamicsKernel | None:
         """Return the compiled form of `step`, if it has one."""
         return None

@@ -14,7 +14,6 @@ from sysid_evo.engine import reference
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.tasks.task import Task, TaskState
 
-
 Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
 
 
@@ -104,33 +103,36 @@ def rollout(
         raise InvalidArgument(f"rollout: engine is auto, reference, mixed, float32 or float64, not {engine!r}")
     if engine == "reference":
         return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
-    kernels = {"dynamics": dynamics.kernel(), "controller": controller.kernel(), "task": task.kernel()}
-    missing = [role for role, kernel in kernels.items() if kernel is None]
-    if engine in ("float32", "float64") and missing:
-        raise InvalidArgument(f"rollout: engine {engine!r} needs kernels, and there is none of the {', '.join(missing)}")
-    if not missing and engine != "mixed":
-        from sysid_evo.engine.compiled import run
+    of_dynamics, of_controller, of_task = dynamics.kernel(), controller.kernel(), task.kernel()
+    if of_controller is not None and of_task is not None:
+        if of_dynamics is not None and engine != "mixed":
+            from sysid_evo.engine.compiled import run
 
-        return Rollouts(
-            **run.run(
-                run.Kernels(**kernels),  # type: ignore[arg-type]  # none is missing
-                dynamics,
-                controller,
-                parameters,
-                task,
-                seeds,
-                record=record,
-                precision="float64" if engine == "float64" else "float32",
-                threads=threads or available_processors(),
+            return Rollouts(
+                **run.run(
+                    run.Kernels(of_dynamics, of_controller, of_task),
+                    dynamics,
+                    controller,
+                    parameters,
+                    task,
+                    seeds,
+                    record=record,
+                    precision="float64" if engine == "float64" else "float32",
+                    threads=threads or available_processors(),
+                )
             )
-        )
-    if missing in ([], ["dynamics"]) and not record:
-        from sysid_evo.engine.compiled import mixed
+        if engine in ("auto", "mixed") and not record:
+            from sysid_evo.engine.compiled import mixed
 
-        return Rollouts(**mixed.run(kernels["controller"], kernels["task"], dynamics, controller, parameters, task, seeds))
-    if engine == "mixed":
-        raise InvalidArgument("rollout: engine 'mixed' needs kernels of controller and task, and does not record")
-    return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+            return Rollouts(**mixed.run(of_controller, of_task, dynamics, controller, parameters, task, seeds))
+    if engine == "auto":
+        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+    kernels = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+    missing = [role for role, kernel in kernels.items() if kernel is None]
+    raise InvalidArgument(
+        f"rollout: engine {engine!r} cannot run this: "
+        + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
+    )
 
 
 def available_processors() -> int:

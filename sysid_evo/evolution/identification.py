@@ -76,7 +76,9 @@ class ModelEvolution:
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
             chosen = every[draw.integers(len(every), size=self.windows)]
-            return -(final_error(step, population, chosen) if kernel is None else kernel_error(kernel, population, chosen))
+            return -(
+                final_error(step, population, chosen) if kernel is None else kernel_error(kernel, population, chosen)
+            )
 
         for generation in evolve(strategy, objective, self.generations):
             if progress is not None:

@@ -38,9 +38,7 @@ from sysid_evo.files import write_atomically
 Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = ("load", "load_quarter", "lowest", "splat", "splat_quarter", "store", "view", "where_less")
-PASSED_ON = {
-    getattr(lanes, name): name for name in LANE_FUNCTIONS
-}
+PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
 
@@ -113,8 +111,8 @@ def compile_kernel(source: Source, signature: str, precision: Precision, *, poin
     """
     decorator = "@cfunc" if pointer else "@njit"
     options = "" if pointer else ", nogil=True"
-    text = generate(source, f"{decorator}({signature}, cache=True, fastmath={FASTMATH}, error_model='numpy'{options})", precision)
-    return _import(text).entry
+    options = f"cache=True, fastmath={FASTMATH}, error_model='numpy'{options}"
+    return _import(generate(source, f"{decorator}({signature}, {options})", precision)).entry
 
 
 def generate(source: Source, decorator: str, precision: Precision) -> str:
@@ -179,15 +177,15 @@ class _Specialise(ast.NodeTransformer):
         closure = inspect.getclosurevars(function)
         self.scope = {**function.__globals__, **closure.nonlocals}
 
-    def visit_Constant(self, node: ast.Constant) -> ast.expr:  # noqa: N802  # ast's own naming
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:  # ast's own naming
         return _real(node.value) if isinstance(node.value, float) else node
 
-    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:  # noqa: N802  # ast's own naming
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:  # ast's own naming
         if isinstance(node.value, ast.Name) and isinstance(self.scope.get(node.value.id), ModuleType):
             return self._value(getattr(self.scope[node.value.id], node.attr), f"{node.value.id}.{node.attr}")
         raise self._unusable(ast.unparse(node), "attributes of arrays or objects are not available in kernels")
 
-    def visit_Name(self, node: ast.Name) -> ast.expr:  # noqa: N802  # ast's own naming
+    def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming
         if node.id == "float":
             return ast.Name("real", ast.Load())
         if node.id in self.local or node.id in BUILTINS or node.id == "LANES":
@@ -199,7 +197,7 @@ class _Specialise(ast.NodeTransformer):
         raise self._unusable(node.id, "no such name")
 
     def _value(self, value: Any, text: str) -> ast.expr:
-        if isinstance(value, bool) or (isinstance(value, numbers.Integral)):
+        if isinstance(value, (bool, numbers.Integral)):
             return ast.Constant(int(value))
         if isinstance(value, numbers.Real):
             return _real(float(value))

@@ -72,31 +72,31 @@ def _splat(number: Any, count: int) -> Any:
 
 
 @intrinsic
-def load(typing_context, array, offset):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def load(typing_context, array, offset):
     """Return the row of ``array`` that begins at ``offset``."""
     return _load(array, LANES)
 
 
 @intrinsic
-def load_quarter(typing_context, array, offset):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def load_quarter(typing_context, array, offset):
     """Return a quarter of a row of ``array`` that begins at ``offset``."""
     return _load(array, QUARTER)
 
 
 @intrinsic
-def splat(typing_context, number):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def splat(typing_context, number):
     """Return a row with ``number`` in every lane."""
     return _splat(number, LANES)
 
 
 @intrinsic
-def splat_quarter(typing_context, number):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def splat_quarter(typing_context, number):
     """Return a quarter of a row with ``number`` in every lane."""
     return _splat(number, QUARTER)
 
 
 @intrinsic
-def store(typing_context, array, offset, row):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def store(typing_context, array, offset, row):
     """Write ``row`` into ``array`` from ``offset`` on."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -112,7 +112,7 @@ def _operation(name: str) -> Any:
     """Return a function of two rows that is one LLVM instruction, lane by lane."""
 
     @intrinsic
-    def operation(typing_context, a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+    def operation(typing_context, a, b):
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return getattr(builder, name)(*arguments, flags=("contract",))
 
@@ -125,7 +125,7 @@ _add, _sub, _mul = _operation("fadd"), _operation("fsub"), _operation("fmul")
 
 
 @intrinsic
-def where_less(typing_context, a, b, x, y):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def where_less(typing_context, a, b, x, y):
     """Return x in the lanes where a < b, else y."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -139,28 +139,28 @@ def _are_lanes(a: Any, b: Any) -> bool:
 
 
 @overload(operator.add)
-def _lanes_add(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def _lanes_add(a, b):
     if _are_lanes(a, b):
         return lambda a, b: _add(a, b)
     return None
 
 
 @overload(operator.sub)
-def _lanes_sub(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def _lanes_sub(a, b):
     if _are_lanes(a, b):
         return lambda a, b: _sub(a, b)
     return None
 
 
 @overload(operator.mul)
-def _lanes_mul(a, b):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def _lanes_mul(a, b):
     if _are_lanes(a, b):
         return lambda a, b: _mul(a, b)
     return None
 
 
 @intrinsic
-def lowest(typing_context, row):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def lowest(typing_context, row):
     """Return the smallest number of a row (or of a quarter); none may be nan."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -174,7 +174,7 @@ def lowest(typing_context, row):  # type: ignore[no-untyped-def]  # Numba reads 
 
 
 @intrinsic
-def view(typing_context, array, first):  # type: ignore[no-untyped-def]  # Numba reads the signature
+def view(typing_context, array, first):
     """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -17,7 +17,7 @@ CLOSED_LOOP = (
 )
 
 
-def closed_loop(  # type: ignore[no-untyped-def]  # a kernel function
+def closed_loop(
     dynamics, controller, observe, advance, sizes,
     dynamics_parameters, controller_parameters, task_parameters,
     theta_of, start, task_start, trial_data, noise_of, envelope, actuation, first, last,
@@ -116,7 +116,7 @@ def closed_loop(  # type: ignore[no-untyped-def]  # a kernel function
                     survived[rollout] = horizon
 
 
-def suspicious(carry, envelope, n_carry, nx, marks):  # type: ignore[no-untyped-def]  # a kernel function
+def suspicious(carry, envelope, n_carry, nx, marks):
     """Count the lanes whose state left the envelope or whose carry is not finite; ``marks`` is overwritten."""
     for lane in range(LANES):
         marks[lane] = 0.0
@@ -136,7 +136,7 @@ def suspicious(carry, envelope, n_carry, nx, marks):  # type: ignore[no-untyped-
     return count
 
 
-def finite(carry, n_carry, lane):  # type: ignore[no-untyped-def]  # a kernel function
+def finite(carry, n_carry, lane):
     """Whether every number of one lane's carry is finite."""
     off = 0.0
     for row in range(n_carry):
@@ -144,7 +144,7 @@ def finite(carry, n_carry, lane):  # type: ignore[no-untyped-def]  # a kernel fu
     return off == 0.0
 
 
-def clip(carry, envelope, nx, lane):  # type: ignore[no-untyped-def]  # a kernel function
+def clip(carry, envelope, nx, lane):
     """Clip one lane's state to the envelope (low, then high of each state); whether that changed it."""
     touched = False
     for row in range(nx):
@@ -158,7 +158,7 @@ def clip(carry, envelope, nx, lane):  # type: ignore[no-untyped-def]  # a kernel
     return touched
 
 
-def actuate(raw, control, actuation, nu):  # type: ignore[no-untyped-def]  # a kernel function
+def actuate(raw, control, actuation, nu):
     """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
     width = int(actuation[0])
     for row in range(nu):
@@ -186,7 +186,7 @@ def actuate(raw, control, actuation, nu):  # type: ignore[no-untyped-def]  # a k
                         control[row * LANES + lane] = level if hit else control[row * LANES + lane]
 
 
-def keep(carry, n_carry, task, n_task, kept):  # type: ignore[no-untyped-def]  # a kernel function
+def keep(carry, n_carry, task, n_task, kept):
     """Copy carry and task, so that lanes whose trial is over can be put back."""
     for i in range(n_carry * LANES):
         kept[i] = carry[i]
@@ -194,7 +194,7 @@ def keep(carry, n_carry, task, n_task, kept):  # type: ignore[no-untyped-def]  #
         kept[n_carry * LANES + i] = task[i]
 
 
-def restore(carry, n_carry, task, n_task, kept, dead):  # type: ignore[no-untyped-def]  # a kernel function
+def restore(carry, n_carry, task, n_task, kept, dead):
     """Undo the step of the lanes whose trial is over."""
     for lane in range(LANES):
         if dead[lane] != 0:
@@ -204,11 +204,14 @@ def restore(carry, n_carry, task, n_task, kept, dead):  # type: ignore[no-untype
                 task[row * LANES + lane] = kept[(n_carry + row) * LANES + lane]
 
 
-OPEN_LOOP = "types.void(types.FunctionType(types.void(R, R, R, R, R)), I, R, R, R, R, types.int64, types.int64, R, R, R, R, R, R)"
+OPEN_LOOP = (
+    "types.void(types.FunctionType(types.void(R, R, R, R, R)), I, R, R, R, R, types.int64, types.int64, "
+    "R, R, R, R, R, R)"
+)
 CANDIDATES, WINDOWS, STEPS, OPEN_CARRY, OPEN_NX, OPEN_NU, OPEN_PARAMETERS = range(7)
 
 
-def open_loop(  # type: ignore[no-untyped-def]  # a kernel function
+def open_loop(
     dynamics, sizes, parameters_of, start, controls, truth, first, last,
     carry, control, noise, parameters, scratch, error,
 ):  # fmt: skip
@@ -248,7 +251,7 @@ DECIDE = (
 )
 
 
-def decide(  # type: ignore[no-untyped-def]  # a kernel function
+def decide(
     controller, observe, sizes, controller_parameters, task_parameters, actuation,
     state, theta_of, memory_of, task_of, control_of, carry, control, observation, raw, scratch,
 ):  # fmt: skip
@@ -274,7 +277,7 @@ def decide(  # type: ignore[no-untyped-def]  # a kernel function
 SETTLE = "types.void(types.FunctionType(types.void(R, R, R, I, R, R)), I, R, R, R, R, R, I, R, R, R, I)"
 
 
-def settle(  # type: ignore[no-untyped-def]  # a kernel function
+def settle(
     advance, sizes, task_parameters, trial_data, state, reached, task_of, dead_of, before, carry, kept, trials,
 ):  # fmt: skip
     """Advance the task of every rollout that is not over; ``reached`` (rollouts, nx) may be altered."""

@@ -30,7 +30,6 @@ from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.system import System, level_boundaries
 from sysid_evo.tasks.task import Task
 
-
 CACHE_LINE = 64
 
 

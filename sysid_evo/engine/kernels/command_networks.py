@@ -42,9 +42,7 @@ def command_network_predictor(
     weights = cells + len(serving)
     head = [n_states, len(exact), n_out, hidden, len(midpoints), cells, weights, *lookup, *serving]
     body = [
-        np.concatenate(
-            [first_bias[c, k], first[c, k].ravel(), [second_bias[c, k]], second[c, k]]
-        )
+        np.concatenate([first_bias[c, k], first[c, k].ravel(), [second_bias[c, k]], second[c, k]])
         for c in range(commands)
         for k in range(n_out)
     ]
@@ -52,7 +50,7 @@ def command_network_predictor(
     return Predictor(command_networks, np.concatenate([np.array(head, dtype=np.float64), *body]), n_scratch=rows)
 
 
-def command_networks(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def command_networks(x, u, p, y, scratch):
     """Write every output of the networks of each lane's command (a predictor, see `stepping`)."""
     n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
     hidden = int(p[HIDDEN])
@@ -86,7 +84,7 @@ def command_networks(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a 
             begin += QUARTER
 
 
-def sort_lanes(cells, order, first, n_cells):  # type: ignore[no-untyped-def]  # a kernel function
+def sort_lanes(cells, order, first, n_cells):
     """Write the lanes in order of their cell, and where each of ``n_cells`` begins (one more is the end)."""
     for cell in range(n_cells + 2):
         first[cell] = 0.0
@@ -101,7 +99,7 @@ def sort_lanes(cells, order, first, n_cells):  # type: ignore[no-untyped-def]  #
         place[cell] += 1.0
 
 
-def sort_key(u, p, n_controls, cells):  # type: ignore[no-untyped-def]  # a kernel function
+def sort_key(u, p, n_controls, cells):
     """Write the command cell of every lane, as a number."""
     for lane in range(LANES):
         cells[lane] = 0.0
@@ -117,7 +115,7 @@ def sort_key(u, p, n_controls, cells):  # type: ignore[no-untyped-def]  # a kern
         place += count + 1
 
 
-def one_network(x, n_in, p, hidden, units, y):  # type: ignore[no-untyped-def]  # a kernel function
+def one_network(x, n_in, p, hidden, units, y):
     """Write the output of one network for a quarter of the lanes."""
     for j in range(hidden):
         total = splat_quarter(p[j])

@@ -92,7 +92,7 @@ def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Ar
     return boxes, near, value
 
 
-def neighbours(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def neighbours(x, u, p, y, scratch):
     """Write the values of the nearest point under the same command (a predictor, see `stepping`)."""
     n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
     n_controls, cells = int(p[N_CONTROLS]), view(p, int(p[CELLS]))
@@ -135,14 +135,12 @@ def neighbours(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel
                 for group in range(groups):
                     bucket = group * BUCKET + column
                     if bound[bucket] < best:
-                        best, winner = search(
-                            x, u, p, n_states, sides, lane, points, bucket, distance, best, winner
-                        )
+                        best, winner = search(x, u, p, n_states, sides, lane, points, bucket, distance, best, winner)
         for row in range(n_out):
             y[row * LANES + lane] = values[winner * n_out + row]
 
 
-def box_distance(value, sides, bound, groups, side):  # type: ignore[no-untyped-def]  # a kernel function
+def box_distance(value, sides, bound, groups, side):
     """Add the squared distances along one side to the bounds of all boxes."""
     here, zero = splat_quarter(value), splat_quarter(0.0)
     for group in range(groups):
@@ -154,7 +152,7 @@ def box_distance(value, sides, bound, groups, side):  # type: ignore[no-untyped-
         store(bound, group * BUCKET, sofar + off * off)
 
 
-def search(x, u, p, n_states, sides, lane, points, bucket, distance, best, winner):  # type: ignore[no-untyped-def]  # a kernel function
+def search(x, u, p, n_states, sides, lane, points, bucket, distance, best, winner):
     """Look through one bucket; return the best squared distance and its point."""
     near = view(points, bucket * sides * BUCKET)
     total = splat_quarter(0.0)

@@ -38,7 +38,7 @@ def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) 
     )
 
 
-def network(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
     n_networks, n_layers = int(p[N_NETWORKS]), int(p[N_LAYERS])
     n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
@@ -70,13 +70,13 @@ def network(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel fu
             y[i] *= share
 
 
-def squash(x, count):  # type: ignore[no-untyped-def]  # a kernel function
+def squash(x, count):
     """Replace ``count`` numbers by their tanh."""
     for i in range(count):
         x[i] = math.tanh(x[i])
 
 
-def dense(x, n_in, p, y, n_out):  # type: ignore[no-untyped-def]  # a kernel function
+def dense(x, n_in, p, y, n_out):
     """y_j = b_j + sum_i W_ij x_i for every lane, four outputs at a time so that a row is read once for all."""
     j = 0
     while j + 4 <= n_out:

@@ -69,7 +69,7 @@ class _Chain:
         return self.known[power]
 
 
-def control_factors(u, p, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def control_factors(u, p, scratch):
     """Write the factor of every state monomial of every output: a polynomial in the control."""
     n_factors = int(p[N_FACTORS])
     monomials = view(scratch, n_factors * LANES)
@@ -85,7 +85,7 @@ def control_factors(u, p, scratch):  # type: ignore[no-untyped-def]  # a kernel 
         store(scratch, factor * LANES, total)
 
 
-def polynomial(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def polynomial(x, u, p, y, scratch):
     """Write every output: the sum over its state monomials, each times its factor."""
     monomials = view(scratch, int(p[N_FACTORS]) * LANES)
     raise_powers(x, view(p, HEADER), int(p[N_STATE]), monomials)
@@ -101,7 +101,7 @@ def polynomial(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel
         store(y, output * LANES, total)
 
 
-def raise_powers(z, chain, count, monomials):  # type: ignore[no-untyped-def]  # a kernel function
+def raise_powers(z, chain, count, monomials):
     """Write the constant 1 and ``count`` monomials, each an earlier one times a variable."""
     store(monomials, 0, splat(1.0))
     for link in range(count):

@@ -18,7 +18,7 @@ def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKe
     return ControllerKernel(KernelSource(recurrent), np.array([n_inputs, hidden, n_outputs], dtype=float), hidden)
 
 
-def recurrent(theta, memory, observation, raw, parameters, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def recurrent(theta, memory, observation, raw, parameters, scratch):
     """h = tanh(W_in o + W_h h), y = tanh(W_out h), see `RecurrentNetwork`."""
     n_inputs, hidden, n_outputs = int(parameters[N_INPUTS]), int(parameters[HIDDEN]), int(parameters[N_OUTPUTS])
     for j in range(hidden):

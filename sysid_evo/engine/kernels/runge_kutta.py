@@ -29,19 +29,19 @@ def runge_kutta_predictor(
     )
 
 
-def runge_kutta(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def runge_kutta(x, u, p, y, scratch):
     """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
     size, h, own_parameters = int(p[NX]) * LANES, p[H], view(p, HEADER)
     trial, n_carry = scratch, int(p[N_CARRY])
     slope = view(scratch, n_carry * LANES)
     total = view(slope, size)
     room = view(total, size)
-    prepare(u, own_parameters, room)  # type: ignore[name-defined]  # noqa: F821  # bound
+    prepare(u, own_parameters, room)
     copy(x, trial, n_carry * LANES)
     copy(x, y, size)
     for _ in range(int(p[SUBSTEPS])):
         for stage in range(4):
-            predict(trial, u, own_parameters, slope, room)  # type: ignore[name-defined]  # noqa: F821  # bound
+            predict(trial, u, own_parameters, slope, room)
             if stage == 0:
                 copy(slope, total, size)
                 move(y, slope, 0.5 * h, trial, size)
@@ -57,7 +57,7 @@ def runge_kutta(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kerne
                 copy(y, trial, size)
 
 
-def move(start, slope, time, target, count):  # type: ignore[no-untyped-def]  # a kernel function
+def move(start, slope, time, target, count):
     """target = start + time * slope."""
     for i in range(count):
         target[i] = start[i] + time * slope[i]

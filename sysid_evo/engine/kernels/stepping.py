@@ -42,7 +42,7 @@ class Predictor:
         return {"predict": self.function, "prepare": self.prepare or nothing_to_prepare}
 
 
-def nothing_to_prepare(u, p, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def nothing_to_prepare(u, p, scratch):
     """Leave the scratch as it is."""
     return
 
@@ -74,12 +74,12 @@ def stepping_kernel(
     )
 
 
-def step(carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def step(carry, control, noise, parameters, scratch):
     """Predict, integrate, and shift the lags."""
     nx, nu = int(parameters[NX]), int(parameters[NU])
     own, room = view(parameters, HEADER), view(scratch, nx * LANES)
-    prepare(control, own, room)  # type: ignore[name-defined]  # noqa: F821  # bound
-    predict(carry, control, own, scratch, room)  # type: ignore[name-defined]  # noqa: F821  # bound
+    prepare(control, own, room)
+    predict(carry, control, own, scratch, room)
     mode, dt = int(parameters[MODE]), parameters[DT]
     if mode != NEXT_STATE:
         for i in range(nx * LANES):
@@ -100,7 +100,7 @@ def step(carry, control, noise, parameters, scratch):  # type: ignore[no-untyped
     copy(scratch, carry, nx * LANES)
 
 
-def turn_back(along, across, yaw_rate, dt):  # type: ignore[no-untyped-def]  # a kernel function
+def turn_back(along, across, yaw_rate, dt):
     """Take the frame's own rotation out of the velocities: R(-r dt), see `PlanarBody`."""
     for lane in range(LANES):
         angle = yaw_rate[lane] * dt
@@ -110,7 +110,7 @@ def turn_back(along, across, yaw_rate, dt):  # type: ignore[no-untyped-def]  # a
         across[lane] = c * lateral - s * forward
 
 
-def copy(source, target, count):  # type: ignore[no-untyped-def]  # a kernel function
+def copy(source, target, count):
     """Copy ``count`` numbers."""
     for i in range(count):
         target[i] = source[i]

@@ -32,7 +32,9 @@ def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -
         advance=KernelSource(advance),
         n_rows=N_ROWS,
         rows=_rows,
-        trial_data=lambda task_state: cast("PointToPointState", task_state).waypoints.reshape(len(task_state.alive), -1),
+        trial_data=lambda task_state: cast("PointToPointState", task_state).waypoints.reshape(
+            len(task_state.alive), -1
+        ),
         state=_state,
         parameters=np.array(parameters, dtype=np.float64),
         pose_row=X,
@@ -53,7 +55,7 @@ def _state(task_state: TaskState, rows: Array) -> TaskState:
     )
 
 
-def observe(task, state, observation, parameters):  # type: ignore[no-untyped-def]  # a kernel function
+def observe(task, state, observation, parameters):
     """Bias, forward speed, yaw rate, angle and distance to the waypoint."""
     forward = view(state, int(parameters[FORWARD]) * LANES)
     yaw_rate = view(state, int(parameters[YAW_RATE]) * LANES)
@@ -67,7 +69,7 @@ def observe(task, state, observation, parameters):  # type: ignore[no-untyped-de
         observation[4 * LANES + lane] = math.sqrt(dx * dx + dy * dy)
 
 
-def advance(task, before, after, trials, trial_data, parameters):  # type: ignore[no-untyped-def]  # a kernel function
+def advance(task, before, after, trials, trial_data, parameters):
     """Move the pose as `PlanarBody.move` does, and pass the waypoints within reach."""
     dt, reach = parameters[DT], parameters[RADIUS_SQUARED]
     forward, yaw_rate = int(parameters[FORWARD]) * LANES, int(parameters[YAW_RATE]) * LANES
@@ -99,7 +101,7 @@ def advance(task, before, after, trials, trial_data, parameters):  # type: ignor
                 task[NEXT_Y * LANES + lane] = trial_data[place + 1]
 
 
-def wrap(angle):  # type: ignore[no-untyped-def]  # a kernel function
+def wrap(angle):
     """Return an angle within two turns as the same one in (-pi, pi]."""
     angle = angle - TURN if angle > math.pi else angle
     return angle + TURN if angle <= -math.pi else angle

@@ -7,7 +7,7 @@ from sysid_evo.engine.compiled.lanes import LANES, view
 FORWARD, LATERAL, YAW_RATE, DRIVE, STEER, DT, PARAMETERS = range(7)
 
 
-def equation_one(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kernel function
+def equation_one(x, u, p, y, scratch):
     """Write the next state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
     forward, yaw_rate = int(p[FORWARD]) * LANES, int(p[YAW_RATE]) * LANES
     if p[LATERAL] >= 0.0:
@@ -20,7 +20,7 @@ def equation_one(x, u, p, y, scratch):  # type: ignore[no-untyped-def]  # a kern
     )  # fmt: skip
 
 
-def advance(speed, turn, drive, steer, p, dt, next_speed, next_turn):  # type: ignore[no-untyped-def]  # a kernel function
+def advance(speed, turn, drive, steer, p, dt, next_speed, next_turn):
     """Thrust, steering, drag, static friction and top speeds, line by line as in `Parametrised`."""
     u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
     u_min, r_min, u_max, r_max = p[8], p[9], p[10], p[11]
