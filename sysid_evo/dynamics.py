@@ -217,9 +217,13 @@ def _recorded(fit: Any) -> Any:
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.envelope_ = training_envelope(states, self.envelope_multiple)
-        fitted: object = fit(self, dataset, rng=rng, progress=progress)
-        if fitted is not self:
-            raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
+        try:
+            fitted: object = fit(self, dataset, rng=rng, progress=progress)
+            if fitted is not self:
+                raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
+        except BaseException:
+            del self.system_, self.envelope_
+            raise
         return self
 
     return wrapped

@@ -83,7 +83,7 @@ class PointToPoint(Task):
         trials = len(seeds)
         waypoints = np.empty((trials, self.horizon + 1, 2))
         for trial, seed in enumerate(seeds):
-            radius, angle = generator(seed, TASK_STREAM).random((2, self.horizon + 1))
+            radius, angle = generator(seed, TASK_STREAM).random((self.horizon + 1, 2)).T
             radius, angle = self.arena_radius * np.sqrt(radius), 2.0 * np.pi * angle
             waypoints[trial, :, 0], waypoints[trial, :, 1] = radius * np.cos(angle), radius * np.sin(angle)
         return PointToPointState(
