@@ -200,7 +200,7 @@ def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_control
 def test_a_recorded_rollout_is_the_free_run_under_its_controls(recording: Dataset, lags: dict[str, int]) -> None:
     model = make_model("linear", **lags).fit(recording, rng=np.random.default_rng(0))
     weights = np.random.default_rng(8).standard_normal((3, 78))
-    run = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=50), SEEDS, record=True)
+    run = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=50), SEEDS, record=True, engine="float64")
     assert len({tuple(t.controls.ravel()) for t in run.trajectories}) > 1
     for trajectory in run.trajectories:
         past = np.repeat(trajectory.states[:1][None], model.n_lags + 1, axis=1)
