@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,7 +90,19 @@ def compare(
         _, page = save_report(report, run.path)
     for table in tables(report):
         out.print(table)
+    err.print(where_time_went(report.timings), highlight=False)
     out.print(f"Report: {page}", highlight=False, soft_wrap=True)
+
+
+def where_time_went(timings: Mapping[str, float]) -> str:
+    """Return the seconds that each kind of cell took, the longest first."""
+    kinds: dict[str, float] = {}
+    for cell, seconds in timings.items():
+        kind = cell.split(" ", 1)[0]
+        kinds[kind] = kinds.get(kind, 0.0) + seconds
+    total = sum(kinds.values())
+    parts = [f"{kind} {seconds:.1f} s" for kind, seconds in sorted(kinds.items(), key=lambda item: -item[1])]
+    return f"Time: {total:.1f} s in all: {', '.join(parts)}"
 
 
 def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:

@@ -6,8 +6,8 @@ from sysid_evo.errors import UnknownName
 from sysid_evo.evolution import ControllerEvolution
 
 CONTROLLER_PRESETS: dict[str, ControllerEvolution] = {
-    "quick": ControllerEvolution(generations=60, trials=10, runs=1),
-    "standard": ControllerEvolution(generations=200, trials=10, runs=2),
+    "quick": ControllerEvolution(generations=150, trials=10, runs=1),
+    "standard": ControllerEvolution(generations=300, trials=10, runs=3),
     "paper": ControllerEvolution(generations=300, trials=10, runs=2),
 }
 """Families state their own budgets as `DynamicsModel.presets`."""
