@@ -4,6 +4,7 @@ from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .errors import SysidEvoError
 from .evolution import Champion, ControllerEvolution, EvolutionStrategy, MuPlusLambda, evolve, evolve_controller
+from .interoperation import to_control
 from .motion import PlanarBody
 from .randomness import trial_seeds
 from .registry import (
@@ -67,5 +68,6 @@ __all__ = [
     "rollout",
     "save_champion",
     "save_model",
+    "to_control",
     "trial_seeds",
 ]

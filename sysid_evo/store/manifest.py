@@ -19,6 +19,8 @@ from sysid_evo.files import write_atomically
 
 SCHEMA: Literal["sysid-evo/artefact/1"] = "sysid-evo/artefact/1"
 MAX_MANIFEST_BYTES = 4 * 2**20
+MAX_HEADER_BYTES = 2**20
+MAX_TENSOR_BYTES = 2**31
 RECORDED = ("sysid-evo", "numpy", "scipy", "scikit-learn")
 
 
@@ -107,6 +109,9 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
         raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {_first(error)}") from error
     if manifest.kind != kind:
         raise ArtefactError(f"{source}: expected a stored {kind}, got a {manifest.kind}")
+    allowed = MAX_HEADER_BYTES + sum(8 * math.prod(shape) for shape in manifest.tensors.values())
+    if target.stat().st_size > min(allowed, MAX_TENSOR_BYTES):
+        raise ArtefactError(f"{target}: {target.stat().st_size} bytes are more than the tensors in {source.name} take")
     with target.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     if digest != manifest.sha256:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 import shutil
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
@@ -315,3 +316,17 @@ def test_a_dot_in_a_name_is_no_suffix(linear: DynamicsModel, tmp_path: Path) -> 
         save_model(linear, tmp_path / name)
     assert sorted(path.name for path in tmp_path.glob("*.json")) == ["model-0.5.json", "model-0.7.json"]
     load_model(tmp_path / "model-0.5")
+
+
+def test_a_file_larger_than_its_tensors_is_refused_before_it_is_read(recording: Dataset, tmp_path: Path) -> None:
+    model = make_model("linear").fit(recording, rng=np.random.default_rng(0))
+    save_model(model, tmp_path / "model")
+    with (tmp_path / "model.safetensors").open("r+b") as file:
+        file.truncate(20 * 2**30)  # a sparse file: nothing is written
+    tracemalloc.start()
+    try:
+        with pytest.raises(ArtefactError, match=r"model.safetensors: \d+ bytes are more than the tensors"):
+            load_model(tmp_path / "model")
+        assert tracemalloc.get_traced_memory()[1] < 100 * 2**20
+    finally:
+        tracemalloc.stop()
