@@ -31,7 +31,7 @@ class CarParameters:
     rear_axle: float = _quantity(0.055, "m", 0.1, "centre of mass to the driven axle")
 
     thrust_forward: float = _quantity(3.2, "m/s2", 0.2, "at rest, full battery; reaches 2.0 m/s")
-    thrust_backward: float = _quantity(2.4, "m/s2", 0.2, "brushes and gears run worse backward; reaches 1.4 m/s")
+    thrust_backward: float = _quantity(2.45, "m/s2", 0.2, "brushes and gears run worse backward; reaches 1.4 m/s")
     back_emf: float = _quantity(1.08, "1/s", 0.2, "loss of thrust with speed while the motor is powered")
     motor_lag: float = _quantity(0.08, "s", 0.3, "current and gears take time to follow the switch")
     battery_spread: float = _quantity(0.08, "1", 0.1, "charge differs from trial to trial by this share at most")
@@ -44,16 +44,17 @@ class CarParameters:
     rolling_resistance: float = _quantity(0.5, "m/s2", 0.2, "bearings and paper, at any speed; stops a coasting car")
     static_friction: float = _quantity(0.9, "m/s2", 0.15, "thrust below this does not move a standing car")
 
-    steer_left: float = _quantity(0.205, "rad", 0.1, "front wheels at full left lock")
-    steer_right: float = _quantity(0.175, "rad", 0.1, "front wheels at full right lock; the linkage is uneven")
+    steer_left: float = _quantity(0.203, "rad", 0.1, "front wheels at full left lock")
+    steer_right: float = _quantity(0.177, "rad", 0.1, "front wheels at full right lock; the linkage is uneven")
     steer_offset: float = _quantity(0.008, "rad", 0.3, "front wheels without a command; the linkage is bent")
+    linkage_play: float = _quantity(0.0125, "rad", 0.3, "front wheels flop right rolling forward, left backward")
     steering_lag: float = _quantity(0.06, "s", 0.3, "the steering magnet works against a spring")
 
-    front_grip: float = _quantity(0.96, "N", 0.15, "largest sideways force of the front tyres")
-    rear_grip: float = _quantity(1.1, "N", 0.15, "largest sideways force of the rear tyres, without thrust")
+    front_grip: float = _quantity(1.14, "N", 0.15, "largest sideways force of the front tyres")
+    rear_grip: float = _quantity(1.58, "N", 0.15, "largest sideways force of the rear tyres, without thrust")
     thrust_grip_loss: float = _quantity(0.5, "1", 0.2, "most of the rear grip, as a share, that traction uses up")
-    slip_gain: float = _quantity(6.0, "1/rad", 0.15, "how soon a slip angle saturates a tyre")
-    slip_floor: float = _quantity(0.4, "m/s", 0.1, "slower than this, slip is measured against this speed")
+    slip_gain: float = _quantity(8.0, "1/rad", 0.1, "how soon a slip angle saturates a tyre")
+    slip_floor: float = _quantity(0.7, "m/s", 0.1, "slower than this, slip is measured against this speed")
 
     force_noise: float = _quantity(0.25, "m/s2", 0.3, "uneven floor; standard deviation at speed")
     yaw_noise: float = _quantity(2.0, "rad/s2", 0.3, "uneven floor; standard deviation at speed")

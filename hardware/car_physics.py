@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import ndtr
@@ -36,8 +37,8 @@ BUFFER = slice(3, 3 + 2 * LATENCY)
 BODY = 3 + 2 * LATENCY
 """Where the carry holds motor, sag, battery, slack, steering, force noise, yaw noise."""
 
-Lane: TypeAlias = float | Array
-"""A number for each rollout (B,), or for the only one."""
+Lane: TypeAlias = Any
+"""A number for each rollout, an `Array` (B,), or a float for the only one: the same arithmetic for both."""
 
 
 class Coefficients(NamedTuple):
@@ -61,6 +62,7 @@ class Coefficients(NamedTuple):
     steer_mean: float
     steer_difference: float
     steer_offset: float
+    linkage_play: float
     steering_rate: float
     front_grip: float
     rear_grip: float
@@ -97,6 +99,7 @@ def coefficients(parameters: CarParameters) -> Coefficients:
         steer_mean=0.5 * (p.steer_left + p.steer_right),
         steer_difference=0.5 * (p.steer_left - p.steer_right),
         steer_offset=p.steer_offset,
+        linkage_play=p.linkage_play,
         steering_rate=-math.expm1(-FINE_DT / p.steering_lag),
         front_grip=p.front_grip,
         rear_grip=p.rear_grip,
@@ -111,15 +114,15 @@ def coefficients(parameters: CarParameters) -> Coefficients:
 
 
 def fine_step(
-    state: tuple[Lane, Lane, Lane],
-    hidden: tuple[Lane, Lane, Lane, Lane, Lane, Lane, Lane],
+    state: Sequence[Lane],
+    hidden: Sequence[Lane],
     drive: Lane,
     steer: Lane,
     force_draw: Lane,
     yaw_draw: Lane,
     p: Coefficients,
-) -> tuple[Lane, Lane, Lane, Lane, Lane, Lane, Lane, Lane, Lane, Lane]:
-    """Return state and hidden numbers 5 ms later, under the commands that have reached the car.
+) -> tuple[Lane, ...]:
+    """Return the three states and seven hidden numbers 5 ms later, under the commands that have reached the car.
 
     Plain arithmetic on lanes: the same lines serve a batch and single numbers. A single-track car::
 
@@ -128,7 +131,7 @@ def fine_step(
         dr/dt = (a F_f cos(d) - b F_r) / I + noise
         F     = -grip tanh(gain slip / max(|u|, floor)),   slip: the axle's sideways speed in m/s
 
-    The steering angle d stays below 0.3 rad, so three terms of its sine and cosine are exact to 1e-4.
+    The steering angle d stays below 0.26 rad, so two terms of its sine and cosine are right to 2e-4.
     """
     u, v, r = state
     motor, sag, battery, slack, steering, force_noise, yaw_noise = hidden
@@ -144,11 +147,12 @@ def fine_step(
 
     target = steer * (p.steer_mean + p.steer_difference * steer) + p.steer_offset
     steering = steering + (target - steering) * p.steering_rate
-    square = steering * steering
-    sine, cosine = steering * (1.0 - square * (1.0 / 6.0)), 1.0 - square * 0.5
-
     speed = abs(u)
     pace = np.maximum(speed, p.slip_floor)
+    angle = steering - p.linkage_play * u / pace
+    square = angle * angle
+    sine, cosine = angle * (1.0 - square * (1.0 / 6.0)), 1.0 - square * 0.5
+
     gain = p.slip_gain / pace
     front = np.tanh(gain * (u * sine - (v + p.front_axle * r) * cosine)) * p.front_grip
     grip = p.rear_grip * (1.0 - np.minimum(abs(traction) * p.traction_share, p.thrust_grip_loss))
@@ -215,12 +219,12 @@ class CarPhysics(Dynamics):
         before = carry.T
         after = np.empty((self.n_carry, len(carry)))
         if len(carry) == 1:
-            lanes = before[:, 0].tolist()
-            draws = (0.0, 0.0) if noise is None else noise[0].tolist()
+            lanes: list[Lane] = before[:, 0].tolist()
+            draws: list[Lane] = [0.0, 0.0] if noise is None else noise[0].tolist()
         else:
             lanes = list(before)
-            draws = (0.0, 0.0) if noise is None else list(noise.T)
-        results = fine_step(tuple(lanes[:3]), tuple(lanes[BODY:]), lanes[3], lanes[4], *draws, self.coefficients)
+            draws = [0.0, 0.0] if noise is None else list(noise.T)
+        results = fine_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
         after[3 : BODY - 2] = before[5:BODY]
         after[BODY - 2 : BODY] = control.T
         for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 
@@ -109,8 +110,8 @@ class EmulatedConnection(Connection):
             self._noise = self._rng.standard_normal((NOISE_BLOCK, physics.n_noise))
         before, nx = self._carry, system.nx
         self._carry = physics.step(before, self.control[None], self._noise[row : row + 1])
-        assert system.motion is not None
-        self.pose = system.motion.move(self.pose, before[0, :nx], self._carry[0, :nx], system.dt, system.state_names)
+        motion = cast("PlanarBody", system.motion)
+        self.pose = motion.move(self.pose, before[0, :nx], self._carry[0, :nx], system.dt, system.state_names)
 
     def _check_open(self) -> None:
         if not self._open:

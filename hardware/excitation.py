@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sysid_evo.system import Channel, System
 
 DURATION = 360.0  # s: "about 6 minutes of driving data"
 SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
+LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
 HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
 
 Segment = tuple[Array, float]
@@ -31,11 +33,12 @@ class Manoeuvre:
 
 
 def excitation(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
-    """Return twelve manoeuvres of equal length, ``duration`` s in all; nine without a steering control.
+    """Return twelve manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
 
     The first control is taken for the one that propels, the last for the one that steers; controls
     between them move in the random manoeuvres only. A continuous control uses its two limits and
-    its neutral value. Raises `InvalidArgument`.
+    its neutral value. Manoeuvres for which a system has no control (steering, driving backward)
+    are left out. Raises `InvalidArgument`.
     """
     scripts = _scripts(system, rng)
     each = duration / len(scripts)
@@ -45,25 +48,26 @@ def excitation(system: System, *, duration: float = DURATION, rng: np.random.Gen
             f"got {duration} s"
         )
     steps = round(each / system.dt)
-    return [Manoeuvre(name, _sample(segments, steps, system.dt)) for name, segments in scripts.items()]
+    rest: Segment = (system.neutral_control, LEAD)
+    return [Manoeuvre(name, _sample(chain([rest], script), steps, system.dt)) for name, script in scripts.items()]
 
 
 def _scripts(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
     """Return an endless script for each manoeuvre; each has its own stream of random numbers."""
-    forward, backward = _levels(system.controls[0])[[-1, 0]]
+    ends = _ends(system)
     scripts: dict[str, Iterator[Segment]] = {}
 
     def own() -> np.random.Generator:
         return rng.spawn(1)[0]
 
     if system.nu > 1:
-        scripts["loops-forward"] = _alternate(system, forward, 4.0, 8.0, own())
-        scripts["loops-backward"] = _alternate(system, backward, 4.0, 8.0, own())
-        scripts["figure-8-forward"] = _alternate(system, forward, 1.8, 2.8, own())
-        scripts["figure-8-backward"] = _alternate(system, backward, 1.8, 2.8, own())
+        for way, propel in zip(("forward", "backward"), ends, strict=False):
+            scripts[f"loops-{way}"] = _loop(system, propel, own())
+            scripts[f"figure-8-{way}"] = _figure_8(system, propel, own())
         scripts["weaving"] = _weave(system, own())
     scripts["starts-and-stops"] = _start_and_stop(system, own())
-    scripts["reversals"] = _reverse(system, own())
+    if len(ends) > 1:
+        scripts["reversals"] = _reverse(system, own())
     for mean in HOLDS:
         scripts[f"random-{mean:g}"] = _switch(system, mean, own())
     return scripts
@@ -80,6 +84,12 @@ def _levels(channel: Channel) -> Array:
     return np.unique([channel.low, channel.neutral, channel.high])
 
 
+def _ends(system: System) -> list[float]:
+    """Return full speed forward and, if the system can, backward."""
+    high, low = _levels(system.controls[0])[[-1, 0]].tolist()
+    return [high] if low == system.controls[0].neutral else [high, low]
+
+
 def _command(system: System, propel: float, steer: float | None = None) -> Array:
     control = system.neutral_control.copy()
     if steer is not None and system.nu > 1:
@@ -94,32 +104,37 @@ def _shuffled(values: Array, rng: np.random.Generator) -> Iterator[float]:
         yield from rng.permutation(values).tolist()
 
 
-def _alternate(
-    system: System, propel: float, shortest: float, longest: float, rng: np.random.Generator
-) -> Iterator[Segment]:
-    """Full speed, steering from one limit to the other: loops, or figure-8s when it changes each loop."""
+def _loop(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Full speed, a few circles to one side, a straight, a few circles to the other."""
     limits = _levels(system.controls[-1])[[-1, 0]].tolist()
     while True:
         for steer in limits:
-            yield _command(system, propel, steer), rng.uniform(shortest, longest)
+            yield _command(system, propel, steer), rng.uniform(3.0, 6.0)
+            yield _command(system, propel), rng.uniform(1.0, 3.0)
+
+
+def _figure_8(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Full speed, steering from one limit to the other about once a circle."""
+    limits = _levels(system.controls[-1])[[-1, 0]].tolist()
+    while True:
+        for steer in limits:
+            yield _command(system, propel, steer), rng.uniform(1.8, 2.8)
 
 
 def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """Full speed and short taps of the steering, forward and backward in turn."""
-    ends = _levels(system.controls[0])[[-1, 0]].tolist()
     steers = _shuffled(_levels(system.controls[-1]), rng)
     while True:
-        for propel in ends:
+        for propel in _ends(system):
             for _ in range(10):
                 yield _command(system, propel, next(steers)), rng.uniform(0.15, 0.7)
 
 
 def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """Launches in either direction, then coasting until the car stands, under every steering."""
-    ends = _levels(system.controls[0])[[-1, 0]].tolist()
     steers = _shuffled(_levels(system.controls[-1]), rng)
     while True:
-        for propel in ends:
+        for propel in _ends(system):
             steer = next(steers)
             yield _command(system, propel, steer), rng.uniform(0.3, 2.0)
             yield _command(system, float(system.neutral_control[0]), steer), rng.uniform(0.5, 2.5)
@@ -127,10 +142,9 @@ def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segmen
 
 def _reverse(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """From full speed one way to full speed the other, under every steering."""
-    ends = _levels(system.controls[0])[[-1, 0]].tolist()
     steers = _shuffled(_levels(system.controls[-1]), rng)
     while True:
-        for propel in ends:
+        for propel in _ends(system):
             yield _command(system, propel, next(steers)), rng.uniform(0.5, 2.0)
 
 

@@ -85,32 +85,24 @@ class _Log:
     def __init__(self, connection: Connection, system: System) -> None:
         self._connection = connection
         self._system = system
-        self._last = self._next_frame()
-        while not self._last.valid:
-            self._last = self._next_frame()
-        self._seen = self._begin = self._last.source_time
-        self._ticks = 0
-        self._rows: list[tuple[Measurement, Array]] = []
         self._control = system.neutral_control
+        self._rows: list[tuple[Measurement, Array]] = []
+        self._ticks = 0
+        self._last = self._frame()
+        self._seen = self._last.source_time
+        while not self._last.valid:
+            self._advance()
+        self._begin = self._seen
 
     def drive(self, control: Array) -> None:
         """Command ``control`` and take in frames until the next sample is due."""
         self._connection.send(control, valid_for=COMMAND_LIFE * self._system.dt)
         self._control = control
-        self._append()
         self._ticks += 1
         due = self._begin + self._ticks * self._system.dt - CLOCK_TOLERANCE
-        while True:
-            self._last = self._next_frame()
-            if self._last.valid:
-                self._seen = self._last.source_time
-            elif self._last.source_time - self._seen > SILENCE:
-                raise LinkLost(
-                    f"the tracker has not seen {self._last.body!r} for {SILENCE} s: check its markers and the area"
-                )
-            if self._last.source_time >= due:
-                return
+        while self._last.source_time < due:
             self._append()
+            self._advance()
 
     def finish(self, name: str) -> RawLog:
         """Return the log, with the frame at the end of the last command."""
@@ -123,7 +115,16 @@ class _Log:
         if self._last.valid:
             self._rows.append((self._last, self._control))
 
-    def _next_frame(self) -> Measurement:
+    def _advance(self) -> None:
+        self._last = self._frame()
+        if self._last.valid:
+            self._seen = self._last.source_time
+        elif self._last.source_time - self._seen > SILENCE:
+            raise LinkLost(
+                f"the tracker has not seen {self._last.body!r} for {SILENCE} s: check its markers and the area"
+            )
+
+    def _frame(self) -> Measurement:
         frame = self._connection.measure(SILENCE)
         if frame is None:
             raise LinkLost(f"no frame from the tracker within {SILENCE} s: is it running and streaming?")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.system import Channel, System
 
 
@@ -24,7 +24,7 @@ class CommandCells:
 
     @classmethod
     def of(cls, system: System, n_levels: int) -> CommandCells:
-        """Return the cells of ``system``. Raises `InvalidArgument`."""
+        """Return the cells of ``system``. Raises `IncompatibleSystem`, or `InvalidArgument` for ``n_levels``."""
         if n_levels < 2:
             raise InvalidArgument(f"levels: expected at least 2 for a continuous control, got {n_levels}")
         return cls(
@@ -65,7 +65,7 @@ def _levels(channel: Channel, n_levels: int) -> Array:
     if channel.levels is not None:
         return np.asarray(channel.levels)
     if not channel.bounded:
-        raise InvalidArgument(
+        raise IncompatibleSystem(
             f"control {channel.name!r} is continuous and has no limits, so it cannot be cut into levels: give limits"
         )
     return np.linspace(channel.low, channel.high, n_levels)

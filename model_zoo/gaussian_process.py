@@ -10,7 +10,7 @@ from scipy.linalg import cho_solve, cholesky
 from sklearn.base import clone
 
 from model_zoo.spread import calibrated_scale
-from model_zoo.standardise import Standard
+from model_zoo.standardise import Standard, positive
 from model_zoo.stepwise import lagged_steps
 from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
 from sysid_evo.arrays import Array
@@ -21,12 +21,14 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
 JITTER = 1e-6
+LINEAR_RIDGE = 1e-3
 
 
 @register_model("gaussian_process")
 class GaussianProcess(DynamicsModel):
-    """Acceleration = Gaussian process of (carry, control), squared exponential with one length for each input.
+    """Acceleration = linear part + Gaussian process of (carry, control), squared exponential, one length an input.
 
+    The linear part, fitted first by ridge regression, is what remains far from the data.
     The lengths maximise the marginal likelihood on ``inducing`` random steps; the same steps are the
     inducing points of the deterministic training conditional over all data (Seeger 2003; Quinonero
     Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance
@@ -102,12 +104,12 @@ class GaussianProcess(DynamicsModel):
         variance = np.zeros_like(mean)
         for channel in range(self.system.nx):
             kernel = self._kernel(inputs, self.points_, channel)
-            mean[:, channel] = kernel @ self.weights_[channel] + self.mean_[channel]
+            mean[:, channel] = kernel @ self.weights_[channel]
             if with_variance:
                 explained = np.sum((kernel @ self.reduction_[channel]) * kernel, axis=1)
                 prior = self.amplitude_[channel] ** 2
                 variance[:, channel] = np.maximum(prior - explained, 0.0) + self.noise_[channel] ** 2
-        return mean, variance
+        return mean + inputs @ self.slope_ + self.intercept_, variance
 
     def _kernel(self, left: Array, right: Array, channel: int) -> Array:
         """Return the covariance (A, B) of inputs (A, n) and (B, n)."""
@@ -124,10 +126,14 @@ class GaussianProcess(DynamicsModel):
         targets = dataset.system.acceleration(carry[:, : dataset.system.nx], after)
         _, scale = Standard.of(dataset).of_inputs(lags)
         rows = np.sort(rng.choice(len(inputs), size=min(self.inducing, len(inputs)), replace=False))
-        size = targets.std(axis=0)
-        size = np.where(size > 0, size, 1.0)
+        centre = inputs.mean(axis=0)
+        gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
+        self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))
+        self.intercept_ = targets.mean(axis=0) - centre @ self.slope_
+        targets = targets - inputs @ self.slope_ - self.intercept_
+        size = positive(targets.std(axis=0))
         nx, n = targets.shape[1], inputs.shape[1]
-        self.points_, self.mean_ = inputs[rows], targets.mean(axis=0)
+        self.points_ = inputs[rows]
         self.lengths_, self.amplitude_, self.noise_ = np.empty((nx, n)), np.empty(nx), np.empty(nx)
         self.weights_, self.reduction_ = np.empty((nx, len(rows))), np.empty((nx, len(rows), len(rows)))
         for channel in range(nx):
@@ -135,12 +141,12 @@ class GaussianProcess(DynamicsModel):
             search = GaussianProcessRegressor(kernel + WhiteKernel(0.1, (1e-4, 1.0)))
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # a length at its bound says that the input does not matter
-                search.fit(inputs[rows] / scale, (targets[rows, channel] - self.mean_[channel]) / size[channel])
+                search.fit(inputs[rows] / scale, targets[rows, channel] / size[channel])
             found = search.kernel_
             self.amplitude_[channel] = np.sqrt(found.k1.k1.constant_value) * size[channel]
             self.lengths_[channel] = found.k1.k2.length_scale * scale
             self.noise_[channel] = np.sqrt(found.k2.noise_level) * size[channel]
-            self._condition(channel, inputs, targets[:, channel] - self.mean_[channel])
+            self._condition(channel, inputs, targets[:, channel])
 
     def _condition(self, channel: int, inputs: Array, targets: Array) -> None:
         """Set weights and variance reduction of one channel from all data."""

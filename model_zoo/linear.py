@@ -44,7 +44,7 @@ class Linear(DynamicsModel):
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
         scale = regressors.std(axis=0)
-        scale[scale == 0] = 1.0
+        scale[scale <= 1e-12 * np.abs(regressors).max(axis=0)] = 1.0  # constant but for rounding
         penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
         left = np.concatenate([(regressors - centre) / scale, penalty])
         right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])

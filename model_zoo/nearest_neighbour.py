@@ -14,6 +14,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+from sysid_evo.system import System
 
 
 @register_model("nearest_neighbour")
@@ -29,6 +30,9 @@ class NearestNeighbour(DynamicsModel):
 
     def __init__(self, *, levels: int = 3) -> None:
         self.levels = levels
+
+    def check_system(self, system: System) -> None:
+        CommandCells.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)

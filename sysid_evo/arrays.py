@@ -20,10 +20,7 @@ def check_shape(name: str, array: npt.ArrayLike, expected: tuple[int | None, ...
 
     ``None`` stands for any length. The message names the array and both shapes.
     """
-    try:
-        result = np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ShapeError(f"{name}: expected numbers, got {type(array).__name__}: {error}") from error
+    result = _numbers(name, array)
     fits = result.ndim == len(expected) and all(
         want is None or want == have for want, have in zip(expected, result.shape, strict=True)
     )
@@ -35,7 +32,14 @@ def check_shape(name: str, array: npt.ArrayLike, expected: tuple[int | None, ...
 
 def check_last(name: str, array: npt.ArrayLike, expected: int) -> Array:
     """Return ``array`` as float64, or raise `ShapeError` if its last axis is not ``expected`` long."""
-    result = np.asarray(array, dtype=np.float64)
+    result = _numbers(name, array)
     if result.shape[-1:] != (expected,):
         raise ShapeError(f"{name}: expected {expected} values on the last axis, got shape {result.shape}")
     return result
+
+
+def _numbers(name: str, array: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: expected numbers, got {type(array).__name__}: {error}") from error

@@ -201,9 +201,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
             raise InvalidData(f"{type(self).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
         states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
         if samples is not None:
-            states, past_controls, controls = (
-                np.repeat(a[None], samples, axis=0).reshape(samples * len(a), *a.shape[1:]) for a in (states, past_controls, controls)
-            )
+            states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
         batch, horizon = controls.shape[:2]
         rng = np.random.default_rng(0) if rng is None else rng
         draws = rng.standard_normal((batch, self.n_draws)) if self.n_draws else None
@@ -214,7 +212,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
                 noise = rng.standard_normal((batch, self.n_noise)) if self.n_noise else None
                 carry, _ = clip_state(self.step(carry, controls[:, k], noise), self.envelope)
                 out[:, k] = carry[:, : system.nx]
-        return out if samples is None else out.reshape(samples, -1, horizon, system.nx)
+        return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
 
 
 def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:

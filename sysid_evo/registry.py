@@ -63,13 +63,10 @@ class Registry(Generic[T]):
         package is not installed) or `RegistrationError` (the module registers another name).
         """
         if name not in self._entries:
-            point = self._points().get(name)
-            if point is None:
-                raise UnknownName(self._unknown(name))
-            before = set(self._entries)
+            point = self._point(name)
             _load(point, self.kind)
             if name not in self._entries:
-                came = sorted(set(self._entries) - before)
+                came = sorted(entry for entry, thing in self._entries.items() if thing.__module__ == point.module)
                 raise RegistrationError(
                     f"entry point {self.group}: {name} = {point.value!r} should register {name!r}, "
                     f"but the module registers {', '.join(map(repr, came)) or 'nothing'}. "
@@ -91,6 +88,16 @@ class Registry(Generic[T]):
 
     def _points(self) -> dict[str, EntryPoint]:
         return {point.name: point for point in entry_points(group=self.group)}
+
+    def _point(self, name: str) -> EntryPoint:
+        found = {point.value: point for point in entry_points(group=self.group, name=name)}
+        if not found:
+            raise UnknownName(self._unknown(name))
+        if len(found) > 1:
+            raise RegistrationError(
+                f"{self.kind} {name!r} is registered twice: by {' and by '.join(sorted(found))}; uninstall one"
+            )
+        return next(iter(found.values()))
 
     def _unknown(self, name: str) -> str:
         close = difflib.get_close_matches(name, self.names(), n=1)
@@ -139,7 +146,12 @@ def load_plugin(path: str | Path) -> None:
     """
     path = Path(path).resolve()
     name = f"sysid_evo_plugin_{path.stem}"
-    if name in sys.modules and getattr(sys.modules[name], "__file__", None) == str(path):
+    loaded = sys.modules.get(name)
+    if loaded is not None:
+        if loaded.__file__ != str(path):
+            raise PluginError(
+                f"plugin {path}: {loaded.__file__}, a file of the same name, is loaded already; rename one"
+            )
         return
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None or not path.is_file():
@@ -175,9 +187,9 @@ make_strategy = strategies.make
 
 def make_robot(spec: str) -> Any:
     """Return the robot that ``spec`` names: ``name``, or ``name:SEED`` for one with drawn parameters."""
-    name, _, seed = spec.partition(":")
-    if not seed:
+    name, separator, seed = spec.partition(":")
+    if not separator:
         return robots.make(name)
-    if not seed.isdigit():
+    if not seed.isdecimal():
         raise UnknownName(f"robot {spec!r}: expected name or name:SEED with a whole number, got {seed!r}")
     return robots.make(name, seed=int(seed))

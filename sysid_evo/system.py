@@ -41,7 +41,7 @@ class Channel:
             raise InvalidSystem("channel: expected a name, got an empty string")
         if self.levels is not None:
             levels = tuple(float(level) for level in self.levels)
-            if len(levels) < 2 or any(b <= a for a, b in pairwise(levels)):
+            if len(levels) < 2 or not all(a < b for a, b in pairwise(levels)):
                 raise InvalidSystem(f"channel {self.name!r}: expected two or more rising levels, got {self.levels}")
             object.__setattr__(self, "levels", levels)
             object.__setattr__(self, "low", max(self.low, levels[0]))
@@ -50,9 +50,9 @@ class Channel:
                 raise InvalidSystem(f"channel {self.name!r}: levels {levels} lie outside [{self.low}, {self.high}]")
         if not self.low < self.high:
             raise InvalidSystem(f"channel {self.name!r}: expected low < high, got [{self.low}, {self.high}]")
-        if not self.low <= self.neutral <= self.high:
+        if not (np.isfinite(self.neutral) and self.low <= self.neutral <= self.high):
             raise InvalidSystem(
-                f"channel {self.name!r}: neutral value {self.neutral} lies outside [{self.low}, {self.high}]"
+                f"channel {self.name!r}: expected a neutral value within [{self.low}, {self.high}], got {self.neutral}"
             )
 
     @property
@@ -208,7 +208,7 @@ class System:
 
 def level_boundaries(n_levels: int) -> Array:
     """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
-    return SWITCH_MARGIN * (2.0 * np.arange(1, n_levels) / n_levels - 1.0)
+    return SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels
 
 
 def level_index(raw: Array, n_levels: int) -> IntArray:

@@ -47,14 +47,17 @@ def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) 
     """Yield the result of every check of the registered family ``name``, fitted to ``dataset``.
 
     Without a data set the checks use `example_dataset`. ``parameters`` go to the constructor; the
-    family's ``quick`` preset holds for the others.
+    family's ``quick`` preset holds for the others. If it cannot be fitted, that is the last result.
+    Raises `IncompatibleSystem` if the family refuses the system of ``dataset``.
     """
     dataset = example_dataset() if dataset is None else dataset
     quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
     model = make_model(name, **{**quick, **parameters})
+    model.check_system(dataset.system)
     yield _run(an_unfitted_model_says_so, model, dataset)
-    model.fit(dataset, rng=np.random.default_rng(1))
-    for check in CHECKS:
+    fitted = _run(fit_returns_the_model_itself, model, dataset)
+    yield fitted
+    for check in CHECKS if fitted.failure is None else ():
         yield _run(check, model, dataset)
 
 
@@ -92,10 +95,19 @@ def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
     raise ContractViolation("simulate before fit should raise NotFitted")
 
 
+def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit learns from a recording, leaves it as it is, and returns the model itself"""
+    fingerprint = dataset.fingerprint
+    if model.fit(dataset, rng=np.random.default_rng(1)) is not model:
+        raise ContractViolation("fit must return self")
+    if dataset.with_episodes(dataset.episodes).fingerprint != fingerprint:
+        raise ContractViolation("fit overwrites the recording")
+
+
 def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) -> None:
     """A step turns a carry (B, n_carry) into a carry of the same shape, in float64"""
-    carry, control = _some_inputs(model, dataset)
-    after = model.step(carry, control)
+    carry, control, noise = _some_inputs(model, dataset)
+    after = model.step(carry, control, noise)
     if carry.shape[1] != model.n_carry:
         raise ContractViolation(f"start gives a carry of {carry.shape[1]} numbers, n_carry says {model.n_carry}")
     if after.shape != carry.shape or after.dtype != np.float64:
@@ -107,26 +119,28 @@ def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) 
 def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> None:
     """The carry begins with the state"""
     windows = dataset.windows(1, history=model.n_lags)
-    carry = model.start(windows.past_states, windows.past_controls)
+    carry = model.start(windows.past_states, windows.past_controls, _normal(model.n_draws, len(windows)))
     if not np.array_equal(carry[:, : dataset.system.nx], windows.start_states):
         raise ContractViolation("carry[:, :nx] after start is not the last measured state")
 
 
 def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
     """Every row of a batch is computed for itself"""
-    carry, control = _some_inputs(model, dataset)
-    together = model.step(carry, control)
-    alone = np.concatenate([model.step(carry[i : i + 1], control[i : i + 1]) for i in range(len(carry))])
-    backwards = model.step(carry[::-1].copy(), control[::-1].copy())[::-1]
+    carry, control, noise = _some_inputs(model, dataset)
+    together = model.step(carry, control, noise)
+    rows = [np.array([i]) for i in range(len(carry))]
+    alone = np.concatenate([model.step(carry[i], control[i], None if noise is None else noise[i]) for i in rows])
+    back = np.arange(len(carry))[::-1]
+    backwards = model.step(carry[back], control[back], None if noise is None else noise[back])[back]
     if not (np.allclose(together, alone, rtol=1e-9, atol=1e-12) and np.allclose(together, backwards, rtol=1e-9)):
         raise ContractViolation("a row's result changes with the other rows of its batch")
 
 
 def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
     """A step changes neither its arguments nor its own later results"""
-    carry, control = _some_inputs(model, dataset)
+    carry, control, noise = _some_inputs(model, dataset)
     kept = carry.copy(), control.copy()
-    first, second = model.step(carry, control), model.step(carry, control)
+    first, second = model.step(carry, control, noise), model.step(carry, control, noise)
     if not (np.array_equal(carry, kept[0]) and np.array_equal(control, kept[1])):
         raise ContractViolation("step overwrites its arguments")
     if not np.array_equal(first, second):
@@ -136,10 +150,13 @@ def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
 def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
     """A free run equals its steps one after the other"""
     windows = dataset.windows(5, stride=20, history=model.n_lags)
-    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
-    carry = model.start(windows.past_states, windows.past_controls)
+    simulated = model.simulate(
+        windows.past_states, windows.past_controls, windows.controls, rng=np.random.default_rng(2)
+    )
+    rng = np.random.default_rng(2)
+    carry = model.start(windows.past_states, windows.past_controls, _normal(model.n_draws, len(windows), rng))
     for k in range(5):
-        carry = model.step(carry, windows.controls[:, k])
+        carry = model.step(carry, windows.controls[:, k], _normal(model.n_noise, len(windows), rng))
         if model.envelope is not None:
             state = np.clip(carry[:, : dataset.system.nx], *model.envelope)
             carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
@@ -150,8 +167,8 @@ def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> Non
 def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) -> None:
     """The same data and seed give the same model"""
     again = clone(model).fit(dataset, rng=np.random.default_rng(1))
-    carry, control = _some_inputs(model, dataset)
-    if not np.array_equal(model.step(carry, control), again.step(carry, control)):
+    carry, control, noise = _some_inputs(model, dataset)
+    if not np.array_equal(model.step(carry, control, noise), again.step(carry, control, noise)):
         raise ContractViolation("two fits with the same seed step differently")
 
 
@@ -166,11 +183,11 @@ def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
 
 def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) -> None:
     """A stored model steps bit for bit as before"""
-    carry, control = _some_inputs(model, dataset)
+    carry, control, noise = _some_inputs(model, dataset)
     with tempfile.TemporaryDirectory() as folder:
         save_model(model, Path(folder) / "model")
         loaded = load_model(Path(folder) / "model")
-    if not np.array_equal(loaded.step(carry, control), model.step(carry, control)):
+    if not np.array_equal(loaded.step(carry, control, noise), model.step(carry, control, noise)):
         raise ContractViolation("it steps differently after loading")
     if loaded.get_params() != model.get_params():
         raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
@@ -188,9 +205,16 @@ CHECKS: tuple[Check, ...] = (
 )
 
 
-def _some_inputs(model: DynamicsModel, dataset: Dataset) -> tuple[Array, Array]:
+def _some_inputs(model: DynamicsModel, dataset: Dataset) -> tuple[Array, Array, Array | None]:
     windows = dataset.windows(1, stride=7, history=model.n_lags)
-    return model.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+    carry = model.start(windows.past_states, windows.past_controls, _normal(model.n_draws, len(windows)))
+    return carry, windows.controls[:, 0], _normal(model.n_noise, len(windows))
+
+
+def _normal(count: int, rows: int, rng: np.random.Generator | None = None) -> Array | None:
+    """Return standard normal numbers (rows, count), or None if the model takes none."""
+    rng = np.random.default_rng(3) if rng is None else rng
+    return rng.standard_normal((rows, count)) if count else None
 
 
 def _run(check: Check, model: DynamicsModel, dataset: Dataset) -> CheckResult:

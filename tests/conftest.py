@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import Registry
 from sysid_evo.system import Channel, System
 
 ROOT = Path(__file__).parents[1]
@@ -53,3 +56,18 @@ def car() -> System:
         motion=PlanarBody(),
         name="toy car",
     )
+
+
+@pytest.fixture
+def register() -> Iterator[Callable[[Registry[Any], str, Any], Any]]:
+    """A function that registers something until the test ends."""
+    added: list[tuple[Registry[Any], str]] = []
+
+    def add(registry: Registry[Any], name: str, thing: Any) -> Any:
+        registry.register(name)(thing)
+        added.append((registry, name))
+        return thing
+
+    yield add
+    for registry, name in added:
+        del registry._entries[name]

@@ -53,7 +53,7 @@ def assess_model(
     name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
 ) -> ModelPrediction:
     """Measure one model; whatever it raises becomes the reason of a failed row."""
-    family = family or model.family or type(model).__name__
+    family = family or type(model).__name__
     try:
         forecasts = forecast(model, cases)
     except Exception as error:  # a plugin may fail in any way; the other rows must go on

@@ -6,8 +6,9 @@ import sys
 import warnings
 
 import typer
+from rich.text import Text
 
-from sysid_evo.cli import recordings
+from sysid_evo.cli import comparing, evolving, models, recordings
 from sysid_evo.cli.console import err
 from sysid_evo.errors import SysidEvoError
 
@@ -19,9 +20,13 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_show_locals=False,
 )
+app.command("compare")(comparing.compare)
 app.command("import")(recordings.import_)
 app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
+app.command("fit")(models.fit)
+app.command("evolve")(evolving.evolve)
+app.add_typer(models.app, name="models")
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -33,8 +38,7 @@ def main() -> None:
     try:
         app(standalone_mode=True)
     except SysidEvoError as error:
-        err.print("[bold red]error:[/] ", end="")
-        err.print(str(error), markup=False, highlight=False)
+        err.print(Text.assemble(("error: ", "bold red"), str(error)))
         sys.exit(EXIT_ERROR)
     except KeyboardInterrupt:
         err.print("interrupted")
@@ -42,5 +46,4 @@ def main() -> None:
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    err.print("[yellow]warning:[/] ", end="")
-    err.print(str(message), markup=False, highlight=False)
+    err.print(Text.assemble(("warning: ", "yellow"), str(message)))

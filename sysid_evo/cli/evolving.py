@@ -45,8 +45,13 @@ def evolve(
     dynamics = {member: find_dynamics(folder, member) for member in members}
     runners = {member: DynamicsRunner(found) for member, found in dynamics.items()}
     settings = controller_preset(preset)
-    given = {"generations": generations, "trials": trials, "runs": runs}
-    settings = replace(settings, aggregate=aggregate, **{k: v for k, v in given.items() if v is not None})
+    settings = replace(
+        settings,
+        aggregate=aggregate,
+        generations=generations or settings.generations,
+        trials=trials or settings.trials,
+        runs=runs or settings.runs,
+    )
     system = next(iter(dynamics.values())).system
     name = ensemble_name(members, aggregate)
     with Bars() as bars:
@@ -73,7 +78,7 @@ def find_dynamics(folder: Path, name: str) -> Dynamics:
         robot = make_robot(name)
         if robot.dynamics is None:
             raise InvalidArgument(f"{name} is a physical robot: controllers are evolved on models or emulated robots")
-        return robot.dynamics  # type: ignore[no-any-return]
+        return robot.dynamics
     if Path(name).suffix in (".json", ".safetensors"):
         return load_model(name)
     stored = sorted({path.with_suffix("") for path in (folder / "models").glob("*.json")})

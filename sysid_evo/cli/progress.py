@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
 
 from sysid_evo.cli.console import err
 
@@ -57,12 +58,10 @@ class Bars:
         if cell in self._tasks:
             self._bars.remove_task(self._tasks.pop(cell))
         if reason is not None:
-            err.print(f"[red]failed[/] {seconds:6.1f} s  ", end="")
-            err.print(f"{cell}: {reason}", markup=False, highlight=False)
+            err.print(Text.assemble(("failed", "red"), f" {seconds:6.1f} s  {cell}: {reason}"))
         else:
-            word = "[dim]kept  [/]" if cached else "[green]done  [/]"
-            err.print(f"{word} {seconds:6.1f} s  ", end="")
-            err.print(cell, markup=False, highlight=False)
+            word = ("kept  ", "dim") if cached else ("done  ", "green")
+            err.print(Text.assemble(word, f" {seconds:6.1f} s  {cell}"))
 
 
 def _short(cell: str, width: int = 34) -> str:

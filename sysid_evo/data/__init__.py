@@ -1,7 +1,5 @@
-"""Recordings: episodes, data sets, readers, preparation."""
+"""Recordings: episodes, data sets, readers, preparation, advice."""
 
-from sysid_evo.data.dataset import Dataset, Transitions
-from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.data.windows import Windows
+import lazy_loader
 
-__all__ = ["Dataset", "Trajectory", "Transitions", "Windows"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

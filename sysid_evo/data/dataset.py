@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -121,6 +121,13 @@ class Dataset:
             poses=[table[pose_names].to_numpy() for _, table in tables] if has_pose else None,
             names=[name for name, _ in tables],
         )
+
+    @classmethod
+    def read(cls, paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Dataset:
+        """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`."""
+        from sysid_evo.data.reading import read_dataset
+
+        return read_dataset(paths, columns=columns)
 
     def __len__(self) -> int:
         """Return the number of episodes."""

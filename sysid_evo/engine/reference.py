@@ -49,8 +49,9 @@ def run(
             diverged |= alive & ~np.isfinite(stepped).all(axis=1)
             going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)
-            advanced, after = task.advance(task_state, state, stepped[:, : system.nx])
-            if after is not stepped:
+            reached = stepped[:, : system.nx]
+            advanced, after = task.advance(task_state, state, reached)
+            if after is not reached:
                 stepped = np.concatenate([after, stepped[:, system.nx :]], axis=1)
             if going.all():
                 carry, task_state = stepped, advanced

@@ -75,7 +75,7 @@ class ModelEvolution:
 
 
 def final_error(step: PopulationStep, population: Array, windows: Windows) -> Array:
-    """Return the mean square difference (P,) of the last state of ``windows``; inf where it diverges."""
+    """Return the mean square difference (P,) of the last state of ``windows``; the largest number where it diverges."""
     state = np.repeat(windows.start_states[None], len(population), axis=0)
     with np.errstate(all="ignore"):
         for k in range(windows.controls.shape[1]):

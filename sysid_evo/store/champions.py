@@ -51,5 +51,5 @@ def load_champion(path: str | Path) -> Champion:
             task=learned["task"],
             task_parameters=learned["task_parameters"],
         )
-    except (KeyError, ShapeError) as error:
-        raise ArtefactError(f"{path}: not a stored controller: {error}") from error
+    except (KeyError, TypeError, ShapeError) as error:
+        raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}") from error

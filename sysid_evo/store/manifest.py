@@ -3,22 +3,43 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
-from sysid_evo.errors import ArtefactError
+from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.files import write_atomically
 
 SCHEMA: Literal["sysid-evo/artefact/1"] = "sysid-evo/artefact/1"
 MAX_MANIFEST_BYTES = 4 * 2**20
 RECORDED = ("sysid-evo", "numpy", "scipy", "scikit-learn")
+
+
+def strict_json(value: Any) -> Any:
+    """Return ``value`` if strict JSON can hold it, or raise ValueError: nan and infinity are no numbers there."""
+    if isinstance(value, dict):
+        odd = [key for key in value if not isinstance(key, str)]
+        if odd:
+            raise ValueError(f"expected text as a key, got {odd[0]!r}")
+        strict_json(list(value.values()))
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            strict_json(item)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"expected finite numbers, got {value}")
+    elif not (value is None or isinstance(value, (bool, int, float, str))):
+        raise ValueError(f"expected text, numbers, or lists and tables of these, got a {type(value).__name__}")
+    return value
+
+
+StrictJson: TypeAlias = Annotated[dict[str, Any], AfterValidator(strict_json)]
 
 
 class Manifest(BaseModel):
@@ -30,9 +51,9 @@ class Manifest(BaseModel):
     kind: Literal["model", "controller"]
     name: str
     module: str
-    parameters: dict[str, Any]
-    learned: dict[str, Any]
-    system: dict[str, Any] | None
+    parameters: StrictJson
+    learned: StrictJson
+    system: StrictJson | None
     seed: int | None
     data: str | None
     versions: dict[str, str]
@@ -52,17 +73,23 @@ def versions() -> dict[str, str]:
 
 
 def write_artefact(path: Path, tensors: dict[str, np.ndarray[Any, Any]], fields: dict[str, Any]) -> Path:
-    """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest."""
+    """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest.
+
+    Raises `InvalidArgument`, before anything is written, if JSON cannot hold one of ``fields``.
+    """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    target = _with(path, ".safetensors")
-    write_atomically(target, lambda temporary: save_file(tensors, temporary))
-    manifest = Manifest(
-        versions=versions(),
-        tensors={name: list(tensor.shape) for name, tensor in tensors.items()},
-        sha256=hashlib.sha256(target.read_bytes()).hexdigest(),
-        **fields,
-    )
+    payload = save(tensors)
+    try:
+        manifest = Manifest(
+            versions=versions(),
+            tensors={name: list(tensor.shape) for name, tensor in tensors.items()},
+            sha256=hashlib.sha256(payload).hexdigest(),
+            **fields,
+        )
+    except ValidationError as error:
+        raise InvalidArgument(f"{path}: cannot be stored: {_first(error)}") from error
     text = manifest.model_dump_json(indent=1)
+    write_atomically(_with(path, ".safetensors"), lambda temporary: temporary.write_bytes(payload))
     return write_atomically(_with(path, ".json"), lambda temporary: temporary.write_text(text))
 
 
@@ -77,9 +104,7 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     try:
         manifest = Manifest.model_validate_json(source.read_bytes())
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {where}: {first['msg']}") from error
+        raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {_first(error)}") from error
     if manifest.kind != kind:
         raise ArtefactError(f"{source}: expected a stored {kind}, got a {manifest.kind}")
     with target.open("rb") as stream:
@@ -94,6 +119,12 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     if shapes != manifest.tensors:
         raise ArtefactError(f"{target}: expected the tensors {manifest.tensors}, got {shapes}")
     return manifest, tensors
+
+
+def _first(error: ValidationError) -> str:
+    """Return where the first fault stands and what it is."""
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
 
 
 def _with(path: Path, suffix: str) -> Path:

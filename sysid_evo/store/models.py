@@ -70,14 +70,17 @@ def load_model(path: str | Path) -> DynamicsModel:
         ) from error
     except PluginError as error:
         raise ArtefactError(f"{path}: {error}") from error
-    model: DynamicsModel = family(**manifest.parameters)
-    model.system_ = System.from_dict(manifest.system or {})
+    try:
+        model: DynamicsModel = family(**manifest.parameters)
+        model.system_ = System.from_dict(manifest.system or {})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ArtefactError(f"{path}: not a stored {manifest.name}: {type(error).__name__}: {error}") from error
     for key, value in manifest.learned.items():
         setattr(model, _checked(path, key), value)
     lists: dict[str, dict[int, Any]] = {}
     for key, tensor in tensors.items():
-        base, _, index = key.partition(".")
-        if index:
+        base, dot, index = key.partition(".")
+        if dot and index.isdecimal():
             lists.setdefault(_checked(path, base), {})[int(index)] = tensor
         else:
             setattr(model, _checked(path, key), tensor)

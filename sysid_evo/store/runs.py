@@ -37,7 +37,7 @@ class RunFolder:
         run = cls(Path(path))
         wanted = tomllib.loads(tomli_w.dumps(_without_none(settings)))
         if run._file(SETTINGS).is_file():
-            found = tomllib.loads(run._file(SETTINGS).read_text())
+            found = run._settings()
             differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
             if differing:
                 raise InvalidArgument(
@@ -56,7 +56,7 @@ class RunFolder:
             found: dict[str, dict[str, Any]] = json.loads(self._file(STATUS).read_text())["cells"]
         except FileNotFoundError:
             return {}
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             raise ArtefactError(f"{self._file(STATUS)}: not a readable status file: {error}") from error
         return found
 
@@ -75,6 +75,12 @@ class RunFolder:
     def controller(self, name: str, seed: int) -> Path:
         """Where the champion ``name`` stands (without suffix)."""
         return self.path / "controllers" / f"{name}-{seed}"
+
+    def _settings(self) -> dict[str, Any]:
+        try:
+            return tomllib.loads(self._file(SETTINGS).read_text())
+        except ValueError as error:
+            raise ArtefactError(f"{self._file(SETTINGS)}: not a readable TOML file: {error}") from error
 
     def _file(self, name: str) -> Path:
         return self.path / name

@@ -2,12 +2,178 @@
 
 from __future__ import annotations
 
-from evaluation.prediction import PERSISTENCE, assess_prediction
+import numpy as np
+import pytest
+
+from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidArgument, InvalidData
+from tests.evaluation.known_models import (
+    SYSTEM,
+    Broken,
+    Exploding,
+    Known,
+    Remembering,
+    Undefined,
+    Weak,
+    fitted,
+    recording,
+)
+
+PROTOCOL = PredictionProtocol(resamples=200)
 
 
-def test_persistence_on_the_slippery_log_scores_what_the_protocol_gives(slippery: tuple[Dataset, Dataset]) -> None:
-    prediction = assess_prediction({}, *slippery)
-    row = prediction.model(PERSISTENCE)
+def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run() -> None:
+    test = recording(2, seed=9)
+    row = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL).model("known")
+    assert [score.horizon for score in row.at] == [1, 10, 20, 60]
+    for score in (*row.at, row.free_run):
+        assert score is not None
+        assert score.n < 1e-12
+        assert score.fit_percent == pytest.approx(100.0)
+    assert row.curve.shape == (60,)
+    assert row.curve.max() < 1e-12
+    assert row.divergence is not None
+    assert row.divergence.share == 0.0
+
+
+def test_persistence_is_the_first_row() -> None:
+    prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1), protocol=PROTOCOL)
+    assert prediction.names == (PERSISTENCE, "known")
+
+
+def test_the_error_counts_at_the_horizon_where_the_body_moves() -> None:
+    test = recording(1, steps=200, standstill=60)
+    row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
+    states, moving = test.episodes[0].states, test.moving[0]
+    assert not moving.all()
+    starts = [k for k in range(5, 200 - 60 + 1, 4) if moving[k]]
+    for horizon in (1, 10, 20, 60):
+        errors = np.array([states[k] - states[k + horizon] for k in starts if moving[k + horizon]])
+        score = row.score(horizon)
+        assert score is not None
+        assert score.samples == len(errors)
+        np.testing.assert_allclose(score.rmse, np.sqrt((errors**2).mean(axis=0)))
+        np.testing.assert_allclose(score.nrmse, score.rmse / states[moving].std(axis=0))
+        np.testing.assert_allclose(
+            score.relative_percent, 100 * score.rmse / np.sqrt((states[moving] ** 2).mean(axis=0))
+        )
+
+
+def test_the_free_run_starts_once_and_is_scored_to_the_end() -> None:
+    test = recording(1, steps=120)
+    row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
+    states = test.episodes[0].states
+    assert row.free_run is not None
+    assert row.free_run.samples == 115
+    np.testing.assert_allclose(row.free_run.rmse, np.sqrt(((states[5] - states[6:]) ** 2).mean(axis=0)))
+
+
+def test_the_curve_passes_through_the_scores() -> None:
+    row = assess_prediction({}, recording(), recording(2, seed=3), protocol=PROTOCOL).model(PERSISTENCE)
+    for score in row.at:
+        assert score.horizon is not None
+        assert row.curve[score.horizon - 1] == pytest.approx(score.n)
+
+
+def test_identical_models_have_no_significant_difference() -> None:
+    models = {"one": fitted(Weak()), "two": fitted(Weak())}
+    prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
+    for horizon in prediction.horizons:
+        difference = prediction.compare("one", "two", horizon)
+        assert difference is not None
+        assert difference.difference == 0.0
+        assert difference.verdict == "no significant difference"
+
+
+def test_a_better_model_is_significantly_better() -> None:
+    models = {"weak": fitted(Weak()), "known": fitted(Known())}
+    prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
+    difference = prediction.compare("weak", "known", 20)
+    assert difference is not None
+    assert difference.difference > 0
+    assert difference.verdict == "known better than weak"
+    assert prediction.ranking(20)[0].name == "known"
+
+
+def test_a_model_that_doubles_reaches_the_guard_when_theory_says() -> None:
+    training, test = recording(), recording(1, seed=5)
+    prediction = assess_prediction({"exploding": fitted(Exploding(), training)}, training, test, protocol=PROTOCOL)
+    row, cases = prediction.model("exploding"), prediction.cases
+    envelope = fitted(Exploding(), training).envelope
+    assert envelope is not None
+    limit = np.minimum(cases.guard[1], np.minimum(envelope[1], -envelope[0]))
+    steps = np.log2(limit / np.abs(cases.free_runs[0].past_states[-1])).min()
+    assert row.divergence is not None
+    assert row.divergence.free_run_times[0] == pytest.approx(np.ceil(steps) * 0.05, abs=0.051)
+    assert row.divergence.share > 0.95
+    assert all(np.isfinite(score.n) for score in row.at)
+
+
+def test_a_model_that_is_not_a_number_is_scored_at_the_guard() -> None:
+    prediction = assess_prediction({"undefined": fitted(Undefined())}, recording(), recording(1), protocol=PROTOCOL)
+    row = prediction.model("undefined")
+    assert row.divergence is not None
+    assert row.divergence.share == 1.0
+    assert row.divergence.median_time == pytest.approx(0.05)
+    assert all(np.isfinite(score.n) for score in row.at)
+
+
+def test_horizons_longer_than_every_episode_are_left_out_with_a_note() -> None:
+    test = recording(2, steps=30)
+    prediction = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL)
+    assert prediction.cases.horizons == (1, 10, 20)
+    assert any("horizon 60 left out" in note for note in prediction.cases.notes)
+    assert prediction.model("known").curve.shape == (20,)
+
+
+def test_an_episode_too_short_for_anything_leaves_only_notes() -> None:
+    prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5), protocol=PROTOCOL)
+    assert prediction.horizons == ()
+    assert prediction.model("known").at == ()
+    assert prediction.model("known").free_run is None
+    assert any("no free run" in note for note in prediction.cases.notes)
+
+
+def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on() -> None:
+    models = {"broken": fitted(Broken()), "known": fitted(Known())}
+    prediction = assess_prediction(models, recording(), recording(1), protocol=PROTOCOL)
+    assert prediction.model("broken").reason == "RuntimeError: the network is not there"
+    assert prediction.compare("broken", "known", 1) is None
+    assert prediction.model("known").at
+
+
+def test_a_model_that_wants_more_history_gets_it_padded_and_says_so() -> None:
+    row = assess_prediction({"long": fitted(Remembering())}, recording(), recording(1), protocol=PROTOCOL).model("long")
+    assert row.at[0].n < 1e-12
+    assert "padded" in row.notes[0]
+
+
+def test_a_constant_channel_is_left_out_of_n_with_a_note() -> None:
+    states = recording(1).episodes[0].states.copy()
+    states[:, 1] = 0.0
+    test = Dataset.from_arrays(SYSTEM, [states], [recording(1).episodes[0].controls])
+    prediction = assess_prediction({"weak": fitted(Weak())}, recording(), test, protocol=PROTOCOL)
+    assert any("lateral_speed is constant" in note for note in prediction.cases.notes)
+    assert np.isfinite(prediction.model("weak").at[0].n)
+
+
+def test_a_test_set_that_stands_still_is_refused() -> None:
+    still = Dataset.from_arrays(SYSTEM, [np.zeros((100, 3))], [np.zeros((99, 2))])
+    with pytest.raises(InvalidData, match="stands still"):
+        assess_prediction({}, recording(), still)
+
+
+def test_a_protocol_that_makes_no_sense_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="horizons"):
+        PredictionProtocol(horizons=(0,))
+    with pytest.raises(InvalidArgument, match="history"):
+        PredictionProtocol(history=6, first=5)
+
+
+def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery: tuple[Dataset, Dataset]) -> None:
+    row = assess_prediction({}, *slippery, protocol=PROTOCOL).model(PERSISTENCE)
     assert [round(score.n, 3) for score in row.at] == [0.197, 1.127, 1.339, 1.447]
-    print(row.at[0].interval, row.free_run.n, row.free_run.interval, row.at[3])
+    assert row.free_run is not None
+    assert row.free_run.n == pytest.approx(1.903, abs=5e-4)
+    assert row.at[2].interval == pytest.approx((1.19, 1.48), abs=0.04)

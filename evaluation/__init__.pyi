@@ -1,0 +1,27 @@
+from .exploitability import ModelExploitability, assess_exploitability
+from .prediction import Prediction, PredictionProtocol, assess_prediction
+from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_html, to_json
+from .transfer import Cell, TransferMatrix, TransferSummary, run_cell, summarise, transfer, transfer_seeds
+
+__all__ = [
+    "Cell",
+    "DataSummary",
+    "Failure",
+    "ModelExploitability",
+    "ModelSummary",
+    "Prediction",
+    "PredictionProtocol",
+    "Report",
+    "TransferMatrix",
+    "TransferSummary",
+    "assess_exploitability",
+    "assess_prediction",
+    "run_cell",
+    "save_report",
+    "summarise",
+    "tables",
+    "to_html",
+    "to_json",
+    "transfer",
+    "transfer_seeds",
+]

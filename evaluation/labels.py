@@ -1,0 +1,25 @@
+"""Names where space is short."""
+
+from __future__ import annotations
+
+import re
+
+
+def folded(text: str, width: int = 12) -> str:
+    """Break each line of ``text`` into lines of at most ``width``, after an underscore, hyphen, plus or space."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        lines.append("")
+        for part in re.findall(r"[^_\-+ ]*[_\-+ ]?", line):
+            if part and lines[-1] and len(lines[-1]) + len(part.rstrip()) > width:
+                lines.append("")
+            lines[-1] += part
+    return "\n".join(lines)
+
+
+def shortened(name: str, width: int = 28) -> str:
+    """Leave out the middle of a name longer than ``width``."""
+    if len(name) <= width:
+        return name
+    head = (width - 1) // 2
+    return f"{name[:head]}…{name[head + 1 - width :]}"

@@ -1,0 +1,21 @@
+"""Plots; each draws on ``ax`` or on a new figure and returns the axes."""
+
+from evaluation.plots.canvas import new_figure, style, to_svg
+from evaluation.plots.evolution import plot_fitness
+from evaluation.plots.exploitability import plot_probes
+from evaluation.plots.prediction import plot_free_run, plot_horizon_curve
+from evaluation.plots.traces import plot_trace
+from evaluation.plots.transfer import plot_claims, plot_transfer
+
+__all__ = [
+    "new_figure",
+    "plot_claims",
+    "plot_fitness",
+    "plot_free_run",
+    "plot_horizon_curve",
+    "plot_probes",
+    "plot_trace",
+    "plot_transfer",
+    "style",
+    "to_svg",
+]

@@ -1,0 +1,96 @@
+"""Plots of prediction errors: N over the horizon, and predicted against measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from evaluation.plots.canvas import MEASURED, REFERENCE, axes_or_new, line_style
+from evaluation.prediction import PERSISTENCE, Prediction
+
+FLOOR = 1e-3
+
+
+def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
+    """Return how a model is drawn in every plot; persistence is grey."""
+    if name == PERSISTENCE:
+        return {"color": REFERENCE, "linestyle": "--"}
+    return line_style([other for other in prediction.names if other != PERSISTENCE].index(name))
+
+
+def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
+    """Draw N after every step, from measured states, for each model."""
+    ax = axes_or_new(ax)
+    dt = prediction.cases.system.dt
+    drawn = []
+    for model in prediction.models:
+        if len(model.curve) and np.isfinite(model.curve).any():
+            seconds = dt * np.arange(1, len(model.curve) + 1)
+            curve = np.maximum(model.curve, FLOOR)
+            ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
+            drawn.append(curve[np.isfinite(curve)])
+    for horizon in prediction.cases.horizons:
+        ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_xlabel("horizon (s)")
+    ax.set_ylabel("N = RMSE / std, mean over channels")
+    if drawn:
+        values = np.concatenate(drawn)
+        ax.set_ylim(max(FLOOR, 0.8 * values.min()), 1.25 * values.max())
+        ax.set_xlim(0.0, None)
+        ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return ax
+
+
+def plot_free_run(
+    prediction: Prediction,
+    channel: int,
+    *,
+    models: Sequence[str] | None = None,
+    run: int = 0,
+    seconds: tuple[float, float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw one state channel as measured and as predicted in free run from the start of an episode.
+
+    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three
+    half ranges of what was measured there are cut off.
+    """
+    ax = axes_or_new(ax)
+    cases = prediction.cases
+    case, dt = cases.free_runs[run], cases.system.dt
+    first, last = excerpt(prediction, run) if seconds is None else seconds
+    begin = cases.protocol.first + 1
+    time = dt * (begin + np.arange(len(case.states)))
+    shown = (time >= first) & (time <= last)
+    measured = case.states[shown, channel]
+    ax.plot(time[shown], measured, color=MEASURED, linewidth=2.2, label="measured", alpha=0.85)
+    for name in [m.name for m in prediction.models if m.free_states] if models is None else models:
+        states = prediction.model(name).free_states[run]
+        ax.plot(time[shown], states[shown, channel], linewidth=1.1, label=name, **model_style(prediction, name))
+    if len(measured):
+        middle, half = (measured.max() + measured.min()) / 2.0, (measured.max() - measured.min()) / 2.0
+        low, high = ax.get_ylim()
+        reach = 3.0 * max(half, 1e-9)
+        ax.set_ylim(max(low, middle - reach), min(high, middle + reach))
+    state = cases.system.states[channel]
+    ax.set_xlim(first, last)
+    ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)
+    ax.set_xlabel("time (s)")
+    return ax
+
+
+def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:
+    """Return the first and last second of ``length`` seconds from the first movement of a free run."""
+    case, dt = prediction.cases.free_runs[run], prediction.cases.system.dt
+    moving = np.flatnonzero(case.moving)
+    offset = prediction.cases.protocol.first + 1
+    first = max(0, min(int(moving[0]) if len(moving) else 0, len(case.states) - round(length / dt)))
+    return (offset + first) * dt, min(offset + first + round(length / dt), offset + len(case.states) - 1) * dt

@@ -1,0 +1,22 @@
+"""The report: what was found, as tables for a terminal, strict JSON, and a page that opens offline."""
+
+from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
+from evaluation.report.document import to_json
+from evaluation.report.page import to_html
+from evaluation.report.save import save_report
+from evaluation.report.terminal import tables
+from evaluation.report.verdict import Finding, verdict
+
+__all__ = [
+    "DataSummary",
+    "EpisodeSummary",
+    "Failure",
+    "Finding",
+    "ModelSummary",
+    "Report",
+    "save_report",
+    "tables",
+    "to_html",
+    "to_json",
+    "verdict",
+]

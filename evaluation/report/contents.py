@@ -1,0 +1,117 @@
+"""What a report holds; everything else in this package only renders it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from evaluation.exploitability import ModelExploitability
+from evaluation.prediction import Prediction
+from evaluation.transfer import TransferMatrix, TransferSummary, summarise
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.system import System
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """One episode: ``duration`` in s, ``moving`` is the share of its samples that do not stand still."""
+
+    name: str
+    steps: int
+    duration: float
+    moving: float
+
+
+@dataclass(frozen=True)
+class DataSummary:
+    """The data set that models were fitted to and tested on, and what its preparation noted."""
+
+    name: str
+    system: System
+    training: tuple[EpisodeSummary, ...]
+    test: tuple[EpisodeSummary, ...]
+    notes: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, training: Dataset, test: Dataset, *, name: str = "") -> DataSummary:
+        """Summarise both parts of a data set; ``fingerprint`` is that of the training set."""
+        notes = tuple(dict.fromkeys((*training.notes, *test.notes)))
+        return cls(name, training.system, _episodes(training), _episodes(test), notes, training.fingerprint)
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """One model: its family, how much prior ``knowledge`` it holds, and its hyper-parameters."""
+
+    name: str
+    family: str
+    knowledge: str
+    parameters: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
+        """Summarise ``model``; ``family`` is its registered name (default: its class)."""
+        return cls(name, family or type(model).__name__, model.knowledge, model.get_params(deep=False))
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Something that could not be computed, and why; the rest of the report does without it."""
+
+    what: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a comparison found. Parts that were not computed are None or empty.
+
+    ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
+    are in seconds and the only thing that differs between two equal runs.
+    """
+
+    title: str
+    data: DataSummary
+    models: tuple[ModelSummary, ...] = ()
+    prediction: Prediction | None = None
+    matrix: TransferMatrix | None = None
+    exploitability: tuple[ModelExploitability, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def transfer(self) -> TransferSummary | None:
+        """Claimed and achieved fitness of every controller."""
+        return summarise(self.matrix) if self.matrix is not None and self.matrix.champions else None
+
+    @property
+    def all_failures(self) -> tuple[Failure, ...]:
+        """Everything that failed, in the order in which it would have been computed."""
+        found = list(self.failures)
+        if self.prediction is not None:
+            found += [Failure(f"prediction of {m.name}", m.reason) for m in self.prediction.models if m.failed]
+        if self.matrix is not None:
+            found += [Failure(f"{cell.champion} on {cell.column}", cell.reason) for cell in self.matrix.failures()]
+        return tuple(found)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the data, the prediction test and its models have to say."""
+        found = list(self.data.notes)
+        if self.prediction is not None:
+            found += self.prediction.cases.notes
+            found += [note for model in self.prediction.models for note in model.notes]
+        return tuple(dict.fromkeys(found))
+
+
+def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
+    return tuple(
+        EpisodeSummary(episode.name, len(episode), episode.duration, float(moving.mean()))
+        for episode, moving in zip(dataset.episodes, dataset.moving, strict=True)
+    )

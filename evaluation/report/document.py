@@ -1,0 +1,188 @@
+"""The report as strict JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from evaluation.exploitability import ModelExploitability
+from evaluation.prediction import Difference, ErrorScore, ModelPrediction, Prediction
+from evaluation.report.contents import Report
+from evaluation.report.verdict import verdict
+from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, TransferSummary
+from sysid_evo.evolution import Champion
+from sysid_evo.system import System
+
+SCHEMA = "sysid-evo/report/1"
+
+
+def to_json(report: Report) -> dict[str, Any]:
+    """Return the report as strict JSON: what is not a number is null, durations stand under ``timings`` alone."""
+    document = {
+        "schema": SCHEMA,
+        "title": report.title,
+        "verdict": [asdict(finding) for finding in verdict(report)],
+        "data": {
+            "name": report.data.name,
+            "fingerprint": report.data.fingerprint,
+            "system": report.data.system.to_dict(),
+            "training": [asdict(episode) for episode in report.data.training],
+            "test": [asdict(episode) for episode in report.data.test],
+        },
+        "notes": report.notes,
+        "models": [asdict(model) for model in report.models],
+        "prediction": None if report.prediction is None else _prediction(report.prediction),
+        "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
+        "transfer": None if report.matrix is None else _matrix(report.matrix),
+        "controllers": None if report.transfer is None else _summary(report.transfer),
+        "exploitability": [_exploitability(model) for model in report.exploitability],
+        "failures": [asdict(failure) for failure in report.all_failures],
+        "settings": report.settings,
+        "versions": report.versions,
+        "timings": report.timings,
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def _prediction(prediction: Prediction) -> dict[str, Any]:
+    cases = prediction.cases
+    return {
+        "protocol": asdict(cases.protocol),
+        "description": cases.protocol.describe(cases.system.dt),
+        "windows": len(cases.windows),
+        "std": dict(zip(cases.system.state_names, cases.std, strict=True)),
+        "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
+        "models": [_model(model, cases.system) for model in prediction.models],
+        "differences": [
+            _difference(difference) for horizon in prediction.horizons for difference in prediction.differences(horizon)
+        ],
+    }
+
+
+def _model(model: ModelPrediction, system: System) -> dict[str, Any]:
+    return {
+        "name": model.name,
+        "family": model.family,
+        "reason": model.reason or None,
+        "horizons": [_score(score, system) for score in model.at],
+        "free_run": None if model.free_run is None else _score(model.free_run, system),
+        "curve": model.curve,
+        "divergence": None if model.divergence is None else asdict(model.divergence),
+        "notes": model.notes,
+    }
+
+
+def _score(score: ErrorScore, system: System) -> dict[str, Any]:
+    channels = {
+        channel.name: {
+            "unit": channel.unit,
+            "rmse": score.rmse[i],
+            "error_std": score.error_std[i],
+            "relative_percent": score.relative_percent[i],
+            "nrmse": score.nrmse[i],
+            "fit_percent": score.fit_percent[i],
+        }
+        for i, channel in enumerate(system.states)
+    }
+    return {
+        "steps": score.horizon,
+        "seconds": None if score.horizon is None else score.horizon * system.dt,
+        "initialisation": "measured states and controls",
+        "samples": score.samples,
+        "n": score.n,
+        "interval": list(score.interval),
+        "channels": channels,
+    }
+
+
+def _difference(difference: Difference) -> dict[str, Any]:
+    return {
+        "first": difference.first,
+        "second": difference.second,
+        "steps": difference.horizon,
+        "difference": difference.difference,
+        "interval": list(difference.interval),
+        "verdict": difference.verdict,
+    }
+
+
+def _champion(champion: Champion) -> dict[str, Any]:
+    return {
+        "name": champion.name,
+        "against": champion.against,
+        "aggregate": champion.aggregate,
+        "seed": champion.seed,
+        "controller": champion.controller,
+        "controller_parameters": champion.controller_parameters,
+        "task": champion.task,
+        "task_parameters": champion.task_parameters,
+        "parameters": champion.parameters,
+        "history": champion.history,
+    }
+
+
+def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
+    return {
+        "unit": matrix.unit,
+        "trials": matrix.trials,
+        "rows": matrix.rows,
+        "columns": matrix.columns,
+        "robot": matrix.robot,
+        "families": matrix.families,
+        "cells": [_cell(matrix.cell(row, column)) for row in matrix.rows for column in matrix.columns],
+    }
+
+
+def _cell(cell: Cell) -> dict[str, Any]:
+    return {
+        "champion": cell.champion,
+        "column": cell.column,
+        "trials": cell.trials,
+        "mean": cell.mean,
+        "std": cell.std,
+        "standard_error": cell.standard_error,
+        "clipped_share": cell.clipped_share,
+        "diverged_share": cell.diverged_share,
+        "engine": cell.engine,
+        "fitness": cell.fitness,
+        "reason": cell.reason or None,
+    }
+
+
+def _summary(summary: TransferSummary) -> dict[str, Any]:
+    return {
+        "controllers": [_controller(controller) for controller in summary.controllers],
+        "pick": summary.pick,
+        "best_on": summary.best_on,
+        "correlations": [asdict(correlation) for correlation in summary.correlations],
+    }
+
+
+def _controller(controller: ControllerSummary) -> dict[str, Any]:
+    return {**asdict(controller), "kept": controller.kept}
+
+
+def _exploitability(model: ModelExploitability) -> dict[str, Any]:
+    return {**asdict(model), "exploited": model.exploited, "sentence": model.sentence}
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)

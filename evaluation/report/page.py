@@ -1,0 +1,134 @@
+"""The report as one HTML page that needs nothing else: styles and pictures are inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from evaluation.report import pictures as draw
+from evaluation.report import tables as sheets_of
+from evaluation.report.contents import Report
+from evaluation.report.pictures import Picture
+from evaluation.report.sheets import Sheet
+from evaluation.report.verdict import verdict
+
+TEMPLATE = "page.html.j2"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: paragraphs, then pictures and tables in order."""
+
+    title: str
+    items: Sequence[Picture | Sheet]
+    paragraphs: Sequence[str] = ()
+
+    @property
+    def anchor(self) -> str:
+        return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
+
+
+def to_html(report: Report) -> str:
+    """Return the page as text; it holds no link and no source outside itself."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup, escape
+
+    environment = Environment(
+        loader=PackageLoader("evaluation.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["joints"] = lambda name: Markup(str(escape(name)).replace("+", "+<wbr>"))
+    environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    page: str = environment.get_template(TEMPLATE).render(
+        report=report, verdict=verdict(report), sections=list(sections(report))
+    )
+    return page
+
+
+def sections(report: Report) -> Iterable[Section]:
+    """Yield the parts of the page after the verdict, leaving out those that have nothing to show."""
+    if report.prediction is not None:
+        yield _prediction(report)
+    if report.matrix is not None and report.transfer is not None:
+        matrix, summary = report.matrix, report.transfer
+        yield Section(
+            "Transfer",
+            _present(
+                draw.transfer_picture(matrix),
+                draw.claims_picture(matrix, summary),
+                sheets_of.controller_sheet(matrix, summary),
+                draw.fitness_picture(matrix),
+                draw.traces_picture(matrix),
+                _folded(sheets_of.transfer_sheet(matrix)),
+            ),
+            ["Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."],
+        )
+    if report.exploitability:
+        with_probes = bool(report.exploitability[0].probes)
+        yield Section(
+            "Exploitability",
+            _present(
+                draw.probe_picture(report.exploitability),
+                sheets_of.exploitability_sheet(report.exploitability),
+                sheets_of.probe_sheet(report.exploitability) if with_probes else None,
+            ),
+            [model.sentence for model in report.exploitability],
+        )
+    if report.all_failures:
+        yield Section("Failures", [sheets_of.failure_sheet(report)])
+    yield Section(
+        "Data",
+        _present(sheets_of.episode_sheet(report), sheets_of.channel_list(report)),
+        [_data_sentence(report), *report.notes],
+    )
+    settings = [
+        sheets_of.key_sheet(title, values)
+        for title, values in (
+            ("Settings", report.settings),
+            ("Versions", report.versions),
+            ("Timings (s)", {key: round(value, 2) for key, value in report.timings.items()}),
+        )
+        if values
+    ]
+    models = [sheets_of.model_sheet(report)] if report.models else []
+    if settings or models:
+        yield Section("Settings", [*models, *settings])
+
+
+def _prediction(report: Report) -> Section:
+    prediction = report.prediction
+    assert prediction is not None
+    scored = [model for model in prediction.models if not model.failed]
+    pictures = _present(
+        draw.horizon_picture(prediction) if prediction.cases.horizons else None,
+        draw.free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
+    )
+    channels = [sheets_of.channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
+    return Section(
+        "Prediction",
+        [sheets_of.prediction_sheet(prediction), *pictures, *channels],
+        ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
+        if report.matrix is not None
+        else [],
+    )
+
+
+def _data_sentence(report: Report) -> str:
+    data = report.data
+    seconds = [sum(episode.duration for episode in part) for part in (data.training, data.test)]
+    name = f"{data.name}: " if data.name else ""
+    return (
+        f"{name}{len(data.training)} training episodes of {seconds[0]:.0f} s, {len(data.test)} test episodes of "
+        f"{seconds[1]:.0f} s, sampled every {data.system.dt:g} s. Training set SHA-256: {data.fingerprint}"
+    )
+
+
+def _present(*items: Picture | Sheet | None) -> list[Picture | Sheet]:
+    return [item for item in items if item is not None]
+
+
+def _folded(sheet: Sheet) -> Sheet:
+    return Sheet(sheet.title, sheet.columns, sheet.rows, sheet.note, details=True)

@@ -1,0 +1,60 @@
+"""Tables as plain text cells, rendered alike in the terminal and on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: the first column names the rows. A cell may hold several lines.
+
+    ``note`` says how the numbers came about; ``details`` asks the page to fold the table away, ``prose``
+    to set its cells as text rather than as numbers.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+    details: bool = False
+    prose: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """Return ``value`` with that many decimals, a dash for None and nan."""
+    return f"{value:.{digits}f}" if value is not None and np.isfinite(value) else "–"
+
+
+def three_digits(value: float) -> str:
+    """Return ``value`` in four characters where it can be: .123, 1.23, 12.3, 123."""
+    if not np.isfinite(value):
+        return "–"
+    size = abs(value)
+    text = f"{value:.{3 if size < 0.9995 else 2 if size < 9.995 else 1 if size < 99.95 else 0}f}"
+    return text.replace("0.", ".", 1) if size < 0.9995 else text
+
+
+def percent(share: float | None) -> str:
+    """Return a share as per cent, with a decimal below ten."""
+    if share is None or not np.isfinite(share):
+        return "–"
+    if 0 < share < 0.0005:
+        return "<0.1 %"
+    return f"{100 * share:.1f} %" if 0 < share < 0.0995 else f"{100 * share:.0f} %"
+
+
+def lines(*parts: str) -> str:
+    """Join the parts that are not empty, one a line."""
+    return "\n".join(part for part in parts if part)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Join names with commas, a dash for none."""
+    return ", ".join(names) if names else "–"

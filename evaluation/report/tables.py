@@ -1,0 +1,272 @@
+"""The tables of a report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from evaluation.exploitability import ModelExploitability
+from evaluation.labels import folded
+from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
+from evaluation.report.contents import EpisodeSummary, Report
+from evaluation.report.sheets import Sheet, lines, listed, number, percent, three_digits
+from evaluation.report.verdict import horizon_name
+from evaluation.transfer import Cell, ControllerSummary, Estimate, TransferMatrix, TransferSummary
+
+
+def prediction_sheet(prediction: Prediction) -> Sheet:
+    """N of every model at every horizon and in free run, with intervals."""
+    horizons = prediction.horizons
+    leaders: dict[int | None, set[str]] = {}
+    for horizon in horizons:
+        ranking = prediction.ranking(horizon)
+        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
+        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
+    rows = [
+        (
+            lines(model.name, _divergence(model)),
+            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
+        )
+        for model in prediction.models
+    ]
+    protocol = prediction.cases.protocol
+    return Sheet(
+        title="Prediction error N (RMSE / std of the truth, mean over channels; 0 is perfect)",
+        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
+        rows=tuple(rows),
+        note=(
+            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
+            f"free run: each whole episode from sample {protocol.first}. "
+            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
+            "clip: windows in which the simulation reached its clip, and the median time until then."
+        ),
+    )
+
+
+def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
+    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
+    system = prediction.cases.system
+    heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
+    rows = []
+    for model in prediction.models:
+        score = model.score(horizon)
+        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
+        rows.append((model.name, *cells))
+    start = "from sample" if horizon is None else "from measured states,"
+    protocol = prediction.cases.protocol
+    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
+    return Sheet(
+        title=f"Error per channel, {horizon_name(prediction, horizon)}",
+        columns=("model", *heads),
+        rows=tuple(rows),
+        note=(
+            f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
+            f"truth). Simulated {start} {begin}; moving samples only."
+        ),
+        details=horizon is not None,
+    )
+
+
+def transfer_sheet(matrix: TransferMatrix) -> Sheet:
+    """Mean fitness (standard deviation over trials) of every controller on every system."""
+    columns = tuple(lines(folded(c), "(robot)" if c == matrix.robot else "") for c in matrix.columns)
+    rows = [
+        (champion.name, *(_fitness_cell(matrix.cell(champion.name, c), c in champion.against) for c in matrix.columns))
+        for champion in matrix.champions
+    ]
+    unit = matrix.unit or "fitness"
+    return Sheet(
+        title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
+        columns=("controller", *columns),
+        rows=tuple(rows),
+        note=(
+            f"{matrix.trials} fresh trials, the same in every cell. = evolved against this model. "
+            "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
+        ),
+    )
+
+
+def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
+    """Claimed and achieved fitness, and the gaps between them."""
+    robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
+    rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    return Sheet(
+        title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
+        columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
+        rows=tuple(rows),
+        note=(
+            "claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. "
+            "other families: median over the models of families it was not evolved against. "
+            "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
+            "chosen: without the robot, the best on other families."
+        ),
+    )
+
+
+def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
+    """What is claimed on each model, and how much of it lies outside the data."""
+    rows = [
+        (
+            lines(model.model, "" if model.controllers == (model.model,) else f"({listed(model.controllers)})"),
+            number(model.claimed),
+            number(model.others),
+            number(model.achieved),
+            lines(percent(model.outside_visited), _on_robot(model.outside_robot)),
+            percent(model.outside_held_out),
+            percent(model.clipped_share),
+        )
+        for model in models
+    ]
+    return Sheet(
+        title="Exploitability: fitness of the controllers evolved on each model",
+        columns=("model", "here", "other\nmodels", "robot", "outside\ndata", "held-\nout", "clipped"),
+        rows=tuple(rows),
+        note=(
+            "outside data: share of visited (state, control) pairs farther from the training data than its own 99 % "
+            "nearest-neighbour distance (leave one out, channels in standard deviations); held-out: the same for the "
+            "test data. clipped: share of steps whose state was clipped to the model's envelope."
+        ),
+    )
+
+
+def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
+    """The limit of every probe, and the shares of steps beyond it."""
+    first = models[0].probes
+    limits = [f"> {probe.limit:.3g} {probe.unit}" if probe.limit is not None else "no data" for probe in first]
+    heads = [lines(folded(p.name).replace("_", " "), limit) for p, limit in zip(first, limits, strict=True)]
+    rows = []
+    for model in models:
+        cells = [lines(percent(p.visited), _on_robot(p.robot)) for p in model.probes]
+        rows.append((model.model, *cells))
+    rows.append(("held-out data", *(percent(probe.held_out) for probe in first)))
+    return Sheet(
+        title="Probes: share of visited steps beyond the 99.9 % quantile of the training data",
+        columns=("model", *heads),
+        rows=tuple(rows),
+        note="Controllers evolved on each model, run on it; below, the same controllers on the robot.",
+        details=True,
+    )
+
+
+def failure_sheet(report: Report) -> Sheet:
+    """What could not be computed, and why."""
+    rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
+    return Sheet("Failed", ("what", "reason"), rows, prose=True)
+
+
+def episode_sheet(report: Report) -> Sheet:
+    """The episodes of the data set."""
+    rows = [
+        (e.name, part, f"{e.duration:.1f}", str(e.steps), percent(e.moving))
+        for part, episodes in (("training", report.data.training), ("test", report.data.test))
+        for e in _shown(episodes)
+    ]
+    return Sheet("Episodes", ("episode", "used for", "seconds", "steps", "moving"), tuple(rows), details=True)
+
+
+def channel_list(report: Report) -> Sheet:
+    """The channels of the system."""
+    system = report.data.system
+    rows = [
+        (
+            channel.name,
+            kind,
+            channel.unit or "–",
+            number(channel.low, 3),
+            number(channel.high, 3),
+            "–" if channel.levels is None else listed([f"{level:g}" for level in channel.levels]),
+        )
+        for kind, channels in (("state", system.states), ("control", system.controls))
+        for channel in channels
+    ]
+    return Sheet(
+        f"Channels, sampled every {system.dt:g} s",
+        ("channel", "kind", "unit", "lowest", "highest", "levels"),
+        tuple(rows),
+        details=True,
+    )
+
+
+def model_sheet(report: Report) -> Sheet:
+    """The models and their hyper-parameters."""
+    rows = [
+        (model.name, model.family, model.knowledge, listed([f"{k} = {v}" for k, v in model.parameters.items()]))
+        for model in report.models
+    ]
+    heads = ("model", "family", "knowledge", "hyper-parameters")
+    return Sheet("Models", heads, tuple(rows), details=True, prose=True)
+
+
+def key_sheet(title: str, values: Mapping[str, Any]) -> Sheet:
+    """Keys and values; what is nested gets a dotted key."""
+    return Sheet(title, ("name", "value"), tuple(_flat(values)), details=True, prose=True)
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{prefix}{key}.")
+        else:
+            text = value if isinstance(value, str) else json.dumps(value, default=str)
+            rows.append((f"{prefix}{key}", text))
+    return rows
+
+
+def _shown(episodes: tuple[EpisodeSummary, ...], most: int = 40) -> tuple[EpisodeSummary, ...]:
+    return episodes[:most]
+
+
+def _on_robot(share: float | None) -> str:
+    return f"robot {percent(share)}" if share else ""
+
+
+def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
+    if model.failed:
+        return "failed"
+    if score is None:
+        return "–"
+    low, high = score.interval
+    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+
+
+def _divergence(model: ModelPrediction) -> str:
+    found = model.divergence
+    if found is None or found.share == 0:
+        return ""
+    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
+
+
+def _channel_cells(score: ErrorScore) -> list[str]:
+    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
+    return [
+        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
+    ]
+
+
+def _fitness_cell(cell: Cell, own: bool) -> str:
+    if cell.failed:
+        return "failed"
+    return lines(
+        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
+        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
+        f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
+    )
+
+
+def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
+    row = [
+        lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
+        _estimate_cell(controller.claimed),
+        _estimate_cell(controller.others),
+        _estimate_cell(controller.exploitation_gap),
+        _estimate_cell(controller.other_families),
+    ]
+    if robot:
+        row += [_estimate_cell(controller.achieved), _estimate_cell(controller.reality_gap)]
+    return tuple(row)
+
+
+def _estimate_cell(estimate: Estimate | None) -> str:
+    return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"

@@ -1,0 +1,157 @@
+"""What the transfer matrix says about each controller: claimed, achieved, and the gaps between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.transfer.cell import Cell
+from evaluation.transfer.matrix import TransferMatrix
+from sysid_evo.arrays import Array
+from sysid_evo.evolution import Champion, aggregate
+
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean fitness, or a difference of two, and its standard error (bootstrap over trials; nan for one trial)."""
+
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
+class ControllerSummary:
+    """One controller: fitness where it was evolved, elsewhere, and on the robot.
+
+    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution;
+    ``others`` the mean over all other models; ``other_families`` the median over the
+    ``judges``, the models of families that it was not evolved against; ``achieved`` that on the
+    robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
+    None where there is nothing to tell.
+    """
+
+    name: str
+    against: tuple[str, ...]
+    aggregate: str
+    claimed: Estimate | None
+    others: Estimate | None
+    other_families: Estimate | None
+    achieved: Estimate | None
+    exploitation_gap: Estimate | None
+    reality_gap: Estimate | None
+    judges: tuple[str, ...]
+    on_robot: bool
+
+    @property
+    def kept(self) -> float | None:
+        """The share of the claim that the robot shows."""
+        if self.claimed is None or self.achieved is None or self.claimed.value <= 0:
+            return None
+        return self.achieved.value / self.claimed.value
+
+
+@dataclass(frozen=True)
+class RankCorrelation:
+    """Spearman's rank correlation of a figure with achieved fitness over ``controllers`` controllers."""
+
+    figure: str
+    value: float | None
+    controllers: int
+
+
+@dataclass(frozen=True)
+class TransferSummary:
+    """All controllers, the one to pick without the robot, and what would have predicted success.
+
+    ``pick`` has the highest median fitness on models of other families; controllers evolved on the
+    robot itself, and those that no other family can judge, are left out.
+    """
+
+    controllers: tuple[ControllerSummary, ...]
+    pick: str | None
+    best_on: Mapping[str, str | None]
+    correlations: tuple[RankCorrelation, ...]
+
+    def controller(self, name: str) -> ControllerSummary:
+        return next(controller for controller in self.controllers if controller.name == name)
+
+
+def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
+    """Condense the matrix; ``seed`` is that of the bootstrap over trials."""
+    controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
+    judged = [c for c in controllers if c.other_families is not None and not c.on_robot]
+    pick = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
+    correlations = tuple(
+        _correlation(figure, [getattr(c, name) for c in controllers], [c.achieved for c in controllers])
+        for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))
+    )
+    return TransferSummary(
+        controllers=controllers,
+        pick=None if pick is None else pick.name,
+        best_on={column: matrix.best(column) for column in matrix.columns},
+        correlations=correlations if matrix.robot is not None else (),
+    )
+
+
+def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> ControllerSummary:
+    name, against = champion.name, champion.against
+    families = {matrix.families.get(column, column) for column in against}
+    others = [column for column in matrix.models if column not in against]
+    judges = [column for column in others if matrix.families[column] not in families]
+
+    def drawn(columns: Sequence[str]) -> list[Array]:
+        cells = [matrix.cell(name, column) for column in columns]
+        return [_draws(cell, seed) for cell in cells if not cell.failed]
+
+    known = all(column in matrix.columns and not matrix.cell(name, column).failed for column in against)
+    claimed = aggregate(champion.aggregate, np.stack(drawn(against))) if known and against else None
+    elsewhere, judged = drawn(others), drawn(judges)
+    mean = np.mean(elsewhere, axis=0) if elsewhere else None
+    median = np.median(judged, axis=0) if judged else None
+    robot = drawn([matrix.robot]) if matrix.robot is not None else []
+    achieved = robot[0] if robot else None
+    return ControllerSummary(
+        name=name,
+        against=against,
+        aggregate=champion.aggregate,
+        claimed=_estimate(claimed),
+        others=_estimate(mean),
+        other_families=_estimate(median),
+        achieved=_estimate(achieved),
+        exploitation_gap=_estimate(None if claimed is None or mean is None else claimed - mean),
+        reality_gap=_estimate(None if claimed is None or achieved is None else claimed - achieved),
+        judges=tuple(column for column in judges if not matrix.cell(name, column).failed),
+        on_robot=matrix.robot is not None and matrix.robot in against,
+    )
+
+
+def _draws(cell: Cell, seed: int) -> Array:
+    """Return the mean fitness, then that of every bootstrap draw of trials, (1 + resamples,).
+
+    Cells with as many trials meet the same draws, so that differences between them are paired. A
+    single trial has no spread: its draws are nan.
+    """
+    if cell.trials < 2:
+        return np.concatenate([[cell.mean], np.full(RESAMPLES, np.nan)])
+    picks = np.random.default_rng(seed).integers(0, cell.trials, (RESAMPLES, cell.trials))
+    return np.concatenate([[cell.mean], cell.fitness[picks].mean(axis=1)])
+
+
+def _estimate(draws: Array | None) -> Estimate | None:
+    return None if draws is None else Estimate(float(draws[0]), float(draws[1:].std()))
+
+
+def _correlation(
+    figure: str, values: Sequence[Estimate | None], achieved: Sequence[Estimate | None]
+) -> RankCorrelation:
+    from scipy.stats import spearmanr
+
+    pairs = [(a.value, b.value) for a, b in zip(values, achieved, strict=True) if a is not None and b is not None]
+    first, second = [a for a, _ in pairs], [b for _, b in pairs]
+    if len(pairs) < 3 or len(set(first)) < 2 or len(set(second)) < 2:
+        return RankCorrelation(figure, None, len(pairs))
+    return RankCorrelation(figure, float(spearmanr(first, second).statistic), len(pairs))

@@ -1,0 +1,119 @@
+"""A data set and the advice on it, as tables that fit a terminal of 80 columns, and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from sysid_evo.data import Advice, Dataset
+
+MOST_ROWS = 24
+
+
+def episode_table(dataset: Dataset) -> RenderableType:
+    """Return one row for each episode (of very many: the first), and the sum."""
+    rows = [
+        (episode.name, f"{len(episode) + 1}", f"{episode.duration:.1f}", f"{moving.mean():.0%}")
+        for episode, moving in zip(dataset, dataset.moving, strict=True)
+    ]
+    total = f"{len(dataset)} episodes", f"{dataset.n_steps + len(dataset)}", f"{dataset.duration:.1f}", ""
+    return _table(_title(dataset), ("episode", "samples", "s", "in motion"), _cut([*rows, total]), names=1)
+
+
+def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
+    """Return the tables and the suggestions."""
+    controls = [
+        (
+            _unit(use.name, use.unit),
+            "  ".join(f"{level:.3g}: {share:.0%}" for level, share in zip(use.levels, use.shares, strict=True)),
+            f"{use.per_minute:.0f}",
+        )
+        for use in advice.controls
+    ]
+    states = [
+        (_unit(use.name, use.unit), f"{use.rms:.3g}", f"{use.low:.3g}", f"{use.high:.3g}", f"{use.bandwidth:.2g}")
+        for use in advice.states
+    ]
+    commands = [
+        (*(f"{level:.3g}" for level in use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}")
+        for use in advice.commands
+    ]
+    delays = [
+        (
+            f"{delay.control} x speed" if delay.at_speed else delay.control,
+            delay.state,
+            *((f"{delay.steps}", f"{1e3 * delay.seconds:.0f}") if delay.clear else ("-", "-")),
+            f"{delay.strength:+.2f}",
+        )
+        for delay in advice.delays
+    ]
+    sampling = [
+        (log.name, f"{log.rows}", *(f"{1e3 * step:.1f}" for step in (log.shortest, log.median, log.longest)))
+        for log in advice.sampling
+    ]
+    names = tuple(use.name for use in advice.controls)
+    parts: list[RenderableType] = [
+        Text(f"{_title(dataset)}, {advice.moving:.0%} in motion", style="bold"),
+        _table("Excitation", ("control", "share of time near each level", "switches/min"), controls, names=2),
+        _table("States", ("state", "RMS", "lowest", "highest", "95 % below Hz"), states, names=1),
+        _table(
+            f"Coverage: {advice.cells} of {advice.grid} state cells visited",
+            (*names, "time", "of the visited cells"),
+            _cut(commands),
+            names=0,
+        ),
+        _table("Delay of a control on a state", ("control", "state", "steps", "ms", "strength"), delays, names=2),
+    ]
+    if sampling:
+        head = ("log", "rows", "shortest", "median", "longest")
+        parts.append(_table("Time between rows in ms", head, _cut(sampling), names=1))
+    parts.append(Text("Suggestions", style="bold"))
+    bullets = Table.grid(padding=(0, 1))
+    for sentence in advice.suggestions or ("none",):
+        bullets.add_row(Text(" -"), Text(sentence))
+    return Group(*parts, bullets)
+
+
+def advice_as_json(dataset: Dataset, advice: Advice) -> str:
+    """Return the advice, the system, the episodes and the notes as JSON."""
+    episodes = [{"name": episode.name, "steps": len(episode)} for episode in dataset]
+    value = {
+        "system": dataset.system.to_dict(),
+        "fingerprint": dataset.fingerprint,
+        "notes": list(dataset.notes),
+        **asdict(advice),
+        "episodes": episodes,
+    }
+    return json.dumps(value, allow_nan=False)
+
+
+def _title(dataset: Dataset) -> str:
+    name = dataset.system.name or "data set"
+    return f"{name}: {len(dataset)} episodes, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
+
+
+def _unit(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
+def _cut(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the rows, of more than `MOST_ROWS` the first ones and the last."""
+    if len(rows) <= MOST_ROWS:
+        return list(rows)
+    return [*rows[: MOST_ROWS - 2], (f"... {len(rows) - MOST_ROWS + 1} more", *[""] * (len(rows[0]) - 1)), rows[-1]]
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, names: int) -> Table:
+    """Return a table whose first ``names`` columns are text and whose others are numbers."""
+    table = Table(title=Text(title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, name in enumerate(head):
+        table.add_column(Text(name), justify="left" if i < names else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table

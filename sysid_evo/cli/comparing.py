@@ -1,0 +1,138 @@
+"""`sysid-evo compare`: the whole chain from recordings to a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sysid_evo.cli.console import err, out
+from sysid_evo.cli.options import Columns, Plugins, Seed, Test, load_plugins, new_run_folder, split_names
+
+if TYPE_CHECKING:
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.data import Dataset
+    from sysid_evo.engine import Runner
+
+DEFAULT_ROBOT = "emulated_car"
+RECORDED_MINUTES = 6.0
+DEFAULT_ENSEMBLES = (("nearest_neighbour", "parametrised"),)
+HELD_BACK = 0.25
+"""Share of every episode held back for the test when no episode is named."""
+
+
+def compare(
+    data: Annotated[Path | None, typer.Option(help="Recordings of a robot (default: record an emulated one).")] = None,
+    test: Test = None,
+    models: Annotated[str | None, typer.Option(help="Families, separated by commas (default: all).")] = None,
+    ensembles: Annotated[
+        str | None, typer.Option(help="Members joined by +, ensembles separated by commas (default: all models).")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot for the last column (default without --data: emulated_car).")
+    ] = None,
+    preset: Annotated[str, typer.Option(help="Budget: quick, standard or paper.")] = "quick",
+    only: Annotated[str | None, typer.Option(help="'prediction' leaves the controllers out.")] = None,
+    generations: Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")] = None,
+    aggregate: Annotated[str, typer.Option(help="Of an ensemble's fitnesses: min, mean, median.")] = "min",
+    seed: Seed = 0,
+    folder: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
+    columns: Columns = None,
+    plugin: Plugins = None,
+) -> None:
+    """Fit models, evolve controllers in them, and compare both: which predict, which transfer.
+
+    With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
+    """
+    from evaluation.comparison import ComparisonSettings
+    from evaluation.comparison import compare as run_comparison
+    from evaluation.report import save_report, tables
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.experiment import controller_preset
+    from sysid_evo.registry import models as registry
+    from sysid_evo.store import RunFolder
+
+    if only not in (None, "prediction"):
+        raise InvalidArgument(f"--only: expected 'prediction', got {only!r}")
+    load_plugins(plugin)
+    families = split_names(models) or tuple(name for name, _ in registry.load_all())
+    evolution = replace(controller_preset(preset), aggregate=aggregate)
+    settings = ComparisonSettings(
+        models=families,
+        ensembles=choose_ensembles(ensembles, families),
+        preset=preset,
+        seed=seed,
+        evolution=evolution if generations is None else replace(evolution, generations=generations),
+        controllers=only is None,
+    )
+    for family in families:
+        registry.get(family)
+    path = new_run_folder(folder)
+    with Bars() as bars:
+        robot = robot or (DEFAULT_ROBOT if data is None else None)
+        dataset = record(robot or DEFAULT_ROBOT, seed, bars) if data is None else read(data, columns)
+        training, held_back = dataset.split(test if test else HELD_BACK)
+        asked = {**settings.to_dict(), "robot": robot, "data": training.fingerprint, "test": held_back.fingerprint}
+        run = RunFolder.open(path, asked)
+        report = run_comparison(
+            run,
+            training,
+            held_back,
+            settings,
+            observer=bars,
+            robot=None if robot is None or only else (robot, runner_of(robot)),
+            title=f"{data.name if data is not None else robot}: {', '.join(families)}",
+        )
+        _, page = save_report(report, run.path)
+    for table in tables(report):
+        out.print(table)
+    out.print(f"Report: {page}", highlight=False, soft_wrap=True)
+
+
+def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Read ``a+b,a+b+c``; by default `DEFAULT_ENSEMBLES`, and all families together."""
+    if text is None:
+        chosen = [members for members in DEFAULT_ENSEMBLES if set(members) <= set(families)]
+        return (*chosen, *([families] if len(families) > 1 and set(families) not in map(set, chosen) else []))
+    return tuple(tuple(member.strip() for member in ensemble.split("+")) for ensemble in split_names(text))
+
+
+def record(robot: str, seed: int, bars: Bars) -> Dataset:
+    """Record the excitation manoeuvres on an emulated robot."""
+    from hardware.recorder import record_dataset
+
+    cell = f"record {robot}"
+    bars.start(cell)
+    _, dataset = record_dataset(
+        robot,
+        seed=seed,
+        duration=60.0 * RECORDED_MINUTES,
+        progress=lambda done, total: bars.progress(cell, done, total),
+    )
+    bars.finish(cell, cached=False, reason=None)
+    return dataset
+
+
+def read(data: Path, columns: Path | None) -> Dataset:
+    """Read recordings and tell what their preparation noted."""
+    from sysid_evo.data import Dataset
+
+    dataset = Dataset.read(data, columns=columns)
+    for note in dataset.notes:
+        err.print(f"note: {note}", markup=False, highlight=False)
+    return dataset
+
+
+def runner_of(spec: str) -> Runner:
+    """Return how controllers are run on an emulated robot. Raises `InvalidArgument` for a physical one."""
+    from sysid_evo.engine import DynamicsRunner
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.registry import make_robot
+
+    robot = make_robot(spec)
+    if robot.dynamics is None:
+        raise InvalidArgument(f"{spec} is a physical robot: it cannot be a column of an automatic comparison")
+    return DynamicsRunner(robot.dynamics)

@@ -1,0 +1,114 @@
+"""`sysid-evo import`, `inspect` and `record`: recordings become data sets, and are looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+from sysid_evo.cli.console import err, out
+from sysid_evo.cli.options import Columns, Json, Plugins, Seed, load_plugins
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from sysid_evo.data import Dataset, RawLog
+
+Logs: TypeAlias = Annotated[list[Path], typer.Argument(help="Log files, or folders of them.", show_default=False)]
+
+
+def import_(
+    logs: Logs,
+    folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
+    columns: Columns = None,
+    plugin: Plugins = None,
+) -> None:
+    """Turn log files into a data set: check, prepare, store.
+
+    Logs of poses, three times as fast as the control rate or faster, are differentiated and filtered;
+    logs that carry velocities at the control rate are taken row by row.
+    """
+    from sysid_evo.cli.advice_tables import episode_table
+    from sysid_evo.data import read_recording
+
+    load_plugins(plugin)
+    recording = read_recording(logs, columns=columns)
+    dataset = recording.dataset()
+    dataset.save(folder)
+    _tell(dataset.notes, recording.doubts)
+    out.print(episode_table(dataset))
+    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def inspect(
+    logs: Annotated[
+        list[Path], typer.Argument(help="A data set's folder, or log files or folders of them.", show_default=False)
+    ],
+    columns: Columns = None,
+    json: Json = False,
+    plugin: Plugins = None,
+) -> None:
+    """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
+    from sysid_evo.cli.advice_tables import advice_as_json, advice_tables
+    from sysid_evo.data import advise
+
+    load_plugins(plugin)
+    dataset, raw, doubts = _open(logs, columns)
+    advice = advise(dataset, raw)
+    _tell(dataset.notes, doubts)
+    if json:
+        out.print_json(advice_as_json(dataset, advice))
+    else:
+        out.print(advice_tables(dataset, advice))
+
+
+def record(
+    folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
+    robot: Annotated[
+        str, typer.Option(help="Registered robot, or NAME:SEED for one drawn at random.")
+    ] = "emulated_car",
+    seed: Seed = 0,
+    minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
+    plugin: Plugins = None,
+) -> None:
+    """Drive a robot through manoeuvres, and store what the tracker saw (`raw/`) and the data set made of it."""
+    from hardware.recorder import record_dataset, save_raw
+    from sysid_evo.cli.advice_tables import episode_table
+    from sysid_evo.cli.progress import Bars
+
+    load_plugins(plugin)
+    cell = f"record {robot}"
+    with Bars() as bars:
+        bars.start(cell)
+        logs, dataset = record_dataset(
+            robot, seed=seed, duration=60.0 * minutes, progress=lambda done, total: bars.progress(cell, done, total)
+        )
+        bars.finish(cell, cached=False, reason=None)
+    for log in logs:
+        save_raw(log, dataset.system, folder / "raw" / f"{log.name}.csv")
+    dataset.save(folder)
+    _tell(dataset.notes, ())
+    out.print(episode_table(dataset))
+    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:
+    """Return a data set, the logs it was made of (none if it was stored), and what looks wrong in them."""
+    from sysid_evo.data import Dataset, read_recording
+    from sysid_evo.data.reading import is_stored
+
+    if len(paths) == 1 and is_stored(paths[0]):
+        return Dataset.read(paths[0], columns=columns), (), ()
+    recording = read_recording(paths, columns=columns)
+    return recording.dataset(), recording.logs, recording.doubts
+
+
+def _tell(notes: Iterable[str], doubts: Iterable[str]) -> None:
+    """Print notes on standard error, and what looks wrong as a warning."""
+    from rich.text import Text
+
+    doubtful = set(doubts)
+    for note in notes:
+        label = ("warning: ", "yellow") if note in doubtful else ("note: ", "dim")
+        err.print(Text.assemble(label, note))

@@ -1,0 +1,225 @@
+"""What is wrong, or looks wrong, with a log: an error if it cannot be used, a sentence if it can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data.columns import ColumnMap, ControlColumn
+from sysid_evo.data.raw import RawLog
+from sysid_evo.data.tables import Table
+from sysid_evo.errors import InvalidData
+
+FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
+
+
+def check_time(table: Table, column: str, time: Array) -> None:
+    """Raise `InvalidData` unless every time stamp is later than the one before."""
+    bad = np.flatnonzero(np.diff(time) <= 0)
+    if len(bad):
+        row = int(bad[0]) + 1
+        what = "is the same as" if time[row] == time[row - 1] else "is before"
+        raise InvalidData(
+            f"{table.where(column, row)}: expected rising time stamps, but {time[row]:.6g} s {what} "
+            f"{time[row - 1]:.6g} s in row {table.rows[row - 1]} ({len(bad)} such rows in all)"
+        )
+
+
+def check_control(table: Table, name: str, control: ControlColumn, values: Array) -> Array:
+    """Return ``values`` (N,), or raise `InvalidData` if one lies outside the limits or off the levels.
+
+    Values within 1e-6 of a level or limit, as single precision leaves them, are put on it.
+    """
+    if control.levels is not None:
+        levels = np.asarray(control.levels)
+        nearest = levels[np.abs(values[:, None] - levels).argmin(axis=1)]
+        legal, expected = nearest, "one of " + ", ".join(f"{level:g}" for level in control.levels)
+    elif control.low is not None and control.high is not None:
+        legal, expected = np.clip(values, control.low, control.high), f"{control.low:g} to {control.high:g}"
+    else:
+        return values
+    bad = np.flatnonzero(np.abs(values - legal) > 1e-6)
+    if len(bad):
+        row = int(bad[0])
+        raise InvalidData(
+            f"{table.where(control.column, row)}: control {name!r} is {values[row]:g}, expected {expected} "
+            f"({len(bad)} such rows). Check unit and factor, or widen the limits in the column map."
+        )
+    return legal
+
+
+def findings(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    """Return sentences on what looks wrong in ``log``, which came from ``table``; certain errors are raised."""
+    found = [*_beyond_limits(log, table, columns), *_constant(log, table, columns)]
+    if columns.pose:
+        found += [*_frozen(log, table), *_heading_jumps(log, table, columns)]
+        found += _course(log, table, columns)
+        found += _yaw_rate(log, table, columns)
+    return found
+
+
+def _beyond_limits(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    found = []
+    for name, state in columns.states.items():
+        low, high = (-np.inf if state.low is None else state.low), (np.inf if state.high is None else state.high)
+        if state.column is None:
+            continue
+        values = log.extra[name]
+        bad = np.flatnonzero((values < low) | (values > high))
+        if len(bad):
+            found.append(
+                f"{table.where(state.column, int(bad[0]))}: state {name!r} is {values[bad[0]]:g}, outside "
+                f"{low:g} to {high:g} ({len(bad)} such rows, kept as they are)"
+            )
+    return found
+
+
+def constant_controls(logs: Sequence[RawLog], tables: Sequence[Table], columns: ColumnMap) -> list[str]:
+    """Return which controls have one value in all logs; in one of several logs that is a manoeuvre."""
+    found = []
+    for i, (name, control) in enumerate(columns.controls.items()):
+        values = np.concatenate([log.controls[:, i] for log in logs])
+        if np.ptp(values) == 0.0:
+            files = ", ".join(table.path.name for table in tables)
+            found.append(
+                f"{files}, every row, column {control.column!r}: control {name!r} is constant at {values[0]:g}; "
+                "nothing can be learned about it"
+            )
+    return found
+
+
+def _constant(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    return [
+        f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {state.column!r}: "
+        f"state {name!r} is constant at {log.extra[name][0]:g}; is the sensor alive?"
+        for name, state in columns.states.items()
+        if state.column is not None and np.ptp(log.extra[name]) == 0.0
+    ]
+
+
+def _frozen(log: RawLog, table: Table) -> list[str]:
+    """Return where the pose stood still to the last digit and then jumped, as when a tracker loses a body."""
+    same = (np.diff(log.pose, axis=0) == 0.0).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8))).reshape(-1, 2)
+    found = []
+    for first, last in edges:
+        long = last - first + 1 >= FROZEN_ROWS and log.time[last] - log.time[first] >= FROZEN_TIME
+        if long and last + 1 < len(log.time):
+            jump = float(np.hypot(*(log.pose[last + 1, :2] - log.pose[last, :2])))
+            if jump > FROZEN_JUMP:
+                found.append(
+                    f"{table.path.name}, rows {table.rows[first]} to {table.rows[last]}: the pose stands still for "
+                    f"{log.time[last] - log.time[first]:.2f} s and then jumps by {jump:.2f} m, as when the tracker "
+                    "lost the body; cut the file there"
+                )
+    return found
+
+
+def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    column, heading = columns.pose["heading"], log.pose[:, 2]
+    step = np.diff(heading)
+    full = np.flatnonzero((np.abs(step) > 300.0) & (np.abs(step) < 361.0))
+    if len(full) and column.unit == "rad":
+        row = int(full[0]) + 1
+        raise InvalidData(
+            f"{table.where(column.column, row)}: the heading jumps by {step[row - 1]:.1f}, a full turn in degrees, but "
+            f'the column map declares rad; declare unit = "deg"'
+        )
+    jumps = np.flatnonzero(np.abs(_wrap(step)) > 1.0)
+    if not len(jumps):
+        return []
+    row = int(jumps[0]) + 1
+    return [
+        f"{table.where(column.column, row)}: the heading jumps by {_wrap(step)[row - 1]:.2f} rad from one row to the "
+        f"next ({len(jumps)} such rows)"
+    ]
+
+
+def _yaw_rate(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    """Compare the yaw rate with the differentiated heading; a factor of 57.3 or -1 between them is an error."""
+    state = None if columns.motion is None else columns.motion.yaw_rate
+    if state is None or state not in log.extra or columns.states[state].column is None:
+        return []
+    heading_unit, rate_unit = columns.pose["heading"].unit, columns.states[state].unit
+    before, after = _baseline(log.time)
+    rate = np.array([log.extra[state][a : b + 1].mean() for a, b in zip(before, after, strict=True)])
+
+    def turning(heading_factor: float) -> Array:
+        turned = np.cumsum(np.concatenate([[0.0], _wrap(np.diff(log.pose[:, 2] * heading_factor))]))
+        return np.asarray((turned[after] - turned[before]) / (log.time[after] - log.time[before]))
+
+    def misfit(heading_factor: float, rate_factor: float) -> float:
+        a, b = turning(heading_factor), rate_factor * rate
+        scale = _rms(a) * _rms(b)
+        return _rms(a - b) / float(np.sqrt(scale)) if scale > 0.0 else np.inf
+
+    if max(_rms(rate), _rms(turning(1.0))) < 0.05 or misfit(1.0, 1.0) < 1.0:
+        return []
+    rate_column = columns.states[state].column or ""
+    degree = np.pi / 180.0
+    explanations = {
+        (degree, 1.0): ("rad", heading_unit, f"column {columns.pose['heading'].column!r} looks like degrees"),
+        (1.0, degree): ("rad/s", rate_unit, f"column {rate_column!r} looks like degrees per second"),
+        (1.0 / degree, 1.0): ("deg", heading_unit, f"column {columns.pose['heading'].column!r} looks like radians"),
+        (1.0, 1.0 / degree): ("deg/s", rate_unit, f"column {rate_column!r} looks like radians per second"),
+        (1.0, -1.0): ("", "", "one of them is counted clockwise; give it factor = -1"),
+    }
+    where = f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {rate_column!r}"
+    fitting = [
+        what
+        for factors, (needed, declared, what) in explanations.items()
+        if needed in ("", declared) and misfit(*factors) < 0.5
+    ]
+    if fitting:
+        raise InvalidData(f"{where}: the yaw rate is not the derivative of the heading: {', or '.join(fitting)}")
+    return [f"{where}: the yaw rate does not fit the differentiated heading (misfit {misfit(1.0, 1.0):.1f})"]
+
+
+def _course(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    """Compare the heading with the direction of motion, forwards or backwards, where the body is moving."""
+    column = columns.pose["heading"]
+    before, after = _baseline(log.time)
+    moved = log.pose[after, :2] - log.pose[before, :2]
+    length = np.hypot(moved[:, 0], moved[:, 1])
+    moving = (length > 0.02) & (length > 0.2 * (log.time[after] - log.time[before]))
+    if moving.sum() < 20:
+        return []
+    course = np.arctan2(moved[moving, 1], moved[moving, 0])
+    heading = log.pose[(before + after) // 2, 2][moving]
+
+    def agreement(factor: float) -> complex:
+        return complex(np.mean(np.exp(2j * (course - factor * heading))))
+
+    where = f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {column.column!r}"
+    if abs(agreement(1.0)) < 0.6:
+        if column.unit == "rad" and abs(agreement(np.pi / 180.0)) > 0.8:
+            raise InvalidData(f"{where}: the heading follows the motion only if it is in degrees, but rad is declared")
+        if column.unit == "deg" and abs(agreement(180.0 / np.pi)) > 0.8:
+            raise InvalidData(f"{where}: the heading follows the motion only if it is in radians, but deg is declared")
+        if abs(agreement(-1.0)) > 0.8:
+            raise InvalidData(f"{where}: the heading is counted clockwise; give it factor = -1")
+        return [f"{where}: the heading does not follow the direction of motion (agreement {abs(agreement(1.0)):.2f})"]
+    offset = float(np.angle(agreement(1.0)) / 2.0)
+    if abs(offset) > np.radians(20.0):
+        return [
+            f"{where}: the body moves {np.degrees(offset):.0f} degrees to the left of its heading on average; "
+            "x must point forward"
+        ]
+    return []
+
+
+def _baseline(time: Array) -> tuple[IntArray, IntArray]:
+    """Return pairs of rows about 0.1 s apart, and at least two rows."""
+    stride = min(max(2, round(0.1 / float(np.median(np.diff(time))))), len(time) - 1)
+    before = np.arange(len(time) - stride, dtype=np.int64)
+    return before, before + stride
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _wrap(angle: Array) -> Array:
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,0 +1,246 @@
+"""The column map: which column of a log is which channel, in which unit, with which limits.
+
+A map is a TOML file (``docs/data.md`` describes it); some are shipped beside this file, in ``maps``.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sysid_evo.data.units import to_si, units_of
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+ROLE_UNITS = {"forward": "m/s", "lateral": "m/s", "yaw_rate": "rad/s"}
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class _Scaled(_Strict):
+    unit: str
+    factor: float = 1.0
+
+    @property
+    def scale(self) -> float:
+        """What turns a value of the file into SI units."""
+        return self.factor * to_si(self.unit)[1]
+
+
+class Column(_Scaled):
+    """One column: its value times ``factor`` is in ``unit``, which then becomes an SI unit."""
+
+    column: str
+
+
+class TimeColumn(Column):
+    """The column of time stamps."""
+
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+
+
+class StateColumn(_Scaled):
+    """A state: from a column, or, without one, by differentiating the pose; limits in SI units."""
+
+    column: str | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class ControlColumn(Column):
+    """A control: ``gate`` names a column it is multiplied by, ``non_negative`` sets negative values to 0.
+
+    ``low`` and ``high``, or ``levels``, or ``neutral`` are in SI units, after factor and gate.
+    Without limits the channel gets the lowest and highest value of the recordings.
+    """
+
+    unit: str = ""
+    gate: str | None = None
+    non_negative: bool = False
+    low: float | None = None
+    high: float | None = None
+    levels: Annotated[tuple[float, ...], Field(strict=False)] | None = None
+    neutral: float | None = None
+
+    @model_validator(mode="after")
+    def _one_kind_of_limit(self) -> Self:
+        if (self.low is None) != (self.high is None):
+            raise ValueError("expected both low and high, or neither")
+        if self.levels is not None and self.low is not None:
+            raise ValueError("expected low and high, or levels, not both")
+        return self
+
+    @property
+    def limited(self) -> bool:
+        """Whether the map says what values are legal."""
+        return self.levels is not None or self.low is not None
+
+
+class MotionRoles(_Strict):
+    """Which states move the pose of a planar body; without ``lateral`` it has no such state."""
+
+    kind: Literal["planar_body"] = "planar_body"
+    forward: str
+    yaw_rate: str
+    lateral: str | None = None
+
+
+class ColumnMap(_Strict):
+    """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion."""
+
+    name: str
+    dt: Annotated[float, Field(gt=0)]
+    time: TimeColumn | None = None
+    states: Annotated[dict[str, StateColumn], Field(min_length=1)]
+    controls: dict[str, ControlColumn] = {}
+    pose: dict[str, Column] = {}
+    extra: dict[str, Column] = {}
+    motion: MotionRoles | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [*self.states, *self.controls, *self.pose, *self.extra]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"states, controls, pose and extra must have different names; repeated: {repeated}")
+        roles = {} if self.motion is None else self.motion_of_states.roles()
+        for role, state in roles.items():
+            if state not in self.states:
+                raise ValueError(f"motion.{role} names {state!r}, but the states are {', '.join(self.states)}")
+            _expect_unit(f"states.{state}", self.states[state].unit, ROLE_UNITS[role])
+        pose = () if self.motion is None else tuple(zip(PlanarBody.pose_names, PlanarBody.pose_units, strict=True))
+        if self.pose and set(self.pose) != {name for name, _ in pose}:
+            wanted = ", ".join(name for name, _ in pose) or "none, as there is no [motion]"
+            raise ValueError(f"pose: expected {wanted}, got {', '.join(self.pose)}")
+        for name, unit in pose if self.pose else ():
+            _expect_unit(f"pose.{name}", self.pose[name].unit, unit)
+        underived = [n for n, s in self.states.items() if s.column is None and n not in roles.values()]
+        if underived:
+            raise ValueError(f"states {', '.join(underived)}: no column, and no role in [motion] to derive them from")
+        if self.differentiated and not self.pose:
+            raise ValueError(f"states {', '.join(self.differentiated)} have no column, so [pose] is needed")
+        return self
+
+    @property
+    def differentiated(self) -> tuple[str, ...]:
+        """The states that have no column and come from the pose."""
+        return tuple(name for name, state in self.states.items() if state.column is None)
+
+    @property
+    def motion_of_states(self) -> PlanarBody:
+        """The motion with its roles filled. Raises `InvalidData` if the map has none."""
+        if self.motion is None:
+            raise InvalidData(f"column map {self.name!r} has no [motion]")
+        return PlanarBody(self.motion.forward, self.motion.lateral, self.motion.yaw_rate)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every column of the file that the map uses, each once."""
+        used = [] if self.time is None else [self.time.column]
+        used += [state.column for state in self.states.values() if state.column is not None]
+        for control in self.controls.values():
+            used += [control.column, *([control.gate] if control.gate else [])]
+        used += [column.column for column in (*self.pose.values(), *self.extra.values())]
+        return tuple(dict.fromkeys(used))
+
+    def system(self, envelope: Mapping[str, tuple[float, float]]) -> System:
+        """Return the system that the map describes; ``envelope`` limits the controls without limits."""
+        states = tuple(
+            Channel(
+                name,
+                to_si(state.unit)[0],
+                low=-math.inf if state.low is None else state.low,
+                high=math.inf if state.high is None else state.high,
+            )
+            for name, state in self.states.items()
+        )
+        controls = []
+        for name, control in self.controls.items():
+            if control.levels is not None:
+                low, high = control.levels[0], control.levels[-1]
+            elif control.low is not None and control.high is not None:
+                low, high = control.low, control.high
+            else:
+                low, high = envelope[name]
+            neutral = min(max(0.0, low), high) if control.neutral is None else control.neutral
+            controls.append(Channel(name, to_si(control.unit)[0], low, high, control.levels, neutral))
+        motion = None if self.motion is None else self.motion_of_states
+        return System(states, tuple(controls), self.dt, motion, self.name)
+
+
+def load_columns(source: str | Path) -> ColumnMap:
+    """Read a column map from a TOML file, or a shipped one by its name. Raises `InvalidData`."""
+    path = Path(source)
+    if path.suffix != ".toml" and str(source) in shipped_names():
+        return shipped_columns()[str(source)]
+    if not path.is_file():
+        raise InvalidArgument(
+            f"column map {str(source)!r}: expected a TOML file or one of {', '.join(shipped_names())}; found neither"
+        )
+    return parse_columns(path.read_text(encoding="utf-8"), str(path))
+
+
+def parse_columns(text: str, source: str) -> ColumnMap:
+    """Return the map that the TOML ``text`` describes; errors name ``source`` and the path of each key."""
+    try:
+        return ColumnMap.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidData(f"{source}: not a TOML file: {error}") from error
+    except ValidationError as error:
+        lines = [
+            f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item['type'], item['msg'])}"
+            for item in error.errors()
+        ]
+        raise InvalidData("\n".join([f"{source}: not a column map:", *lines])) from error
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the maps that come with the library."""
+    files = resources.files("sysid_evo.data").joinpath("maps").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def shipped_columns() -> dict[str, ColumnMap]:
+    """Return the maps that come with the library, by name."""
+    folder = resources.files("sysid_evo.data").joinpath("maps")
+    return {
+        name: parse_columns(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"), name)
+        for name in shipped_names()
+    }
+
+
+def choose_columns(header: Sequence[str], source: str) -> str:
+    """Return the name of the shipped map for a log with this ``header``.
+
+    It is the map whose columns all stand in the header; of several, the one that uses all the
+    columns of the others. Raises `InvalidData` if there is none, or no such one.
+    """
+    used = {name: set(columns.columns) for name, columns in shipped_columns().items()}
+    fitting = {name: columns for name, columns in used.items() if columns <= set(header)}
+    best = [name for name, columns in fitting.items() if all(columns >= other for other in fitting.values())]
+    if len(best) == 1:
+        return best[0]
+    listed = "\n".join(f"  {name}: {', '.join(sorted(columns))}" for name, columns in used.items())
+    found = f"{', '.join(fitting)} all fit" if fitting else "no shipped column map fits"
+    raise InvalidData(
+        f"{source}: {found} its columns ({', '.join(header)}). "
+        f"Name a map with columns= (--columns). Shipped maps and the columns they need:\n{listed}"
+    )
+
+
+def _expect_unit(where: str, unit: str, si_unit: str) -> None:
+    if to_si(unit)[0] != si_unit:
+        raise ValueError(f"{where}.unit: expected one of {', '.join(units_of(si_unit))}, got {unit!r}")
+
+
+def _explain(kind: str, message: str) -> str:
+    return "unknown key" if kind == "extra_forbidden" else message.removeprefix("Value error, ")

@@ -1,0 +1,191 @@
+"""Log files become a data set: find them, choose the column map, read, check, prepare."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
+from sysid_evo.data.columns import ColumnMap, choose_columns, load_columns, shipped_columns
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.preparation import prepare
+from sysid_evo.data.raw import RawLog
+from sysid_evo.data.sampled import at_control_rate, take_rows
+from sysid_evo.data.storage import HEADER
+from sysid_evo.data.tables import Table, log_suffixes, reader_for
+from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
+from sysid_evo.system import System
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Logs of one system: what the files hold in SI units, and what was noticed.
+
+    ``logs`` carry states that have a column, and the map's ``extra`` columns, in `RawLog.extra`.
+    ``notes`` say what was done, ``doubts`` what looks wrong.
+    """
+
+    system: System
+    logs: tuple[RawLog, ...]
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    def dataset(self) -> Dataset:
+        """Return the episodes: logs at the control rate row by row, faster ones differentiated and filtered.
+
+        The notes of the data set hold the doubts too. Raises `InvalidData`.
+        """
+        prepared = [
+            take_rows(log, self.system) if at_control_rate(log, self.system) else prepare(log, self.system)
+            for log in self.logs
+        ]
+        notes = [*self.notes, *(note for one in prepared for note in one.notes), *self.doubts]
+        episodes = [episode for one in prepared for episode in one.episodes]
+        return Dataset(self.system, tuple(episodes), tuple(dict.fromkeys(notes)))
+
+
+def read_recording(paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Recording:
+    """Read log files, or folders of them, as one recording.
+
+    ``columns`` is a column map (a TOML file or the name of a shipped one); without it the shipped map
+    that fits the header is taken. Raises `InvalidData`, which names file, row and column.
+    """
+    files = log_files(paths)
+    notes = []
+    if columns is None:
+        name = choose_columns(reader_for(files[0]).header(files[0]), files[0].name)
+        chosen = shipped_columns()[name]
+        notes.append(f"column map {name!r} chosen: all its columns are in the header of {files[0].name}")
+    else:
+        chosen = load_columns(columns)
+    tables = [reader_for(file).read(file, chosen.columns) for file in files]
+    logs = [_log(table, chosen, notes) for table in tables]
+    envelope = _envelope(logs, chosen, notes)
+    doubts = constant_controls(logs, tables, chosen)
+    doubts += [doubt for log, table in zip(logs, tables, strict=True) for doubt in findings(log, table, chosen)]
+    for name, control in chosen.controls.items():
+        if control.gate is not None:
+            closed = np.mean(np.concatenate([table.columns[control.gate] for table in tables]) == 0.0)
+            notes.append(
+                f"control {name!r} is {control.column!r} times {control.gate!r}, 0 in {closed:.0%} of the rows"
+            )
+    if chosen.time is None:
+        notes.append(f"no time column: rows are taken to be {chosen.dt:g} s apart, and holes cannot be seen")
+    return Recording(chosen.system(envelope), tuple(logs), tuple(notes), tuple(doubts))
+
+
+def read_dataset(paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Dataset:
+    """Read logs (`read_recording`), or a folder that `Dataset.save` wrote, as a data set.
+
+    Each doubt about a log is also one `DataWarning`.
+    """
+    stored = _stored(paths)
+    if stored is not None:
+        if columns is not None:
+            raise InvalidArgument(f"{stored}: this is a stored data set, which takes no column map")
+        return Dataset.load(stored)
+    recording = read_recording(paths, columns=columns)
+    for doubt in recording.doubts:
+        warnings.warn(doubt, DataWarning, stacklevel=3)
+    return recording.dataset()
+
+
+def is_stored(path: str | Path) -> bool:
+    """Return whether ``path`` is a folder that `Dataset.save` wrote."""
+    return (Path(path) / HEADER).is_file()
+
+
+def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return the log files that ``paths`` name: files as they are, of folders every log in them, sorted."""
+    files: list[Path] = []
+    for path in _listed(paths):
+        if path.is_dir():
+            if is_stored(path):
+                raise InvalidArgument(f"{path}: a stored data set cannot be mixed with others; read it alone")
+            suffixes = log_suffixes()
+            inside = sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes and file.is_file())
+            if not inside:
+                raise InvalidData(f"{path}: expected logs ({', '.join(suffixes)}) in this folder, found none")
+            files += inside
+        elif path.is_file():
+            files.append(path)
+        else:
+            raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there")
+    if not files:
+        raise InvalidArgument("expected at least one log or folder of logs, got none")
+    stems = [file.stem for file in files]
+    repeated = sorted({stem for stem in stems if stems.count(stem) > 1})
+    if repeated:
+        raise InvalidData(
+            f"logs: episodes are named by their files, but several are called {', '.join(repeated)}; rename them"
+        )
+    return files
+
+
+def _listed(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    return [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
+
+
+def _stored(paths: str | Path | Iterable[str | Path]) -> Path | None:
+    listed = _listed(paths)
+    return listed[0] if len(listed) == 1 and is_stored(listed[0]) else None
+
+
+def _log(table: Table, columns: ColumnMap, notes: list[str]) -> RawLog:
+    """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits."""
+    data = table.columns
+    if columns.time is None:
+        time = columns.dt * np.arange(len(table), dtype=np.float64)
+    else:
+        time = data[columns.time.column] * columns.time.scale
+        check_time(table, columns.time.column, time)
+        time = time - time[0]
+    controls = np.empty((len(table), len(columns.controls)))
+    for i, (name, control) in enumerate(columns.controls.items()):
+        values = data[control.column] * control.scale
+        if control.non_negative:
+            negative = np.flatnonzero(values < 0.0)
+            if len(negative):
+                where = table.where(control.column, int(negative[0]))
+                notes.append(f"{where}: negative values of {name!r} set to 0 ({len(negative)} such rows)")
+            values = np.where(values > 0.0, values, 0.0)
+        if control.gate is not None:
+            values = values * data[control.gate]
+        controls[:, i] = check_control(table, name, control, values)
+    states = {n: data[s.column] * s.scale for n, s in columns.states.items() if s.column is not None}
+    extra = {name: data[column.column] * column.scale for name, column in columns.extra.items()}
+    pose = [data[columns.pose[name].column] * columns.pose[name].scale for name in _pose_names(columns)]
+    return RawLog(
+        name=table.path.stem,
+        time=time,
+        pose=np.stack(pose, axis=1) if pose else np.empty((len(table), 0)),
+        controls=controls,
+        extra={**states, **extra},
+    )
+
+
+def _pose_names(columns: ColumnMap) -> tuple[str, ...]:
+    return columns.motion_of_states.pose_names if columns.pose else ()
+
+
+def _envelope(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> Mapping[str, tuple[float, float]]:
+    """Return the range over all logs of every control that has no limits in the map, and say so in ``notes``."""
+    envelope = {}
+    for i, (name, control) in enumerate(columns.controls.items()):
+        if control.limited:
+            continue
+        values: Array = np.concatenate([log.controls[:, i] for log in logs])
+        low, high = float(values.min()), float(values.max())
+        if low == high:
+            raise InvalidData(
+                f"control {name!r} (column {control.column!r}) is {low:g} in every row of every file and has no limits "
+                "in the column map: give it low and high, or leave it out"
+            )
+        envelope[name] = (low, high)
+        notes.append(f"control {name!r} has no limits in the column map: {low:g} to {high:g}, as recorded")
+    return envelope

@@ -1,0 +1,189 @@
+"""Readers: a file of columns becomes arrays of finite numbers, each with its row in the file."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.errors import InvalidData
+from sysid_evo.registry import readers, register_reader
+
+
+@dataclass(frozen=True)
+class Table:
+    """N rows of named columns (N,); ``rows`` (N,) are their numbers in the file ``path``."""
+
+    path: Path
+    rows: IntArray
+    columns: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def where(self, column: str, row: int) -> str:
+        """Return the place of an entry in words; ``row`` counts from 0 in this table."""
+        return f"{self.path.name}, row {self.rows[row]}, column {column!r}"
+
+
+class Reader(ABC):
+    """Reads one kind of file, told by its suffix."""
+
+    suffixes: ClassVar[tuple[str, ...]]
+
+    @abstractmethod
+    def header(self, path: Path) -> tuple[str, ...]:
+        """Return the names of the columns."""
+
+    @abstractmethod
+    def read(self, path: Path, columns: Sequence[str]) -> Table:
+        """Return these columns. Raises `InvalidData`, which names file, row and column."""
+
+
+@register_reader("csv")
+class CsvReader(Reader):
+    """Text with one header line; separated by comma, semicolon or tab.
+
+    Rows are numbered as an editor does: the header is row 1.
+    """
+
+    suffixes = (".csv", ".txt", ".tsv")
+
+    def header(self, path: Path) -> tuple[str, ...]:
+        line = _text(path)[0]
+        names = tuple(name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)), []))
+        if not any(names):
+            raise InvalidData(f"{path.name}: expected a header line with the names of the columns, the file is empty")
+        return names
+
+    def read(self, path: Path, columns: Sequence[str]) -> Table:
+        header = self.header(path)
+        places = [_place(name, header, path) for name in columns]
+        text = _text(path)
+        lines = csv.reader(text[1:], delimiter=_delimiter(text[0]))
+        numbered = [(lines.line_num + 1, line) for line in lines if line]
+        _expect_rows(len(numbered), path)
+        for number, line in numbered:
+            if len(line) != len(header):
+                first_missing = f", so {header[len(line)]!r} is missing" if len(line) < len(header) else ""
+                raise InvalidData(
+                    f"{path.name}, row {number}: expected {len(header)} values as the header has, "
+                    f"got {len(line)}{first_missing}"
+                )
+        rows = np.array([number for number, _ in numbered], dtype=np.int64)
+        data = {}
+        for name, place in zip(columns, places, strict=True):
+            texts = [line[place] for _, line in numbered]
+            try:
+                data[name] = np.fromiter(map(float, texts), dtype=np.float64, count=len(texts))
+            except ValueError:
+                bad = next(i for i, text in enumerate(texts) if not _is_number(text))
+                raise InvalidData(
+                    f"{path.name}, row {rows[bad]}, column {name!r}: expected a number, got {texts[bad]!r}"
+                ) from None
+        return _finite(Table(path, rows, data))
+
+
+@register_reader("parquet")
+class ParquetReader(Reader):
+    """A Parquet file; rows are numbered from 1."""
+
+    suffixes = (".parquet", ".pq")
+
+    def header(self, path: Path) -> tuple[str, ...]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            return tuple(pq.read_schema(path).names)
+        except pa.ArrowException as error:
+            raise InvalidData(f"{path.name}: not a readable Parquet file: {error}") from error
+
+    def read(self, path: Path, columns: Sequence[str]) -> Table:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        header = self.header(path)
+        for name in columns:
+            _place(name, header, path)
+        table = pq.read_table(path, columns=list(columns))
+        _expect_rows(table.num_rows, path)
+        data = {}
+        for name in columns:
+            kind = table.schema.field(name).type
+            if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
+                raise InvalidData(f"{path.name}, column {name!r}: expected numbers, got {kind}")
+            data[name] = np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
+        return _finite(Table(path, np.arange(1, table.num_rows + 1), data))
+
+
+def reader_for(path: Path) -> Reader:
+    """Return the reader of this file's suffix. Raises `InvalidData` if there is none."""
+    known = []
+    for _, make in readers.load_all():
+        reader = make()
+        known += reader.suffixes
+        if path.suffix.lower() in reader.suffixes:
+            return reader
+    raise InvalidData(f"{path.name}: expected a file of one of the kinds {', '.join(sorted(known))}")
+
+
+def log_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of all files that can be read."""
+    return tuple(suffix for _, make in readers.load_all() for suffix in make().suffixes)
+
+
+def _text(path: Path) -> list[str]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InvalidData(f"{path.name}: expected text (UTF-8), got other bytes: {error}") from error
+    return lines or [""]
+
+
+def _delimiter(line: str) -> str:
+    return max(",;\t", key=line.count)
+
+
+def _place(name: str, header: Sequence[str], path: Path) -> int:
+    found = [i for i, column in enumerate(header) if column == name]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise InvalidData(f"{path.name}, row 1: the header names the column {name!r} {len(found)} times")
+    lower = {column.lower(): column for column in header}
+    close = difflib.get_close_matches(name.lower(), lower, n=1)
+    hint = f" Did you mean {lower[close[0]]!r}?" if close else ""
+    raise InvalidData(f"{path.name}, row 1: column {name!r} is missing.{hint} The header has: {', '.join(header)}.")
+
+
+def _expect_rows(count: int, path: Path) -> None:
+    if count < 2:
+        raise InvalidData(f"{path.name}: expected at least two rows of data, got {count}")
+
+
+def _finite(table: Table) -> Table:
+    for name, values in table.columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
+            raise InvalidData(
+                f"{table.where(name, int(bad[0]))}: expected a finite number, got {values[bad[0]]}{more}. "
+                "Leave the rows out, or fill them yourself, before importing."
+            )
+    return table
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,134 @@
+"""Advice on data sets whose excitation, coverage and delays are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset, RawLog, advise, find_delays
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+LEVELS = (-1.0, 0.0, 1.0)
+
+
+def random_switch(rng, n, hold=6):
+    """Random levels, each held for 1 to ``hold`` samples."""
+    return np.repeat(rng.choice(LEVELS, n), rng.integers(1, hold + 1, n))[:n]
+
+
+def delayed_car(rng, delays, *, n=3000, noise=0.02):
+    """A car whose acceleration follows drive, and yaw acceleration steer times speed, so many steps late."""
+    system = System(
+        (Channel("forward_speed", "m/s"), Channel("yaw_rate", "rad/s")),
+        (Channel("drive", levels=LEVELS), Channel("steer", levels=LEVELS)),
+        0.05,
+        PlanarBody(lateral=None),
+    )
+    u = np.stack([random_switch(rng, n), random_switch(rng, n)], axis=1)
+    x = np.zeros((n + 1, 2))
+    for k in range(n):
+        drive, steer = u[max(k - delays[0], 0), 0], u[max(k - delays[1], 0), 1]
+        push = np.array([2.0 * drive, 5.0 * steer * x[k, 0]])
+        x[k + 1] = x[k] + 0.05 * (push - 1.5 * x[k]) + noise * rng.normal(size=2)
+    return Dataset.from_arrays(system, [x[: n // 2 + 1], x[n // 2 :]], [u[: n // 2], u[n // 2 :]])
+
+
+@pytest.mark.parametrize("delays", [(0, 0), (1, 3), (4, 2)])
+def test_the_delay_of_each_control_is_found(rng, delays):
+    found = {(d.control, d.state): d for d in find_delays(delayed_car(rng, delays))}
+    drive, steer = found["drive", "forward_speed"], found["steer", "yaw_rate"]
+    assert (drive.steps, steer.steps) == delays
+    assert drive.seconds == pytest.approx(0.05 * delays[0], abs=0.02)
+    assert drive.clear
+    assert steer.clear
+    assert drive.strength > 0.5
+    assert (drive.at_speed, steer.at_speed) == (False, True)
+    assert not found["steer", "forward_speed"].clear
+
+
+def test_the_delay_of_a_smooth_control_is_not_smeared_by_its_own_past(rng):
+    n, delay = 4000, 3
+    push = np.zeros(n)
+    for k in range(1, n):
+        push[k] = 0.95 * push[k - 1] + 0.1 * rng.normal()
+    speed = np.zeros(n + 1)
+    for k in range(n):
+        speed[k + 1] = speed[k] + 0.05 * (5.0 * push[max(k - delay, 0)] - 4.0 * speed[k])
+    system = System((Channel("speed"),), (Channel("push", low=-2.0, high=2.0),), 0.05)
+    (found,) = find_delays(Dataset.from_arrays(system, [speed[:, None]], [push[:, None]]))
+    assert found.steps == delay
+    assert found.seconds == pytest.approx(0.05 * delay, abs=0.01)
+    assert found.strength > 0.9
+
+
+def test_a_control_logged_late_is_seen_to_act_before_it_is_set(rng):
+    data = delayed_car(rng, (0, 0))
+    late = [np.roll(episode.controls, 1, axis=0) for episode in data]
+    data = Dataset.from_arrays(data.system, [episode.states for episode in data], late)
+    found = {(d.control, d.state): d.steps for d in find_delays(data)}
+    assert found["drive", "forward_speed"] == -1
+    assert any("before drive is logged" in sentence for sentence in advise(data).suggestions)
+
+
+def test_a_constant_control_has_no_delay(rng, car):
+    data = Dataset.from_arrays(car, [rng.normal(size=(200, 3))], [np.tile([0.0, 1.0], (200, 1))])
+    assert find_delays(data) == ()
+    short = Dataset.from_arrays(car, [rng.normal(size=(5, 3))], [rng.normal(size=(4, 2))])
+    assert find_delays(short) == ()
+
+
+def test_shares_switches_and_coverage_of_a_hand_made_recording():
+    system = System((Channel("place"),), (Channel("push", levels=(0.0, 1.0)), Channel("pull", low=-1.0, high=1.0)), 0.5)
+    push = np.array([0, 0, 1, 1, 0, 0, 0, 1.0])
+    pull = np.array([-1, -0.9, -0.6, -0.4, 0.4, 0.6, 1, 1.0])
+    states = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8.0])[:, None]
+    data = Dataset.from_arrays(
+        system, [states[:5], states[4:]], [np.stack([push, pull], axis=1)[s] for s in (slice(4), slice(4, 8))]
+    )
+    advice = advise(data)
+    first, second = advice.controls
+    assert (first.levels, first.shares, first.switches) == ((0.0, 1.0), (0.625, 0.375), 2)
+    assert first.per_minute == pytest.approx(30.0)
+    assert (second.levels, second.shares) == ((-1.0, 0.0, 1.0), (0.375, 0.25, 0.375))
+    assert (advice.cells, advice.grid) == (8, 8)
+    uses = {use.levels: use for use in advice.commands}
+    assert uses[0.0, -1.0].share == 0.25
+    assert uses[0.0, -1.0].coverage == 0.25
+    assert sum(use.share for use in advice.commands) == pytest.approx(1.0)
+
+
+def test_root_mean_square_range_and_bandwidth_of_a_sinusoid():
+    system = System((Channel("place", "m"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
+    time = 0.05 * np.arange(2001)
+    x = np.stack([1.0 + 2.0 * np.sin(2.0 * np.pi * 3.0 * time)], axis=1)
+    (use,) = advise(Dataset.from_arrays(system, [x], [np.sin(time)[:, None]])).states
+    assert use.rms == pytest.approx(np.sqrt(3.0), rel=1e-2)
+    assert (use.low, use.high) == pytest.approx((-1.0, 3.0), abs=0.05)
+    assert use.bandwidth == pytest.approx(3.0, abs=0.1)
+
+
+def test_white_noise_is_called_noise(rng):
+    system = System((Channel("place"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
+    advice = advise(Dataset.from_arrays(system, [rng.normal(size=(4000, 1))], [rng.uniform(-1, 1, (4000, 1))]))
+    assert advice.states[0].bandwidth > 9.0
+    assert any("95 % of place lies below" in sentence for sentence in advice.suggestions)
+
+
+def test_a_poor_recording_is_told_what_to_do(car):
+    states = np.zeros((1200, 3))
+    states[:300, 0] = 1.0
+    controls = np.zeros((1200, 2))
+    controls[:300, 0] = 1.0
+    log = RawLog("log", 0.05 * np.arange(400) + 0.01 * (np.arange(400) % 2), np.zeros((400, 3)), np.zeros((400, 2)))
+    advice = advise(Dataset.from_arrays(car, [states], [controls]), [log])
+    told = "\n".join(advice.suggestions)
+    assert "0.3 min in motion is less than the 6 min" in told
+    assert "stands still 75% of the time" in told
+    assert "drive is near -1 less than 2% of the time" in told
+    assert "steer is near -1, 1 less than 2% of the time" in told
+    assert "drive changes its level only 1 times a minute" in told
+    assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in told
+    assert "The time stamps of log scatter by 17% of a step" in told
+    (sampling,) = advice.sampling
+    assert (sampling.rows, sampling.shortest, sampling.longest) == pytest.approx((400, 0.04, 0.06))

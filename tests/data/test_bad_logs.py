@@ -1,0 +1,219 @@
+"""Every bad log is refused, or doubted, by a message that names file, row and column."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset, read_recording
+from sysid_evo.errors import DataWarning, InvalidData
+
+
+def refused(path, columns) -> str:
+    with pytest.raises(InvalidData) as caught:
+        Dataset.read(path, columns=columns)
+    return str(caught.value)
+
+
+def doubts(path, columns) -> tuple[str, ...]:
+    return read_recording(path, columns=columns).doubts
+
+
+def with_value(path, row: int, column: int, text: str):
+    """Put ``text`` into a cell; ``row`` counts as an editor does."""
+    lines = path.read_text().splitlines()
+    cells = lines[row - 1].split(",")
+    cells[column] = text
+    lines[row - 1] = ",".join(cells)
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_the_made_up_log_is_flawless(write_csv, table, columns_file):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dataset = Dataset.read(write_csv(table), columns=columns_file())
+    assert not any("log.csv" in note for note in dataset.notes)
+    np.testing.assert_array_equal(dataset.episodes[0].states, np.stack([table["u"], table["r"]], axis=1))
+
+
+@pytest.mark.parametrize(
+    "text, complaint",
+    [
+        ("nan", "expected a finite number, got nan"),
+        ("inf", "got inf"),
+        ("", "expected a number, got ''"),
+        ("1.5m", "'1.5m'"),
+    ],
+)
+def test_a_cell_that_is_no_finite_number(write_csv, table, columns_file, text, complaint):
+    message = refused(with_value(write_csv(table), 17, 4, text), columns_file())
+    assert "log.csv, row 17, column 'u'" in message
+    assert complaint in message
+
+
+def test_a_column_that_is_not_used_may_hold_anything(write_csv, table, columns_file):
+    path = write_csv({**table, "comment": np.zeros(len(table["t"]))})
+    with_value(path, 17, 8, "driver sneezed")
+    assert len(Dataset.read(path, columns=columns_file())) == 1
+
+
+def test_a_short_row(write_csv, table, columns_file):
+    path = write_csv(table)
+    lines = path.read_text().splitlines()
+    lines[29] = lines[29].rpartition(",")[0]
+    path.write_text("\n".join(lines))
+    assert "log.csv, row 30: expected 8 values as the header has, got 7, so 'steering' is missing" in refused(
+        path, columns_file()
+    )
+
+
+def test_a_missing_column_with_a_suggestion(write_csv, table, columns_file):
+    table["Throtle"] = table.pop("throttle")
+    message = refused(write_csv(table), columns_file())
+    assert "log.csv, row 1: column 'throttle' is missing. Did you mean 'Throtle'?" in message
+
+
+def test_time_that_goes_back_or_stands(write_csv, table, columns_file):
+    path = with_value(write_csv(table), 40, 0, "0.01")
+    assert "log.csv, row 40, column 't'" in (message := refused(path, columns_file()))
+    assert "0.01 s is before 1.85 s in row 39" in message
+    path = with_value(write_csv(table), 40, 0, repr(float(table["t"][37])))
+    assert "row 40, column 't'" in (message := refused(path, columns_file()))
+    assert "is the same as" in message
+
+
+def test_a_control_beyond_its_limits_or_between_its_levels(write_csv, table, columns_file):
+    message = refused(with_value(write_csv(table), 12, 6, "1.25"), columns_file())
+    assert "log.csv, row 12, column 'throttle': control 'drive' is 1.25, expected -1 to 1" in message
+    message = refused(with_value(write_csv(table), 12, 7, "0.5"), columns_file())
+    assert "log.csv, row 12, column 'steering': control 'steer' is 0.5, expected one of -1, 0, 1" in message
+
+
+def test_a_state_beyond_its_limits_is_kept_and_doubted(write_csv, table, columns_file):
+    columns = columns_file(('column = "u", unit = "m/s"', 'column = "u", unit = "m/s", low = 0.0, high = 1.4'))
+    (doubt,) = doubts(write_csv(table), columns)
+    first = int(np.flatnonzero(table["u"] > 1.4)[0]) + 2
+    assert f"log.csv, row {first}, column 'u': state 'forward_speed' is" in doubt
+    with pytest.warns(DataWarning, match="outside 0 to 1.4"):
+        dataset = Dataset.read(write_csv(table), columns=columns)
+    assert dataset.episodes[0].states[:, 0].max() > 1.4
+    assert doubt in dataset.notes
+
+
+def test_a_control_that_is_constant_in_every_file(write_csv, table, columns_file):
+    steady = {**table, "throttle": np.full(201, 0.25)}
+    (doubt,) = doubts(write_csv(steady), columns_file())
+    assert "log.csv, every row, column 'throttle': control 'drive' is constant at 0.25" in doubt
+    unlimited = columns_file((", low = -1.0, high = 1.0", ""))
+    assert "control 'drive' (column 'throttle') is 0.25 in every row" in refused(write_csv(steady), unlimited)
+    both = [write_csv(steady), write_csv(table, "second.csv")]
+    assert doubts(both, columns_file()) == ()
+
+
+def test_a_state_that_is_constant_in_one_file(write_csv, table, columns_file):
+    dead = {**table, "r": np.full(201, 0.01)}
+    both = [write_csv(table), write_csv(dead, "second.csv")]
+    assert (
+        "second.csv, rows 2 to 202, column 'r': state 'yaw_rate' is constant at 0.01" in doubts(both, columns_file())[0]
+    )
+
+
+def test_a_heading_in_degrees_that_wraps(write_csv, table, columns_file):
+    table["yaw"] = (np.degrees(table["yaw"]) - 90.0) % 360.0
+    table["r"] = np.zeros_like(table["r"])
+    message = refused(write_csv(table), columns_file())
+    row = int(np.flatnonzero(np.abs(np.diff(table["yaw"])) > 300.0)[0]) + 3
+    assert f"log.csv, row {row}, column 'yaw'" in message
+    assert 'declare unit = "deg"' in message
+
+
+def unwrapped(table):
+    table["yaw"] = np.unwrap(table["yaw"])
+    return table
+
+
+def on_the_spot(table):
+    """Turn without moving, so that only the yaw rate tells about the heading."""
+    table["x"], table["y"] = np.zeros(201), np.zeros(201)
+    return unwrapped(table)
+
+
+def test_a_heading_in_degrees_found_by_the_yaw_rate(write_csv, table, columns_file):
+    table["yaw"] = np.degrees(on_the_spot(table)["yaw"])
+    message = refused(write_csv(table), columns_file())
+    assert "log.csv, rows 2 to 202, column 'r': the yaw rate is not the derivative of the heading" in message
+    assert "column 'yaw' looks like degrees" in message
+    as_degrees = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
+    assert doubts(write_csv(table), as_degrees) == ()
+
+
+def test_a_yaw_rate_in_degrees_per_second(write_csv, table, columns_file):
+    table["r"] = np.degrees(table["r"])
+    assert "column 'r' looks like degrees per second" in refused(write_csv(table), columns_file())
+    declared = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
+    dataset = Dataset.read(write_csv(table), columns=declared)
+    np.testing.assert_allclose(dataset.episodes[0].states[:, 1], np.radians(table["r"]))
+
+
+def test_radians_declared_as_degrees(write_csv, table, columns_file):
+    wrong = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
+    assert "column 'r' looks like radians per second" in refused(write_csv(table), wrong)
+    wrong = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
+    message = refused(write_csv(unwrapped(table)), wrong)
+    assert "column 'yaw': the heading follows the motion only if it is in radians" in message
+    message = refused(write_csv(on_the_spot(table)), wrong)
+    assert "column 'r' looks like degrees per second, or column 'yaw' looks like radians" in message
+
+
+def test_a_clockwise_heading(write_csv, table, columns_file):
+    table["yaw"] = -table["yaw"]
+    assert "log.csv, rows 2 to 202, column 'yaw': the heading is counted clockwise" in refused(
+        write_csv(table), columns_file()
+    )
+    assert "one of them is counted clockwise; give it factor = -1" in refused(
+        write_csv(on_the_spot(table)), columns_file()
+    )
+
+
+def test_a_heading_in_degrees_found_by_the_direction_of_motion(write_csv, table, columns_file):
+    table["yaw"] = np.degrees(unwrapped(table)["yaw"])
+    message = refused(write_csv(table), columns_file())
+    assert "log.csv, rows 2 to 202, column 'yaw': the heading follows the motion only if it is in degrees" in message
+
+
+def test_a_heading_that_points_sideways(write_csv, table, columns_file):
+    table["yaw"] = unwrapped(table)["yaw"] - np.radians(60.0)
+    (doubt,) = doubts(write_csv(table), columns_file())
+    assert "log.csv, rows 2 to 202, column 'yaw': the body moves 60 degrees to the left of its heading" in doubt
+
+
+def test_a_heading_that_jumps(write_csv, table, columns_file):
+    table["yaw"] = unwrapped(table)["yaw"]
+    table["yaw"][100] += 2.5
+    doubt = doubts(write_csv(table), columns_file())[0]
+    assert "log.csv, row 102, column 'yaw': the heading jumps by 2.5" in doubt
+    assert "2 such rows" in doubt
+
+
+def test_a_pose_that_freezes_and_jumps(write_csv, table, columns_file):
+    for name in ("x", "y", "yaw"):
+        table[name][60:70] = table[name][60]
+    (doubt,) = [doubt for doubt in doubts(write_csv(table), columns_file()) if "stands still" in doubt]
+    assert "log.csv, rows 62 to 71: the pose stands still for 0.45 s and then jumps by" in doubt
+
+
+def test_an_empty_file_and_a_header_alone(tmp_path, columns_file):
+    path = tmp_path / "empty.csv"
+    path.write_text("")
+    assert "empty.csv: expected a header line" in refused(path, columns_file())
+    path.write_text("t,x,y,yaw,u,r,throttle,steering\n")
+    assert "empty.csv: expected at least two rows of data, got 0" in refused(path, columns_file())
+
+
+def test_a_log_at_another_rate_says_what_to_do(write_csv, table, columns_file):
+    table["t"] = 2.0 * table["t"]
+    message = refused(write_csv(table), columns_file())
+    assert "log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.1 s apart" in message

@@ -1,0 +1,134 @@
+"""Column maps: what they may say, what they do to the numbers, and how one is chosen."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset, load_columns, read_recording
+from sysid_evo.data.columns import choose_columns, parse_columns, shipped_columns, shipped_names
+from sysid_evo.errors import InvalidArgument, InvalidData
+
+
+@pytest.mark.parametrize(
+    "change, where, what",
+    [
+        (('column = "u"', 'colum = "u"'), "states.forward_speed.colum", "unknown key"),
+        (("dt = 0.05", "dt = -1.0"), "dt", "greater than 0"),
+        (("dt = 0.05", 'dt = "0.05"'), "dt", "valid number"),
+        (('unit = "rad/s"', 'unit = "m/s"'), "map", "states.yaw_rate.unit: expected one of rad/s, deg/s, rpm, got"),
+        (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, deg"),
+        (('forward = "forward_speed"', 'forward = "u"'), "map", "motion.forward names 'u', but the states are"),
+        ((", high = 1.0", ""), "controls.drive", "both low and high, or neither"),
+        (('x = { column = "x", unit = "m" }', ""), "map", "pose: expected x, y, heading, got y, heading"),
+        (('column = "t"', 'column = "t"\nunit = "min"'), "time.unit", "'s', 'ms', 'us' or 'ns'"),
+    ],
+)
+def test_a_wrong_map_is_refused_with_the_path_of_the_key(columns_file, change, where, what):
+    with pytest.raises(InvalidData) as caught:
+        load_columns(columns_file(change))
+    first, second = str(caught.value).splitlines()[:2]
+    assert first.endswith("car.toml: not a column map:")
+    assert second.startswith(f"  {where}: ")
+    assert what in second
+
+
+def test_a_file_that_is_not_toml_and_one_that_is_not_there(columns_file, tmp_path):
+    with pytest.raises(InvalidData, match=r"car.toml: not a TOML file: .*line 2"):
+        load_columns(columns_file(('name = "test car"', "name = test car")))
+    with pytest.raises(InvalidArgument, match=r"expected a TOML file or one of dart_20hz, .*; found neither"):
+        load_columns(tmp_path / "nowhere.toml")
+
+
+def test_units_and_factors_become_si_units(write_csv, table, columns_file):
+    columns = columns_file(
+        ('column = "t"', 'column = "t"\nunit = "ms"'),
+        ('"u", unit = "m/s"', '"u", unit = "km/h"'),
+        ('"x", unit = "m"', '"x", unit = "mm", factor = -1.0'),
+        ('"throttle", low', '"throttle", factor = 0.01, low'),
+    )
+    scaled = {
+        **table, "t": 1e3 * table["t"], "u": 3.6 * table["u"], "x": -1e3 * table["x"],
+        "throttle": 100.0 * table["throttle"],
+    }  # fmt: skip
+    (episode,) = Dataset.read(write_csv(scaled), columns=columns)
+    np.testing.assert_allclose(episode.states[:, 0], table["u"])
+    np.testing.assert_allclose(episode.pose[:, 0], table["x"])
+    np.testing.assert_allclose(episode.controls[:, 0], table["throttle"][:-1])
+
+
+def test_negative_values_are_set_to_zero_before_the_gate_multiplies(write_csv, table, columns_file):
+    columns = columns_file(
+        ('"throttle", low = -1.0', '"throttle", gate = "armed", non_negative = true, low = 0.0'),
+    )
+    armed = (np.arange(201) % 3 != 0).astype(float)
+    dataset = Dataset.read(write_csv({**table, "armed": armed}), columns=columns)
+    expected = np.maximum(table["throttle"], 0.0) * armed
+    np.testing.assert_array_equal(dataset.episodes[0].controls[:, 0], expected[:-1])
+    negative = np.flatnonzero(table["throttle"] < 0)
+    assert (
+        f"log.csv, row {negative[0] + 2}, column 'throttle': negative values of 'drive' set to 0 "
+        f"({len(negative)} such rows)" in dataset.notes
+    )
+    assert "control 'drive' is 'throttle' times 'armed', 0 in 33% of the rows" in dataset.notes
+
+
+def test_limits_default_to_the_range_of_all_files_and_are_listed(write_csv, table, columns_file):
+    columns = columns_file((", low = -1.0, high = 1.0", ""))
+    second = {**table, "throttle": 0.5 * table["throttle"] + 2.0}
+    dataset = Dataset.read([write_csv(table), write_csv(second, "second.csv")], columns=columns)
+    drive, steer = dataset.system.controls
+    assert (drive.low, drive.high) == (table["throttle"].min(), second["throttle"].max())
+    assert steer.levels == (-1.0, 0.0, 1.0)
+    assert "control 'drive' has no limits in the column map: -0.8 to 2.4, as recorded" in [
+        note.replace(f"{drive.low:g}", "-0.8") for note in dataset.notes
+    ]
+
+
+def test_a_log_without_time_is_taken_to_be_regular(write_csv, table, columns_file):
+    columns = columns_file(('[time]\ncolumn = "t"\n', ""))
+    del table["t"]
+    dataset = Dataset.read(write_csv(table), columns=columns)
+    assert len(dataset.episodes[0]) == 200
+    assert any(note.startswith("no time column: rows are taken to be 0.05 s apart") for note in dataset.notes)
+
+
+def test_a_fast_log_that_carries_velocities_is_filtered_and_decimated(make_drive, write_csv, columns_file):
+    drive = make_drive(frequency=0.5)
+    forward, _, yaw_rate = drive.velocity(drive.time).T
+    zero = np.zeros_like(forward)
+    x, y, yaw = drive.pose.T
+    path = write_csv(
+        {"t": drive.time, "x": x, "y": y, "yaw": yaw, "u": forward, "r": yaw_rate, "throttle": zero, "steering": zero}
+    )
+    recording = read_recording(path, columns=columns_file())
+    (episode,) = recording.dataset()
+    assert len(recording.doubts) == 2
+    ticks = (4 + np.arange(len(episode) + 1)) * 0.05
+    assert np.abs(episode.states - drive.velocity(ticks)[:, [0, 2]]).max() < 0.01
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_every_shipped_map_is_valid_and_chosen_for_its_own_columns(name):
+    columns = shipped_columns()[name]
+    assert columns.system(dict.fromkeys(columns.controls, (0.0, 1.0))).nx == 3
+    assert choose_columns([*columns.columns, "something else"], "log.csv") == name
+    assert load_columns(name) == columns
+
+
+def test_no_map_fits_or_several_do():
+    with pytest.raises(InvalidData, match=r"log.csv: no shipped column map fits its columns \(a, b\)"):
+        choose_columns(["a", "b"], "log.csv")
+    first, second = shipped_columns()["dart_20hz"].columns, shipped_columns()["f1tenth_20hz"].columns
+    with pytest.raises(InvalidData, match=r"dart_20hz, dart_20hz_ungated, f1tenth_20hz all fit its columns"):
+        choose_columns([*first, *second], "log.csv")
+
+
+def test_the_map_that_the_documentation_shows_is_valid():
+    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
+    columns = parse_columns(page.partition("```toml\n")[2].partition("```")[0], "docs/data.md")
+    assert columns.differentiated == ()
+    assert set(shipped_names()) <= set(re.findall(r"`(\w+)`", page))

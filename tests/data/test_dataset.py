@@ -1,0 +1,195 @@
+"""Data sets: stored and loaded, split, cut into windows."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.data.moving import moving_rows
+from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+LINE = System((Channel("place", "m"),), (Channel("push"),), 0.1)
+
+
+def numbered(lengths, system: System = LINE) -> Dataset:
+    """A data set whose states are 1000 * episode + sample and whose controls are the same, negative."""
+    samples = [1000.0 * i + np.arange(length + 1)[:, None] for i, length in enumerate(lengths)]
+    return Dataset.from_arrays(system, samples, [-s for s in samples], names=[f"e{i}" for i in range(len(lengths))])
+
+
+@pytest.fixture
+def car_data(car, rng) -> Dataset:
+    episodes = [
+        Trajectory(
+            rng.normal(size=(n + 1, 3)),
+            rng.integers(-1, 2, (n, 2)).astype(float),
+            car.dt,
+            rng.normal(size=(n + 1, 3)),
+            name,
+        )
+        for n, name in ((7, "first"), (1, "second[3:4]"))
+    ]
+    return Dataset(
+        car, (*episodes, Trajectory(np.zeros((3, 3)), np.zeros((2, 2)), car.dt, None, "no pose")), ("a note",)
+    )
+
+
+def test_saving_and_loading_gives_the_same_bits(car_data, tmp_path):
+    loaded = Dataset.load(car_data.save(tmp_path / "data"))
+    assert loaded.system == car_data.system
+    assert loaded.notes == ("a note",)
+    assert loaded.names == ("first", "second[3:4]", "no pose")
+    for a, b in zip(loaded, car_data, strict=True):
+        np.testing.assert_array_equal(a.states, b.states)
+        np.testing.assert_array_equal(a.controls, b.controls)
+        assert (a.pose is None) == (b.pose is None)
+        if b.pose is not None:
+            np.testing.assert_array_equal(a.pose, b.pose)
+    assert loaded.fingerprint == car_data.fingerprint
+
+
+def test_read_also_takes_a_stored_data_set_but_no_column_map_for_it(car_data, tmp_path):
+    folder = car_data.save(tmp_path / "data")
+    assert Dataset.read(folder).fingerprint == car_data.fingerprint
+    with pytest.raises(InvalidArgument, match="takes no column map"):
+        Dataset.read(folder, columns="dart_20hz")
+    with pytest.raises(InvalidArgument, match="cannot be mixed with others"):
+        Dataset.read([folder, folder])
+
+
+def test_a_changed_sample_is_noticed(car_data, tmp_path):
+    folder = car_data.save(tmp_path / "data")
+    table = pq.read_table(folder / "samples.parquet")
+    values = table["yaw_rate"].to_numpy().copy()
+    values[2] += 1e-12
+    place = table.column_names.index("yaw_rate")
+    pq.write_table(table.set_column(place, "yaw_rate", [values]), folder / "samples.parquet")
+    with pytest.raises(ArtefactError, match="do not match the fingerprint"):
+        Dataset.load(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header: header.update(schema="sysid-evo/dataset/99"),
+        lambda header: header["episodes"][0].update(steps=6),
+        lambda header: header["episodes"][0].update(name="renamed"),
+        lambda header: header["system"].update(dt=0.1),
+        lambda header: header.pop("notes"),
+        lambda header: header["system"]["states"].pop(),
+    ],
+)
+def test_a_changed_header_is_refused(car_data, tmp_path, change):
+    folder = car_data.save(tmp_path / "data")
+    header = json.loads((folder / "dataset.json").read_text())
+    change(header)
+    (folder / "dataset.json").write_text(json.dumps(header))
+    with pytest.raises(ArtefactError):
+        Dataset.load(folder)
+
+
+@pytest.mark.parametrize("missing", ["dataset.json", "samples.parquet"])
+def test_a_missing_or_damaged_file_is_refused(car_data, tmp_path, missing):
+    folder = car_data.save(tmp_path / "data")
+    (folder / missing).write_bytes((folder / missing).read_bytes()[:40])
+    with pytest.raises(ArtefactError, match="not a readable data set"):
+        Dataset.load(folder)
+    (folder / missing).unlink()
+    with pytest.raises(ArtefactError, match=missing):
+        Dataset.load(folder)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 12), min_size=1, max_size=4),
+    horizon=st.integers(1, 6),
+    stride=st.integers(1, 4),
+    history=st.integers(0, 4),
+)
+def test_windows_never_cross_an_episode_and_none_is_left_out(lengths, horizon, stride, history):
+    windows = numbered(lengths).windows(horizon, stride=stride, history=history)
+    expected = [
+        (i, start) for i, length in enumerate(lengths) for start in range(history, length - horizon + 1, stride)
+    ]
+    assert list(zip(windows.episode.tolist(), windows.start.tolist(), strict=True)) == expected
+    at = 1000.0 * windows.episode + windows.start
+    np.testing.assert_array_equal(windows.past_states[..., 0], at[:, None] + np.arange(-history, 1))
+    np.testing.assert_array_equal(windows.states[..., 0], at[:, None] + np.arange(1, horizon + 1))
+    np.testing.assert_array_equal(windows.controls[..., 0], -(at[:, None] + np.arange(horizon)))
+    np.testing.assert_array_equal(windows.past_controls[..., 0], -(at[:, None] + np.arange(-history, 0)))
+
+
+def test_transitions_carry_states_and_controls_newest_first():
+    steps = numbered([5, 3]).transitions(state_lags=1, control_lags=2)
+    np.testing.assert_array_equal(
+        steps.carry, [[2, 1, -1, -0.0], [3, 2, -2, -1], [4, 3, -3, -2], [1002, 1001, -1001, -1000]]
+    )
+    np.testing.assert_array_equal(steps.control[:, 0], [-2, -3, -4, -1002])
+    np.testing.assert_array_equal(steps.after[:, 0], [3, 4, 5, 1003])
+
+
+def test_a_standstill_is_half_a_second_less_its_margins():
+    system = System(
+        (Channel("forward_speed"), Channel("lateral_speed"), Channel("yaw_rate")), (Channel("u"),), 0.1, PlanarBody()
+    )
+    states = np.zeros((20, 3))
+    states[:2, 0] = 1.0  # moving
+    states[9, 2] = 0.2  # rows 2-8: seven slow rows, 0.7 s; turning at row 9
+    states[14:, 1] = -0.06  # rows 10-13: slow for only 0.4 s; then sliding
+    margin = 2  # 0.25 s
+    expected = np.ones(20, dtype=bool)
+    expected[2 + margin : 9 - margin] = False
+    np.testing.assert_array_equal(moving_rows(states, system), expected)
+    np.testing.assert_array_equal(moving_rows(np.zeros((20, 3)), system), np.zeros(20, dtype=bool))
+    assert moving_rows(np.zeros((20, 1)), LINE).all()
+
+
+def test_windows_of_moving_rows_start_nowhere_in_a_standstill(car, rng):
+    states = np.ones((60, 3))
+    states[20:50] = 0.0
+    data = Dataset.from_arrays(car, [states], [np.zeros((60, 2))])
+    starts = data.windows(5, moving=True).start
+    assert set(range(55)) - set(starts.tolist()) == set(range(25, 45))
+
+
+def test_a_split_by_name_takes_every_piece_of_an_episode():
+    data = numbered([4, 4, 4])
+    pieces = data.with_episodes(
+        [
+            data.episodes[0][:2],
+            data.episodes[0][3:4],
+            data.episodes[1],
+            Trajectory(np.zeros((2, 1)), [[0.0]], 0.1, None, "e01"),
+        ]
+    )
+    train, test = pieces.split(["e0"])
+    assert test.names == ("e0[0:2]", "e0[3:4]")
+    assert train.names == ("e1", "e01")
+
+
+def test_a_split_by_time_takes_the_end_of_each_episode():
+    train, test = numbered([10, 4]).split(0.3)
+    np.testing.assert_array_equal(train.episodes[0].states[:, 0], np.arange(8.0))
+    np.testing.assert_array_equal(test.episodes[0].states[:, 0], np.arange(7.0, 11.0))
+    assert [len(episode) for episode in test] == [3, 1]
+    assert test.names == ("e0[7:10]", "e1[3:4]")
+
+
+@pytest.mark.parametrize("test", [["nobody"], ["e0", "e1"], [], 0.0, 1.0])
+def test_an_impossible_split_is_refused(test):
+    with pytest.raises(InvalidArgument, match="split"):
+        numbered([4, 4]).split(test)
+
+
+def test_an_episode_with_a_hole_in_it_is_refused_with_its_place():
+    states = np.zeros((4, 1))
+    states[2] = np.nan
+    with pytest.raises(InvalidData, match=r"episode 'bad': state 0 at sample 2 is nan"):
+        Trajectory(states, np.zeros((3, 1)), 0.1, None, "bad")

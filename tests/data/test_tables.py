@@ -1,0 +1,97 @@
+"""Readers: the same numbers from every kind of file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from sysid_evo.data import Dataset, Reader, Table
+from sysid_evo.data.reading import log_files
+from sysid_evo.data.tables import CsvReader, ParquetReader, reader_for
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.registry import readers
+
+
+def test_both_readers_are_registered_under_their_entry_points():
+    assert {"csv", "parquet"} <= set(readers.names())
+    assert readers.get("csv") is CsvReader
+    assert readers.get("parquet") is ParquetReader
+
+
+def test_csv_and_parquet_give_the_same_data_set(write_csv, table, columns_file, tmp_path):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(table), path)
+    columns = columns_file()
+    by_csv, by_parquet = Dataset.read(write_csv(table), columns=columns), Dataset.read(path, columns=columns)
+    assert by_csv.fingerprint == by_parquet.fingerprint
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_other_separators_a_byte_order_mark_and_blank_lines_change_nothing(write_csv, table, separator):
+    plain = CsvReader().read(write_csv(table), ["t", "r"])
+    path = write_csv(table, "other.csv", separator)
+    head, _, body = path.read_text().partition("\n")
+    path.write_text("\ufeff" + head.replace(separator, f" {separator} ") + "\n\n" + body)
+    other = CsvReader().read(path, ["t", "r"])
+    np.testing.assert_array_equal(other.columns["r"], plain.columns["r"])
+    assert other.rows[0] == plain.rows[0] + 1
+
+
+def test_a_bad_parquet_cell_is_named_by_its_row(tmp_path):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"t": [0.0, 1.0, 2.0], "n": [1, None, 3], "s": ["a", "b", "c"]}), path)
+    with pytest.raises(InvalidData, match=r"log\.parquet, row 2, column 'n': expected a finite number, got nan"):
+        ParquetReader().read(path, ["t", "n"])
+    with pytest.raises(InvalidData, match=r"log.parquet, column 's': expected numbers, got string"):
+        ParquetReader().read(path, ["s"])
+
+
+def test_a_file_that_is_not_what_its_suffix_says(tmp_path):
+    (tmp_path / "log.parquet").write_text("t,x\n")
+    with pytest.raises(InvalidData, match=r"log.parquet: not a readable Parquet file"):
+        ParquetReader().header(tmp_path / "log.parquet")
+    (tmp_path / "log.csv").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(InvalidData, match=r"log.csv: expected text"):
+        CsvReader().header(tmp_path / "log.csv")
+
+
+def test_a_column_named_twice(tmp_path):
+    (tmp_path / "log.csv").write_text("t,x,x\n0,1,2\n1,2,3\n")
+    with pytest.raises(InvalidData, match="row 1: the header names the column 'x' 2 times"):
+        CsvReader().read(tmp_path / "log.csv", ["x"])
+
+
+def test_a_plugin_reader_is_found_by_its_suffix(tmp_path):
+    class Made(Reader):
+        suffixes = (".made",)
+
+        def header(self, path):
+            return ("t",)
+
+        def read(self, path, columns):
+            return Table(path, np.arange(2), {"t": np.arange(2.0)})
+
+    with pytest.raises(InvalidData, match=r"log.made: expected a file of one of the kinds \.csv, \.parquet"):
+        reader_for(tmp_path / "log.made")
+    readers.register("made")(Made)
+    try:
+        assert isinstance(reader_for(tmp_path / "log.made"), Made)
+    finally:
+        del readers._entries["made"]
+
+
+def test_folders_are_searched_for_logs_in_order_and_names_must_differ(write_csv, table, tmp_path):
+    for name in ("b.csv", "a.csv", "notes.md"):
+        write_csv(table, name)
+    assert [file.name for file in log_files(tmp_path)] == ["a.csv", "b.csv"]
+    (tmp_path / "more").mkdir()
+    write_csv(table, "more/a.csv")
+    with pytest.raises(InvalidData, match="several are called a; rename them"):
+        log_files([tmp_path, tmp_path / "more"])
+    with pytest.raises(InvalidArgument, match="nothing there"):
+        log_files(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidData, match="in this folder, found none"):
+        log_files(tmp_path / "empty")

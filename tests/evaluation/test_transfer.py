@@ -1,0 +1,197 @@
+"""Transfer: a cell is what the rollout says, and the summary is arithmetic on cells."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from sysid_evo.arrays import Seeds
+from sysid_evo.controllers import Controller
+from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution import Champion
+from sysid_evo.registry import make_controller, make_task
+from sysid_evo.tasks import Task
+from tests.evaluation.known_models import Boxed, Known, Undefined, Weak, fitted
+
+TABLE_2 = {
+    "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),
+    "paramc": ([18.1, 15.1, 1.3, 15.5, 14], ("parametrised",)),
+    "evo3c": ([0.7, 0.2, 13.4, 0.3, 0.33], ("evolved3",)),
+    "nnc": ([15, 5, 0.7, 17.0, 5.33], ("nearest_neighbour",)),
+    "mm1c": ([11, 4, 15.0, 12, 8.33], ("evolved3", "nearest_neighbour")),
+}
+COLUMNS = ("backprop27", "parametrised", "evolved3", "nearest_neighbour", "real")
+
+
+def champion(name: str, against: tuple[str, ...], *, seed: int = 0, aggregate: str = "min") -> Champion:
+    parameters = np.random.default_rng(seed).normal(size=78)
+    history = np.array([[1.0, 0.5, 0.0], [2.0, 1.0, 0.0]])
+    return Champion(name, parameters, against, aggregate, seed, history, task_parameters={"horizon": 60})
+
+
+def paper_matrix() -> TransferMatrix:
+    """Table 2 of the paper, as if every trial had given the mean."""
+    cells = [
+        Cell(name, column, np.full(3, value), unit="waypoints")
+        for name, (row, _) in TABLE_2.items()
+        for column, value in zip(COLUMNS, row, strict=True)
+    ]
+    champions = [champion(name, against) for name, (_, against) in TABLE_2.items()]
+    return TransferMatrix.of(champions, COLUMNS, cells, robot="real")
+
+
+class Unplugged:
+    """A robot that cannot be reached."""
+
+    def run(
+        self, controller: Controller, parameters: np.ndarray, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        raise ConnectionError("no answer from the car")
+
+
+def test_a_cell_holds_the_numbers_of_the_rollout() -> None:
+    model, driver, seeds = fitted(Boxed()), champion("c", ("boxed",), seed=3), transfer_seeds(7, 6)
+    cell = run_cell(driver, "boxed", DynamicsRunner(model), seeds, traces=2)
+    expected = rollout(
+        model, make_controller("recurrent"), driver.parameters[None], make_task("point_to_point", horizon=60), seeds
+    )
+    np.testing.assert_array_equal(cell.fitness, expected.fitness[0])
+    assert cell.mean == expected.fitness.mean()
+    assert cell.std == pytest.approx(expected.fitness.std(ddof=1))
+    assert cell.standard_error == pytest.approx(cell.std / np.sqrt(6))
+    assert cell.clipped_share > 0.1
+    assert cell.clipped_share == pytest.approx(expected.clipped.sum() / expected.survived.sum())
+    assert cell.engine == expected.engine
+    assert cell.unit == "waypoints"
+    assert len(cell.traces) == 2
+
+
+def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed() -> None:
+    runners = {"known": DynamicsRunner(fitted(Known())), "weak": DynamicsRunner(fitted(Weak()))}
+    matrix = transfer([champion("c", ("known",))], runners, seed=1, robot="weak", trials=4, traces=3)
+    own, robot = matrix.cell("c", "known"), matrix.cell("c", "weak")
+    assert len(own.traces) == len(robot.traces) == 3
+    for here, there in zip(own.traces, robot.traces, strict=True):
+        np.testing.assert_array_equal(here.waypoints[0], there.waypoints[0])
+        assert here.waypoint_radius == 0.3
+
+
+def test_fresh_trials_are_not_those_of_evolution() -> None:
+    from sysid_evo.randomness import trial_seeds
+
+    evolved = np.concatenate([trial_seeds(7, 10, generation=g) for g in range(50)])
+    assert not np.isin(transfer_seeds(7, 100), evolved).any()
+
+
+def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
+    runners: dict[str, Runner] = {"known": DynamicsRunner(fitted(Known())), "car": Unplugged()}
+    matrix = transfer([champion("c", ("known",))], runners, seed=1, robot="car", trials=3)
+    assert matrix.cell("c", "car").reason == "ConnectionError: no answer from the car"
+    assert np.isnan(matrix.means()[0, 1])
+    assert not matrix.cell("c", "known").failed
+    assert matrix.best("car") is None
+    summary = summarise(matrix).controller("c")
+    assert summary.achieved is None
+    assert summary.reality_gap is None
+
+
+def test_trials_that_diverge_are_counted() -> None:
+    cell = run_cell(
+        champion("c", ("undefined",)), "undefined", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5)
+    )
+    assert cell.diverged_share == 1.0
+    assert cell.mean < 0.0
+
+
+def test_a_cell_survives_json_bit_by_bit() -> None:
+    cell = run_cell(champion("c", ("k",)), "k", DynamicsRunner(fitted(Known())), transfer_seeds(0, 3), traces=1)
+    again = Cell.from_dict(json.loads(json.dumps(cell.to_dict(), allow_nan=False)))
+    np.testing.assert_array_equal(again.fitness, cell.fitness)
+    np.testing.assert_array_equal(again.traces[0].trajectory.states, cell.traces[0].trajectory.states)
+    np.testing.assert_array_equal(again.traces[0].waypoints, cell.traces[0].waypoints)
+    assert again.to_dict() == cell.to_dict()
+
+
+def test_the_papers_table_gives_the_papers_gaps() -> None:
+    summary = summarise(paper_matrix())
+    bp27c, mm1c = summary.controller("bp27c"), summary.controller("mm1c")
+    assert bp27c.claimed is not None
+    assert bp27c.claimed.value == pytest.approx(18.6)
+    assert bp27c.reality_gap is not None
+    assert bp27c.reality_gap.value == pytest.approx(18.6 - 9.33)
+    assert bp27c.exploitation_gap is not None
+    assert bp27c.exploitation_gap.value == pytest.approx(18.6 - (9 + 1.3 + 14) / 3)
+    assert mm1c.claimed is not None
+    assert mm1c.claimed.value == pytest.approx(12.0)
+    assert mm1c.others is not None
+    assert mm1c.others.value == pytest.approx(7.5)
+    assert mm1c.kept == pytest.approx(8.33 / 12.0)
+
+
+def test_the_median_on_other_families_picks_the_best_controller_of_the_paper() -> None:
+    matrix = paper_matrix()
+    summary = summarise(matrix)
+    assert summary.pick == "paramc" == matrix.best("real")
+    judged = {c.name: c.other_families.value for c in summary.controllers if c.other_families}
+    assert judged == pytest.approx({"bp27c": 9.0, "paramc": 15.5, "evo3c": 0.3, "nnc": 5.0, "mm1c": 7.5})
+    assert summary.controller("paramc").judges == ("backprop27", "evolved3", "nearest_neighbour")
+    assert summary.best_on["evolved3"] == "mm1c"
+    assert summary.best_on["parametrised"] == "paramc"
+
+
+def test_rank_correlations_are_spearmans() -> None:
+    claimed, other = summarise(paper_matrix()).correlations
+    # ranks of claimed 5 3 2 4 1 and of the medians on other families 4 5 1 2 3 against achieved 4 5 1 2 3
+    assert claimed.value == pytest.approx(1 - 6 * (1 + 4 + 1 + 4 + 4) / (5 * 24))
+    assert other.value == pytest.approx(1.0)
+    assert other.controllers == 5
+
+
+def test_a_model_of_the_same_family_is_no_judge() -> None:
+    cells = [Cell("c", column, np.full(2, value)) for column, value in (("a-1", 9.0), ("a-2", 8.0), ("b-1", 3.0))]
+    families = {"a-1": "a", "a-2": "a", "b-1": "b"}
+    matrix = TransferMatrix.of([champion("c", ("a-1",))], ("a-1", "a-2", "b-1"), cells, families=families)
+    summary = summarise(matrix).controller("c")
+    assert summary.judges == ("b-1",)
+    assert summary.others is not None
+    assert summary.others.value == pytest.approx(5.5)
+
+
+def test_a_controller_evolved_on_the_robot_is_not_picked_without_it() -> None:
+    cells = [Cell(name, column, np.full(2, 5.0)) for name in ("cheat", "c") for column in ("a", "b", "car")]
+    champions = [champion("cheat", ("car",)), champion("c", ("a",))]
+    summary = summarise(TransferMatrix.of(champions, ("car", "a", "b"), cells, robot="car"))
+    assert summary.pick == "c"
+    assert summary.controller("cheat").on_robot
+
+
+def test_the_aggregate_of_the_evolution_makes_the_claim() -> None:
+    cells = [Cell(name, column, np.full(2, v)) for name in ("low", "mid") for column, v in (("a", 2.0), ("b", 6.0))]
+    champions = [champion("low", ("a", "b")), champion("mid", ("a", "b"), aggregate="mean")]
+    summary = summarise(TransferMatrix.of(champions, ("a", "b"), cells))
+    assert [c.claimed.value for c in summary.controllers if c.claimed] == [2.0, 4.0]
+    assert all(c.others is None and c.exploitation_gap is None for c in summary.controllers)
+    assert summary.pick is None
+    assert summary.correlations == ()
+
+
+def test_the_error_of_a_gap_is_that_of_paired_trials(rng: np.random.Generator) -> None:
+    luck = rng.normal(size=400)
+    cells = [Cell("c", "a", 5.0 + luck), Cell("c", "b", 3.0 + luck + 0.1 * rng.normal(size=400))]
+    summary = summarise(TransferMatrix.of([champion("c", ("a",))], ("a", "b"), cells)).controller("c")
+    assert summary.claimed is not None
+    assert summary.claimed.standard_error == pytest.approx(luck.std() / 20, rel=0.15)
+    assert summary.exploitation_gap is not None
+    assert summary.exploitation_gap.standard_error == pytest.approx(0.1 / 20, rel=0.2)
+
+
+def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last() -> None:
+    matrix = TransferMatrix.of([champion("c", ("a",))], ("car", "a"), [], robot="car")
+    assert matrix.columns == ("a", "car")
+    assert matrix.cell("c", "a").reason == "not run"
+    with pytest.raises(InvalidArgument, match="robot 'bus'"):
+        TransferMatrix.of([champion("c", ("a",))], ("a",), [], robot="bus")

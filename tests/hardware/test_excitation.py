@@ -1,0 +1,88 @@
+"""The scripted manoeuvres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware.excitation import excitation
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import make_robot
+from sysid_evo.system import Channel
+
+
+def test_six_minutes_in_twelve_manoeuvres_of_legal_commands(car, rng):
+    manoeuvres = excitation(car, rng=rng)
+    assert len({manoeuvre.name for manoeuvre in manoeuvres}) == len(manoeuvres) == 12
+    assert all(manoeuvre.controls.shape == (600, 2) for manoeuvre in manoeuvres)
+    assert np.isin(np.concatenate([manoeuvre.controls for manoeuvre in manoeuvres]), [-1.0, 0.0, 1.0]).all()
+
+
+def test_all_nine_commands_get_their_share(car, rng):
+    controls = np.concatenate([manoeuvre.controls for manoeuvre in excitation(car, rng=rng)])
+    commands, counts = np.unique(controls, axis=0, return_counts=True)
+    assert len(commands) == 9
+    assert counts.min() > 0.02 * len(controls)
+
+
+def test_manoeuvres_are_what_they_are_called(car, rng):
+    by_name = {manoeuvre.name: manoeuvre.controls[10:] for manoeuvre in excitation(car, rng=rng)}
+    for name, drive in (("loops-forward", 1.0), ("figure-8-forward", 1.0), ("loops-backward", -1.0)):
+        assert np.all(by_name[name][:, 0] == drive)
+    assert 0.0 not in by_name["figure-8-backward"][:, 1]
+    assert 0.0 not in by_name["reversals"][:, 0]
+    assert set(by_name["starts-and-stops"][:, 0]) == {-1.0, 0.0, 1.0}
+    switches = [np.any(np.diff(by_name[f"random-{mean}"], axis=0) != 0.0, axis=1).mean() for mean in (0.1, 0.4, 1.6)]
+    assert switches[0] > 2.0 * switches[1] > 4.0 * switches[2]
+
+
+def test_every_manoeuvre_begins_at_rest(car, rng):
+    assert all(np.all(m.controls[:10] == 0.0) and np.any(m.controls[10:15]) for m in excitation(car, rng=rng)[:5])
+
+
+def test_same_rng_gives_the_same_manoeuvres(car):
+    one, same, other = (
+        np.stack([m.controls for m in excitation(car, rng=np.random.default_rng(seed))]) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_excited_car_moves_as_the_paper_reports(rng):
+    car = make_robot("emulated_car").dynamics
+    controls = np.stack([manoeuvre.controls for manoeuvre in excitation(car.system, rng=rng)])
+    batch, steps = controls.shape[:2]
+    carry = car.start(np.zeros((batch, 2, 3)), np.zeros((batch, 1, 2)), rng.standard_normal((batch, 3)))
+    states = np.empty((batch, steps, 3))
+    for k in range(steps):
+        carry = car.step(carry, controls[:, k], rng.standard_normal((batch, car.n_noise)))
+        states[:, k] = carry[:, :3]
+    assert np.sqrt(np.mean(states**2, axis=(0, 1))) == pytest.approx([1.1, 0.08, 1.6], rel=0.15)
+
+
+def test_continuous_controls_use_their_limits_and_neutral(car, rng):
+    names, lows, highs = ("throttle", "trim", "wheel"), (0.0, -1.0, -2.0), (0.8, 1.0, 2.0)
+    channels = tuple(Channel(name, low=low, high=high) for name, low, high in zip(names, lows, highs, strict=True))
+    throttle = replace(car, controls=channels)
+    manoeuvres = excitation(throttle, duration=60.0, rng=rng)
+    assert not any("backward" in manoeuvre.name or "reversal" in manoeuvre.name for manoeuvre in manoeuvres)
+    controls = np.concatenate([manoeuvre.controls for manoeuvre in manoeuvres])
+    assert set(controls[:, 0]) == {0.0, 0.8}
+    assert set(controls[:, 2]) == {-2.0, 0.0, 2.0}
+    scripted = np.concatenate([m.controls for m in manoeuvres if "random" not in m.name])
+    assert np.all(scripted[:, 1] == 0.0)
+
+
+def test_system_without_steering_is_excited_too(car, rng):
+    manoeuvres = excitation(replace(car, controls=car.controls[:1]), duration=70.0, rng=rng)
+    assert [manoeuvre.name for manoeuvre in manoeuvres[:2]] == ["starts-and-stops", "reversals"]
+    assert all(manoeuvre.controls.shape == (200, 1) for manoeuvre in manoeuvres)
+
+
+def test_what_cannot_be_excited_is_refused(car, rng):
+    with pytest.raises(InvalidArgument, match="at least 12 s"):
+        excitation(car, duration=5.0, rng=rng)
+    with pytest.raises(InvalidArgument, match="'throttle' has no finite limits"):
+        excitation(replace(car, controls=(Channel("throttle"),)), rng=rng)

@@ -1,0 +1,83 @@
+"""A fine dynamics at a coarser rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hardware.car_physics import CarPhysics
+from hardware.held_control import HeldControl
+from sysid_evo.arrays import Array
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import make_robot
+from sysid_evo.system import Channel, System
+
+
+class Delayed(Dynamics):
+    """x_{t+1} = 0.9 x_t + u_{t-3} + w_t: a line that can be written down."""
+
+    n_carry, n_lags, n_noise = 4, 3, 1
+
+    def __init__(self) -> None:
+        self.system = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.01)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return np.concatenate([states[:, -1], controls[:, -3:, 0]], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        shaken = 0.0 if noise is None else noise
+        return np.concatenate([0.9 * carry[:, :1] + carry[:, 1:2] + shaken, carry[:, 2:], control], axis=1)
+
+
+def test_coarse_step_equals_ten_fine_ones_exactly(rng):
+    fine = CarPhysics()
+    coarse = HeldControl(fine, 10)
+    draws = rng.standard_normal((20, 3))
+    carry = coarse.start(np.zeros((20, 2, 3)), np.zeros((20, 1, 2)), draws)
+    other = fine.start(np.zeros((20, 11, 3)), np.zeros((20, 10, 2)), draws)
+    assert np.array_equal(carry, other)
+    for _ in range(40):
+        control = rng.integers(-1, 2, (20, 2)).astype(float)
+        noise = rng.standard_normal((20, 20))
+        carry = coarse.step(carry, control, noise)
+        for k in range(10):
+            other = fine.step(other, control, noise[:, 2 * k : 2 * k + 2])
+        assert np.array_equal(carry, other)
+
+
+def test_history_is_held_as_the_controls_are():
+    fine = Delayed()
+    coarse = HeldControl(fine, 2)
+    assert (coarse.n_lags, coarse.n_noise, coarse.n_carry, coarse.system.dt) == (2, 2, 4, 0.02)
+    carry = coarse.start(np.array([[[5.0], [6.0], [7.0]]]), np.array([[[0.1], [0.2]]]))
+    assert carry[0].tolist() == [7.0, 0.1, 0.2, 0.2]
+
+
+def test_any_fine_dynamics_can_be_held(rng):
+    fine, steps = Delayed(), 5
+    coarse = HeldControl(fine, 3)
+    controls, noise = rng.uniform(-1, 1, (steps, 1, 1)), rng.standard_normal((steps, 1, 3))
+    carry = coarse.start(np.ones((1, 2, 1)), np.zeros((1, 1, 1)))
+    for k in range(steps):
+        carry = coarse.step(carry, controls[k], noise[k])
+    x, sent = 1.0, np.concatenate([np.zeros(3), np.repeat(controls.ravel(), 3)])
+    for k in range(3 * steps):
+        x = 0.9 * x + sent[k] + noise.ravel()[k]
+    assert carry[0, 0] == pytest.approx(x)
+
+
+def test_latency_is_exactly_one_sample():
+    car = make_robot("emulated_car").dynamics
+    carry = car.start(np.tile([1.0, 0.0, 0.0], (3, 2, 1)), np.tile([1.0, 0.0], (3, 1, 1)))
+    carry = car.step(carry, np.array([[1.0, 0.0], [-1.0, 0.0], [1.0, 1.0]]))
+    assert np.array_equal(carry[0, :3], carry[1, :3])
+    assert np.array_equal(carry[0, :3], carry[2, :3])
+    carry = car.step(carry, np.zeros((3, 2)))
+    assert carry[1, 0] < carry[0, 0]
+    assert carry[2, 2] > carry[0, 2]
+
+
+def test_held_control_refuses_no_steps():
+    with pytest.raises(InvalidArgument, match="at least one fine step"):
+        HeldControl(CarPhysics(), 0)

@@ -1,0 +1,53 @@
+"""Every registered family keeps the contract, on a car with switches, a proportional car, and no car at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.registry import make_model, models
+from sysid_evo.testing import run_checks
+
+
+@pytest.mark.parametrize("recording", ["switched", "proportional"])
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
+    family: str, recording: str, request: pytest.FixtureRequest
+) -> None:
+    dataset = request.getfixturevalue(recording)
+    broken = [f"{check.sentence}: {check.failure}" for check in run_checks(family, dataset) if check.failure]
+    assert not broken
+
+
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_keeps_the_contract_on_what_is_no_car_or_refuses_it(family: str, oscillator: Dataset) -> None:
+    """Only a family that assumes physics may refuse, and it does so before it learns anything."""
+    model = make_model(family)
+    try:
+        model.check_system(oscillator.system)
+    except IncompatibleSystem:
+        assert model.knowledge in ("grey", "white")
+        with pytest.raises(IncompatibleSystem):
+            model.fit(oscillator, rng=np.random.default_rng(0))
+        with pytest.raises(IncompatibleSystem):
+            list(run_checks(family, oscillator))
+        assert not hasattr(model, "system_")
+    else:
+        broken = [f"{check.sentence}: {check.failure}" for check in run_checks(family, oscillator) if check.failure]
+        assert not broken
+
+
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_says_how_much_it_knows_and_predicts_better_than_nothing(family: str, switched: Dataset) -> None:
+    """Half a second ahead, a fitted model is nearer to the recording than its last measured state."""
+    assert models.get(family).knowledge in ("black", "dark grey", "grey", "white")
+    train, test = switched.split(["episode-2"])
+    quick = dict(models.get(family).presets.get("quick", {}))
+    model = make_model(family, **quick).fit(train, rng=np.random.default_rng(1))
+    windows = test.windows(10, stride=5, history=model.n_lags)
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    forward = simulated[:, -1, 0] - windows.states[:, -1, 0]
+    persistence = windows.start_states[:, 0] - windows.states[:, -1, 0]
+    assert np.sqrt(np.mean(forward**2)) < np.sqrt(np.mean(persistence**2))

@@ -1,0 +1,101 @@
+"""The command line: what goes to standard output, what to standard error, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sysid_evo.testing import example_dataset
+
+PLUGIN = '''
+"""A family outside the repository: the mean acceleration, whatever the state."""
+import numpy as np
+from sysid_evo import DynamicsModel, register_model
+
+
+@register_model("mean_acceleration")
+class MeanAcceleration(DynamicsModel):
+    """The mean acceleration seen in the data, whatever the state."""
+
+    def fit(self, dataset, *, rng, progress=None):
+        steps = dataset.transitions()
+        self.mean_ = dataset.system.acceleration(steps.carry, steps.after).mean(axis=0)
+        return self
+
+    def acceleration(self, carry, control):
+        return np.tile(self.mean_, (len(carry), 1))
+'''
+
+
+def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}
+    command = [sys.executable, "-c", "from sysid_evo.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=240, check=False)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return example_dataset().save(tmp_path_factory.mktemp("logs") / "car")
+
+
+def test_compare_runs_from_recordings_to_a_report_with_a_family_from_outside(logs: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    done = run(
+        "compare", "--data", logs, "--test", "episode-2", "--plugin", "mine.py", "--models", "mean_acceleration,linear",
+        "--generations", "1", "--out", "out", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Transfer matrix" in done.stdout
+    assert "mean_acceleration" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert "done" in done.stderr
+    assert "Traceback" not in done.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["timings"]
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None:
+    fitted = run("fit", logs, "--models", "linear,nearest_neighbour", "--out", "mine", cwd=tmp_path)
+    assert fitted.returncode == 0, fitted.stderr
+    evolved = run(
+        "evolve", "--run", "mine", "--against", "linear,nearest_neighbour", "--aggregate", "min",
+        "--generations", "1", "--trials", "2", "--runs", "1", cwd=tmp_path,
+    )  # fmt: skip
+    assert evolved.returncode == 0, evolved.stderr
+    assert "linear:" in evolved.stdout
+    assert (tmp_path / "mine" / "controllers" / "linear+nearest_neighbour-0.safetensors").is_file()
+
+
+def test_models_list_names_every_family_as_table_and_as_json(tmp_path: Path) -> None:
+    table, document = run("models", "list", cwd=tmp_path), run("models", "list", "--json", cwd=tmp_path)
+    rows = json.loads(document.stdout)
+    assert {"linear", "nearest_neighbour", "parametrised"} <= {row["name"] for row in rows}
+    assert all(row["name"] in table.stdout and row["summary"] for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("compare", "--models", "linaer"), "no model is called 'linaer'. Did you mean 'linear'?"),
+        (("compare", "--preset", "slow"), "no preset is called 'slow'"),
+        (("compare", "--data", "nowhere"), "nowhere"),
+        (("compare", "--plugin", "missing.py"), "missing.py: expected a Python file, found none"),
+        (("evolve", "--against", "linear"), "no run folder given"),
+        (("compare", "--only", "predictions"), "--only: expected 'prediction', got 'predictions'"),
+    ],
+)
+def test_a_wrong_argument_is_one_message_and_exit_code_2(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "".join(message.split()) in "".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+    assert not (tmp_path / "runs").exists()

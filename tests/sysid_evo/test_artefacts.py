@@ -1,0 +1,317 @@
+"""Models and champions on disk: bit for bit, or refused with a reason."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
+from sysid_evo.evolution import Champion
+from sysid_evo.registry import make_model, models
+from sysid_evo.store import family_name, load_champion, load_model, save_champion, save_model
+
+CHAMPION = Champion(
+    name="mm1",
+    parameters=np.array([0.1, np.pi, -1e-300, 1 / 3]),
+    against=("linear", "nearest_neighbour"),
+    aggregate="min",
+    seed=2**40 + 1,
+    history=np.array([[3.0, 2.0, 1.0], [4.0, 2.5, 1.5]]),
+    controller_parameters={"hidden": 3},
+    task_parameters={"horizon": 100, "waypoint_radius": 0.1 + 0.2},
+)
+
+
+class Scrapbook(DynamicsModel):
+    """Learns one thing of every kind that can be stored, and whatever ``also`` says."""
+
+    def __init__(self, *, also: Any = None) -> None:
+        self.also = also
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        self.layers_ = [rng.standard_normal((2, 3)), rng.standard_normal(4)] + [np.full(1, float(i)) for i in range(10)]
+        self.counts_ = np.arange(5)
+        self.single_ = np.float32([0.1, 0.2])
+        self.name_ = "first"
+        self.score_ = 0.1 + 0.2
+        self.nested_ = [[1, 2], ["a", None, True]]
+        self.empty_: list[float] = []
+        self.scratch = "not learned"
+        if self.also is not None:
+            self.extra_ = EXTRAS[self.also]
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return carry
+
+
+EXTRAS = {"object": object(), "mapping": {"a": 1}, "nan": float("nan"), "numpy number": np.float64(1.0)}
+
+
+@pytest.fixture
+def scrapbook(register: Callable[..., Any]) -> type[Scrapbook]:
+    return register(models, "scrapbook", Scrapbook)
+
+
+@pytest.fixture(scope="module")
+def linear(recording: Dataset) -> DynamicsModel:
+    return make_model("linear", ridge=0.1, state_lags=1).fit(recording, rng=np.random.default_rng(0))
+
+
+@pytest.fixture
+def stored(linear: DynamicsModel, tmp_path: Path) -> Path:
+    save_model(linear, tmp_path / "model", seed=3, data="abc")
+    return tmp_path / "model"
+
+
+def manifest_of(path: Path) -> dict[str, Any]:
+    return json.loads(path.with_suffix(".json").read_text())
+
+
+def rewrite(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the manifest as someone with an editor would."""
+    manifest = manifest_of(path)
+    change(manifest)
+    path.with_suffix(".json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize("family", ["linear", "nearest_neighbour"])
+def test_a_model_comes_back_bit_for_bit(family: str, recording: Dataset, tmp_path: Path) -> None:
+    model = make_model(family).fit(recording, rng=np.random.default_rng(0))
+    written = save_model(model, tmp_path / "a" / "model.v2", seed=5, data=recording.fingerprint)
+    assert written == tmp_path / "a" / "model.v2.json"
+    loaded = load_model(tmp_path / "a" / "model.v2")
+    assert type(loaded) is type(model)
+    assert loaded.get_params() == model.get_params()
+    assert loaded.system == model.system
+    assert loaded.system.name == model.system.name
+    learned = {key for key in vars(model) if key.endswith("_")}
+    assert {key for key in vars(loaded) if key.endswith("_")} == learned
+    for key in learned - {"system_"}:
+        assert getattr(loaded, key).dtype == getattr(model, key).dtype
+        np.testing.assert_array_equal(getattr(loaded, key), getattr(model, key))
+    windows = recording.windows(20, stride=50)
+    arguments = (windows.past_states, windows.past_controls, windows.controls)
+    np.testing.assert_array_equal(loaded.simulate(*arguments), model.simulate(*arguments))
+
+
+def test_every_kind_of_learned_thing_comes_back(scrapbook: type, recording: Dataset, tmp_path: Path) -> None:
+    model = scrapbook().fit(recording, rng=np.random.default_rng(0))
+    save_model(model, tmp_path / "book")
+    loaded = load_model(tmp_path / "book.json")
+    assert isinstance(loaded, Scrapbook)
+    assert len(loaded.layers_) == len(model.layers_) == 12
+    for mine, theirs in zip(loaded.layers_, model.layers_, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    for name in ("name_", "score_", "nested_", "empty_"):
+        assert getattr(loaded, name) == getattr(model, name)
+    assert (loaded.counts_.dtype, loaded.single_.dtype) == (np.int64, np.float32)
+    assert not hasattr(loaded, "scratch")
+
+
+def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    save_champion(CHAMPION, tmp_path / "mm1-3", data="abc")
+    loaded = load_champion(tmp_path / "mm1-3")
+    for name in (
+        "name",
+        "against",
+        "aggregate",
+        "seed",
+        "controller",
+        "controller_parameters",
+        "task",
+        "task_parameters",
+    ):
+        assert getattr(loaded, name) == getattr(CHAMPION, name)
+    np.testing.assert_array_equal(loaded.parameters, CHAMPION.parameters)
+    np.testing.assert_array_equal(loaded.history, CHAMPION.history)
+
+
+def test_the_manifest_says_what_made_the_file(stored: Path) -> None:
+    manifest = manifest_of(stored)
+    assert (manifest["kind"], manifest["name"], manifest["module"]) == ("model", "linear", "model_zoo.linear")
+    assert (manifest["seed"], manifest["data"]) == (3, "abc")
+    assert set(manifest["versions"]) == {"python", "sysid-evo", "numpy", "scipy", "scikit-learn"}
+    assert manifest["sha256"] == hashlib.sha256(stored.with_suffix(".safetensors").read_bytes()).hexdigest()
+    assert sorted(path.name for path in stored.parent.iterdir()) == ["model.json", "model.safetensors"]
+
+
+@pytest.mark.parametrize("suffix", [".json", ".safetensors"])
+def test_half_an_artefact_is_refused(stored: Path, suffix: str) -> None:
+    stored.with_suffix(suffix).unlink()
+    with pytest.raises(
+        ArtefactError, match=rf"model\{suffix}: expected one half of a stored model, found no such file"
+    ):
+        load_model(stored)
+
+
+def test_a_truncated_file_is_refused(stored: Path) -> None:
+    target = stored.with_suffix(".safetensors")
+    target.write_bytes(target.read_bytes()[:-1])
+    with pytest.raises(ArtefactError, match=r"model.safetensors: its SHA-256 is not the one in model.json: damaged"):
+        load_model(stored)
+    source = stored.with_suffix(".json")
+    source.write_bytes(source.read_bytes()[:-20])
+    with pytest.raises(
+        ArtefactError, match=r"model.json: not a manifest of schema sysid-evo/artefact/1: the file: Invalid"
+    ):
+        load_model(stored)
+
+
+def test_one_flipped_bit_is_noticed(stored: Path) -> None:
+    target = stored.with_suffix(".safetensors")
+    content = bytearray(target.read_bytes())
+    content[-1] ^= 1
+    target.write_bytes(content)
+    with pytest.raises(ArtefactError, match=r"model.safetensors: its SHA-256"):
+        load_model(stored)
+
+
+def test_the_tensors_of_another_artefact_are_refused(stored: Path, recording: Dataset) -> None:
+    other = stored.with_name("other")
+    save_model(make_model("linear").fit(recording, rng=np.random.default_rng(0)), other)
+    shutil.copy(other.with_suffix(".safetensors"), stored.with_suffix(".safetensors"))
+    with pytest.raises(ArtefactError, match="or not its partner"):
+        load_model(stored)
+
+
+def test_a_pickle_in_disguise_is_never_unpickled(stored: Path, tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+            return Path.touch, (tmp_path / "sprung",)
+
+    content = pickle.dumps(Trap())
+    stored.with_suffix(".safetensors").write_bytes(content)
+    with pytest.raises(ArtefactError, match="its SHA-256"):
+        load_model(stored)
+    rewrite(stored, lambda m: m.update(sha256=hashlib.sha256(content).hexdigest()))
+    with pytest.raises(ArtefactError, match=r"model.safetensors: not a safetensors file"):
+        load_model(stored)
+    assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        (lambda m: m.update(surprise=1), "surprise: Extra inputs are not permitted"),
+        (lambda m: m.pop("sha256"), "sha256: Field required"),
+        (lambda m: m.update(schema_="sysid-evo/artefact/2"), "schema_: Input should be 'sysid-evo/artefact/1'"),
+        (lambda m: m.update(seed="3"), "seed: Input should be a valid integer"),
+        (lambda m: m["parameters"].update(ridge=float("nan")), "parameters: .*expected finite numbers, got nan"),
+        (lambda m: m["learned"].update(a_=[{"b": float("inf")}]), "learned: .*expected finite numbers, got inf"),
+        (lambda m: m["system"].update(dt=float("nan")), "system: .*expected finite numbers, got nan"),
+        (
+            lambda m: m["tensors"].pop("intercept_"),
+            r"model.safetensors: expected the tensors \{.*\}, got \{.*intercept_",
+        ),
+        (lambda m: m.update(kind="controller"), "expected a stored model, got a controller"),
+        (lambda m: m["parameters"].update(colour="red"), "not a stored linear: TypeError: .*'colour'"),
+        (lambda m: m["system"].pop("dt"), "not a stored linear: KeyError: 'dt'"),
+        (lambda m: m["system"].update(states=5), "not a stored linear: TypeError"),
+        (lambda m: m["system"].update(dt=-1.0), "not a stored linear: InvalidSystem: system: expected dt > 0 s"),
+        (lambda m: m["system"]["motion"].update(kind="balloon"), "expected one of planar_body, got 'balloon'"),
+        (lambda m: m.update(system=None), "not a stored linear: KeyError: 'states'"),
+        (lambda m: m["learned"].update(fit=1), "'fit' cannot be the name of something learned"),
+        (lambda m: m["learned"].update(__class_=1), "'__class_' cannot be the name of something learned"),
+        (lambda m: m["learned"].update(system_=1), "'system_' cannot be the name of something learned"),
+    ],
+)
+def test_a_manifest_that_was_tampered_with_is_refused_with_the_reason(
+    stored: Path, change: Callable[[dict[str, Any]], object], reason: str
+) -> None:
+    rewrite(stored, change)
+    with pytest.raises(ArtefactError, match=reason) as raised:
+        load_model(stored)
+    assert str(stored) in str(raised.value)
+
+
+def test_a_model_of_an_unknown_family_says_where_it_came_from(stored: Path) -> None:
+    rewrite(stored, lambda m: m.update(name="lineal", module="their_zoo"))
+    with pytest.raises(
+        ArtefactError, match=r"needs the model family 'lineal', which the module 'their_zoo'.*--plugin.*linear"
+    ):
+        load_model(stored)
+
+
+def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match=r"model.json: expected a stored controller, got a model"):
+        load_champion(stored)
+    save_champion(CHAMPION, tmp_path / "c")
+    with pytest.raises(ArtefactError, match=r"c.json: expected a stored model, got a controller"):
+        load_model(tmp_path / "c")
+
+
+@pytest.mark.parametrize("key", ["name", "against", "aggregate", "task", "task_parameters"])
+def test_a_champion_that_lacks_something_is_refused(tmp_path: Path, key: str) -> None:
+    save_champion(CHAMPION, tmp_path / "c")
+    rewrite(tmp_path / "c", lambda m: m["learned"].pop(key))
+    with pytest.raises(ArtefactError, match=f"not a stored controller: KeyError: '{key}'"):
+        load_champion(tmp_path / "c")
+
+
+def test_a_champion_with_a_wrong_type_is_refused(tmp_path: Path) -> None:
+    save_champion(CHAMPION, tmp_path / "c")
+    rewrite(tmp_path / "c", lambda m: m["learned"].update(against=None))
+    with pytest.raises(ArtefactError, match="not a stored controller: TypeError"):
+        load_champion(tmp_path / "c")
+
+
+def test_a_huge_manifest_is_not_even_read(stored: Path) -> None:
+    stored.with_suffix(".json").write_bytes(b" " * (4 * 2**20 + 1))
+    with pytest.raises(ArtefactError, match="a manifest has at most 4194304 bytes, this is larger"):
+        load_model(stored)
+
+
+@pytest.mark.parametrize(
+    "also, reason",
+    [
+        ("object", "extra_ is a object; what a model learns must be arrays, numbers"),
+        ("mapping", "extra_ is a dict"),
+        ("nan", "cannot be stored: learned: .*expected finite numbers, got nan"),
+        ("numpy number", "extra_ is a float64"),
+    ],
+)
+def test_what_cannot_be_stored_is_refused_and_the_older_file_stays(
+    scrapbook: type, recording: Dataset, tmp_path: Path, also: str, reason: str
+) -> None:
+    save_model(scrapbook().fit(recording, rng=np.random.default_rng(0)), tmp_path / "book")
+    before = (tmp_path / "book.safetensors").read_bytes()
+    with pytest.raises(InvalidArgument, match=reason):
+        save_model(scrapbook(also=also).fit(recording, rng=np.random.default_rng(1)), tmp_path / "book")
+    assert (tmp_path / "book.safetensors").read_bytes() == before
+    load_model(tmp_path / "book")
+
+
+def test_a_parameter_that_json_cannot_hold_is_refused(recording: Dataset, tmp_path: Path) -> None:
+    model = make_model("linear").fit(recording, rng=np.random.default_rng(0))
+    for value in (np.zeros(3), float("inf"), {1: 2}):
+        model.ridge = value
+        with pytest.raises(InvalidArgument, match=r"cannot be stored: parameters: .*expected"):
+            save_model(model, tmp_path / "model")
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_fitted_models_of_registered_families_are_stored(recording: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(NotFitted, match=r"model 'linear' is not fitted, so there is nothing to store"):
+        save_model(make_model("linear"), tmp_path / "model")
+    with pytest.raises(InvalidArgument, match="Scrapbook is not a registered family: decorate it with @register_model"):
+        family_name(Scrapbook())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dot_in_a_name_is_no_suffix(linear: DynamicsModel, tmp_path: Path) -> None:
+    for name in ("model-0.5", "model-0.7"):
+        save_model(linear, tmp_path / name)
+    assert sorted(path.name for path in tmp_path.glob("*.json")) == ["model-0.5.json", "model-0.7.json"]
+    load_model(tmp_path / "model-0.5")

@@ -1,0 +1,248 @@
+"""The contract's own tests: each broken model is caught, with the sentence that it breaks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel, require_planar
+from sysid_evo.errors import ContractViolation, IncompatibleSystem
+from sysid_evo.registry import models
+from sysid_evo.system import Channel, System
+from sysid_evo.testing import check_model, run_checks
+
+
+class Fading(DynamicsModel):
+    """A model that keeps the contract: states fade by a factor drawn in `fit`."""
+
+    def __init__(self, *, share: float = 0.9) -> None:
+        self.share = share
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        self.factor_ = np.array([self.share + 0.05 * rng.random()])
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return carry * self.factor_ + 0.01 * control.sum(axis=1, keepdims=True)
+
+
+class Stochastic(Fading):
+    """A model with noise in every step and in an offset that it remembers."""
+
+    n_noise = 3
+    n_draws = 1
+
+    @property
+    def n_carry(self) -> int:  # type: ignore[override]
+        return super().n_carry + 1
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        assert draws is not None
+        return np.concatenate([states[:, -1], draws], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        assert noise is not None
+        after = 0.5 * carry[:, :3] + 0.01 * noise + 0.01 * carry[:, 3:]
+        return np.concatenate([after, carry[:, 3:]], axis=1)
+
+
+class Impure(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        self.calls = getattr(self, "calls", 0) + 1
+        return super().next_state(carry, control) + 1e-6 * self.calls
+
+
+class Overwriting(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        carry *= self.factor_
+        return carry.copy()
+
+
+class BatchDependent(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return super().next_state(carry, control) + 1e-3 * carry.mean(axis=0)
+
+
+class SinglePrecision(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return super().next_state(carry, control).astype(np.float32)
+
+
+class WrongShape(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return super().next_state(carry, control)[:, :-1]
+
+
+class NotFinite(Fading):
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return np.full_like(carry, np.nan)
+
+
+class OtherStart(Fading):
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return super().start(states, controls) + 0.1
+
+
+class OtherSimulation(Fading):
+    def simulate(self, *arguments: Any, **keywords: Any) -> Array:
+        return super().simulate(*arguments, **keywords) + 0.01
+
+
+class ReturningNothing(Fading):
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        super().fit(dataset, rng=rng)
+        return None  # type: ignore[return-value]
+
+
+class Failing(Fading):
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        raise ZeroDivisionError("nothing to learn from")
+
+
+class Scribbling(Fading):
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        super().fit(dataset, rng=rng)
+        states = dataset.episodes[0].states
+        kept = states.copy()
+        states *= 2.0
+        Scribbling.undo = lambda: states.__setitem__(slice(None), kept)
+        return self
+
+
+class GloballyRandom(Fading):
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        self.factor_ = np.array([0.9 + 0.01 * GLOBAL.random()])
+        return self
+
+
+class Unsavable(Fading):
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        super().fit(dataset, rng=rng)
+        self.cache_ = {"factor": self.factor_}
+        return self
+
+
+class Forgetful(Fading):
+    """Steps with something learned whose name does not end in an underscore."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        super().fit(dataset, rng=rng)
+        self.bonus = 1.0
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return super().next_state(carry, control) + getattr(self, "bonus", 0.0)
+
+
+class Meddling(Fading):
+    """A constructor that does more than store its arguments."""
+
+    def __init__(self, *, share: float = 0.9) -> None:
+        self.share = share * 0.5
+
+
+class BlindToFitting(Fading):
+    def simulate(self, *arguments: Any, **keywords: Any) -> Array:
+        return np.zeros((1, 1, 3)) if not hasattr(self, "system_") else super().simulate(*arguments, **keywords)
+
+
+GLOBAL = np.random.default_rng(0)
+
+RIGHT_SHAPE = "A step turns a carry (B, n_carry) into a carry of the same shape, in float64"
+FIT = "fit learns from a recording, leaves it as it is, and returns the model itself"
+PURE = "A step changes neither its arguments nor its own later results"
+STORED = "A stored model steps bit for bit as before"
+CLONE = "get_params and clone give back the constructor's arguments, unfitted"
+
+
+def broken(results: Any) -> dict[str, str]:
+    return {result.sentence: result.failure for result in results if result.failure is not None}
+
+
+@pytest.mark.parametrize("family", [Fading, Stochastic])
+def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Callable[..., Any]) -> None:
+    register(models, "fading", family)
+    results = list(run_checks("fading"))
+    assert broken(results) == {}
+    assert len({result.sentence for result in results}) == len(results) >= 10
+    check_model("fading", share=0.8)
+
+
+@pytest.mark.parametrize(
+    "family, sentence, reason",
+    [
+        (Impure, PURE, "the same step twice gives two results"),
+        (Overwriting, PURE, "step overwrites its arguments"),
+        (BatchDependent, "Every row of a batch is computed for itself", "changes with the other rows"),
+        (SinglePrecision, RIGHT_SHAPE, "float64, got .* float32"),
+        (WrongShape, RIGHT_SHAPE, r"expected \(\d+, 3\) float64, got \(\d+, 2\)"),
+        (NotFinite, RIGHT_SHAPE, "a step from a training state is not finite"),
+        (OtherStart, "The carry begins with the state", "is not the last measured state"),
+        (OtherSimulation, "A free run equals its steps one after the other", "they differ at step 1"),
+        (ReturningNothing, FIT, "ReturningNothing.fit must return self, got NoneType"),
+        (Failing, FIT, "ZeroDivisionError: nothing to learn from"),
+        (GloballyRandom, "The same data and seed give the same model", "two fits with the same seed step differently"),
+        (Unsavable, STORED, "cache_ is a dict; what a model learns must be arrays"),
+        (Forgetful, STORED, "it steps differently after loading"),
+        (Meddling, CLONE, "RuntimeError: Cannot clone"),
+        (BlindToFitting, "A model that is not fitted says so", "simulate before fit should raise NotFitted"),
+    ],
+)
+def test_a_broken_model_is_caught_with_the_sentence_it_breaks(
+    family: type[Fading], sentence: str, reason: str, register: Callable[..., Any]
+) -> None:
+    register(models, "broken", family)
+    found = broken(run_checks("broken"))
+    (key,) = [key for key in found if key.startswith(sentence)]
+    assert re.search(reason, found[key])
+    with pytest.raises(ContractViolation, match="model 'broken' breaks") as raised:
+        check_model("broken")
+    assert f"- {key}: {found[key]}" in str(raised.value)
+
+
+def test_a_fit_that_overwrites_the_recording_is_caught(register: Callable[..., Any], recording: Dataset) -> None:
+    register(models, "broken", Scribbling)
+    assert broken(run_checks("broken", recording))[FIT] == "fit overwrites the recording"
+    Scribbling.undo()
+
+
+def test_after_a_failed_fit_nothing_else_is_checked(register: Callable[..., Any]) -> None:
+    register(models, "broken", Failing)
+    assert [result.sentence for result in run_checks("broken")][-1] == FIT
+
+
+def test_a_system_that_the_family_refuses_is_no_broken_sentence(register: Callable[..., Any]) -> None:
+    class Planar(Fading):
+        def check_system(self, system: System) -> None:
+            require_planar(self, system)
+
+    register(models, "planar", Planar)
+    system = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
+    rng = np.random.default_rng(0)
+    dataset = Dataset.from_arrays(system, [rng.standard_normal((30, 1))], [rng.uniform(-1, 1, (29, 1))])
+    with pytest.raises(IncompatibleSystem, match="Planar describes a planar body"):
+        list(run_checks("planar", dataset))
+
+
+def test_the_quick_preset_gives_way_to_what_is_asked_for(register: Callable[..., Any]) -> None:
+    seen: list[float] = []
+
+    class Preset(Fading):
+        presets: ClassVar = {"quick": {"share": 0.5}}
+
+        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+            seen.append(self.share)
+            return super().fit(dataset, rng=rng)
+
+    register(models, "preset", Preset)
+    check_model("preset")
+    assert set(seen) == {0.5}
+    seen.clear()
+    check_model("preset", share=0.25)
+    assert set(seen) == {0.25}

@@ -1,0 +1,221 @@
+"""Ensembles and the evolution of controllers against them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array, Seeds
+from sysid_evo.controllers import Controller
+from sysid_evo.data import Dataset
+from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
+from sysid_evo.errors import IncompatibleTask, InvalidArgument, UnknownName
+from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, aggregate, evolve_controller
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import make_model
+from sysid_evo.system import System
+from sysid_evo.tasks import Task
+
+from .made_up import Climber, Constant, Ladder
+
+
+@dataclass
+class Watched:
+    """A runner that also writes down the trials and candidates it was given, and what they achieved."""
+
+    runner: DynamicsRunner
+    seeds: list[Seeds] = field(default_factory=list)
+    parameters: list[Array] = field(default_factory=list)
+    fitness: list[Array] = field(default_factory=list)
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        rollouts = self.runner.run(controller, parameters, task, seeds, record=record)
+        self.seeds.append(seeds)
+        self.parameters.append(parameters)
+        self.fitness.append(rollouts.fitness)
+        return rollouts
+
+
+def test_the_fitnesses_on_several_models_become_one() -> None:
+    fitness = [[1.0, 5.0], [2.0, 9.0], [6.0, 1.0]]
+    np.testing.assert_array_equal(aggregate("min", fitness), [1.0, 1.0])
+    np.testing.assert_array_equal(aggregate("mean", fitness), [3.0, 5.0])
+    np.testing.assert_array_equal(aggregate("median", fitness), [2.0, 5.0])
+    with pytest.raises(InvalidArgument, match="aggregate: expected one of min, mean, median, got 'max'"):
+        aggregate("max", fitness)
+
+
+@pytest.fixture
+def pair(ladder: System) -> tuple[Watched, Watched]:
+    """A ladder that breaks early and one that breaks late."""
+    return (
+        Watched(DynamicsRunner(Climber(ladder, breaks_above=10.2))),
+        Watched(DynamicsRunner(Climber(ladder, breaks_above=11.2))),
+    )
+
+
+def test_an_objective_is_the_aggregate_of_the_means_over_the_trials(
+    pair: tuple[Watched, Watched], ladder: System
+) -> None:
+    population = np.array([[1.0], [0.0], [-0.5]])
+    seeds = trial_seeds(1, 6)
+    means = [
+        rollout(watched.runner.dynamics, Constant(), population, Ladder(), seeds).fitness.mean(axis=1)
+        for watched in pair
+    ]
+    assert means[0][0] < means[1][0] < means[1][1] == 10.0
+    for name, expected in (("min", means[0]), ("mean", (means[0] + means[1]) / 2)):
+        objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate=name)
+        np.testing.assert_allclose(objective(population, 0), expected)
+
+
+def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: System) -> None:
+    """One model is good in odd trials, the other in even ones: each has a mean of one half."""
+
+    @dataclass
+    class Fixed:
+        fitness: Array
+
+        def run(
+            self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+        ) -> Rollouts:
+            count = np.zeros(self.fitness.shape, dtype=np.int64)
+            return Rollouts(self.fitness, count, count, task.begin(seeds), "fixed")
+
+    runners = Fixed(np.array([[0.0, 1.0]])), Fixed(np.array([[1.0, 0.0]]))
+    objective = EnsembleObjective(runners, Constant(), Ladder(), seed=1, trials=2)
+    np.testing.assert_array_equal(objective(np.zeros((1, 1)), 0), [0.5])
+
+
+def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair: tuple[Watched, Watched]) -> None:
+    objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4)
+    for generation in range(3):
+        objective(np.zeros((3, 1)), generation)
+    first, second = pair
+    for generation in range(3):
+        np.testing.assert_array_equal(first.seeds[generation], trial_seeds(5, 4, generation=generation))
+        np.testing.assert_array_equal(first.seeds[generation], second.seeds[generation])
+    assert len({int(seed) for seeds in first.seeds for seed in seeds}) == 12
+
+
+def test_an_ensemble_without_models_or_trials_is_refused(pair: tuple[Watched, Watched]) -> None:
+    with pytest.raises(InvalidArgument, match="expected at least one model and one trial, got 0 and 10"):
+        EnsembleObjective((), Constant(), Ladder(), seed=1)
+    with pytest.raises(InvalidArgument, match="expected at least one model and one trial, got 2 and 0"):
+        EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=0)
+    with pytest.raises(InvalidArgument, match="expected one of min, mean, median, got 'lowest'"):
+        EnsembleObjective(pair, Constant(), Ladder(), seed=1, aggregate="lowest")
+
+
+SETTINGS = ControllerEvolution(
+    generations=25,
+    trials=5,
+    selection_trials=10,
+    controller_parameters={"hidden": 3},
+    task_parameters={"horizon": 120, "waypoint_radius": 0.4},
+    strategy_parameters={"parents": 15, "children": 15, "sigma": 0.3},
+)
+
+
+@pytest.fixture(scope="module")
+def runners(recording: Dataset) -> dict[str, DynamicsRunner]:
+    fitted = {
+        name: make_model(name).fit(recording, rng=np.random.default_rng(0)) for name in ("linear", "nearest_neighbour")
+    }
+    return {name: DynamicsRunner(model) for name, model in fitted.items()}
+
+
+def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(
+    runners: dict[str, DynamicsRunner], recording: Dataset
+) -> None:
+    linear = {"linear": runners["linear"]}
+    champion = evolve_controller("first", linear, recording.system, SETTINGS, seed=3)
+    random = 0.5 * np.random.default_rng(0).standard_normal((200, len(champion.parameters)))
+    everyone = np.concatenate([champion.parameters[None], random])
+    task = SETTINGS.make_task(recording.system)
+    seeds = trial_seeds(999, 40)
+    fitness = linear["linear"].run(SETTINGS.make_controller(task), everyone, task, seeds).fitness.mean(axis=1)
+    assert fitness[0] > fitness[1:].max()
+    assert fitness[0] > 2.0 * fitness[1:].mean()
+
+
+def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+    told: list[tuple[int, int]] = []
+    settings = ControllerEvolution(
+        generations=3,
+        trials=2,
+        runs=2,
+        aggregate="mean",
+        selection_trials=3,
+        controller_parameters={"hidden": 2},
+        task_parameters={"horizon": 15},
+        strategy_parameters={"parents": 4, "children": 4},
+    )
+    champion = evolve_controller(
+        "both", runners, recording.system, settings, seed=3, progress=lambda done, total: told.append((done, total))
+    )
+    assert champion.name == "both"
+    assert champion.against == ("linear", "nearest_neighbour")
+    assert (champion.aggregate, champion.seed) == ("mean", 3)
+    assert champion.parameters.shape == (2 * (5 + 2 + 2),)
+    assert champion.history.shape == (3, 3)
+    assert (np.diff(champion.history, axis=1) <= 0).all()  # best, mean, worst
+    assert champion.controller_parameters == {"hidden": 2}
+    assert champion.task_parameters == {"horizon": 15}
+    assert told == [(i, 6) for i in range(1, 7)]
+
+
+def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+    settings = ControllerEvolution(
+        generations=3,
+        trials=2,
+        selection_trials=3,
+        task_parameters={"horizon": 15},
+        strategy_parameters={"parents": 4, "children": 4},
+    )
+    first, again, other = (evolve_controller("c", runners, recording.system, settings, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first.parameters, again.parameters)
+    np.testing.assert_array_equal(first.history, again.history)
+    assert not np.isin(other.parameters, first.parameters).any()
+
+
+def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
+    runners: dict[str, DynamicsRunner], recording: Dataset
+) -> None:
+    settings = ControllerEvolution(
+        generations=2,
+        trials=2,
+        runs=3,
+        selection_trials=10,
+        task_parameters={"horizon": 80, "waypoint_radius": 0.5},
+        strategy_parameters={"parents": 5, "children": 5, "spread": 1.0},
+    )
+    best_runs = set()
+    for seed in (3, 4, 5, 8):
+        watched = Watched(runners["linear"])
+        champion = evolve_controller("c", {"linear": watched}, recording.system, settings, seed=seed)
+        met = {int(number) for seeds in watched.seeds if len(seeds) == 2 for number in seeds}
+        assert len(met) == 2 * 2 * 3  # three runs of two generations of two trials, all of them different
+        choices = [i for i, seeds in enumerate(watched.seeds) if len(seeds) == 10]
+        assert [len(watched.parameters[i]) for i in choices] == [5, 5, 5]
+        assert len({watched.seeds[i].tobytes() for i in choices}) == 1
+        assert not met & {int(number) for number in watched.seeds[choices[0]]}
+        fitness = np.stack([watched.fitness[i].mean(axis=1) for i in choices])
+        run, parent = np.unravel_index(np.argmax(fitness), fitness.shape)
+        np.testing.assert_array_equal(champion.parameters, watched.parameters[choices[run]][parent])
+        best_runs.add(run)
+    assert len(best_runs) > 1
+
+
+def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> None:
+    for name in ("generations", "trials", "runs", "selection_trials"):
+        with pytest.raises(InvalidArgument, match=f"expected {name} >= 1, got 0"):
+            ControllerEvolution(**{name: 0})
+    with pytest.raises(IncompatibleTask, match="has no motion"):
+        ControllerEvolution().make_task(ladder)
+    with pytest.raises(UnknownName, match=r"no controller is called 'recurent'\. Did you mean 'recurrent'"):
+        ControllerEvolution(controller="recurent").make_controller(SETTINGS.make_task(recording.system))

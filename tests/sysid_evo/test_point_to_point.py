@@ -1,0 +1,182 @@
+"""The paper's task against cases worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.motion import PlanarBody
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.tasks.point_to_point import PointToPointState
+
+
+def seeds_of(*values: int) -> np.ndarray:
+    return np.array(values, dtype=np.uint64)
+
+
+def started(
+    car: System, waypoints: list[tuple[float, float]], **parameters: float
+) -> tuple[PointToPoint, PointToPointState]:
+    """The task on the toy car and one trial with known waypoints (the last one repeats)."""
+    task = PointToPoint(**parameters).bind(car)
+    begun = task.begin(seeds_of(1))
+    padded = waypoints + [waypoints[-1]] * (task.horizon + 1 - len(waypoints))
+    return task, dataclasses.replace(begun, waypoints=np.array([padded]))
+
+
+def test_driving_straight_past_known_waypoints_counts_them_when_they_are_near(car: System) -> None:
+    """At 1 m/s, 0.05 m a step: (1.02, 0) is within 0.3 m from x = 0.75, (1.5, 0.2) from x = 1.30 m."""
+    task, trial = started(car, [(1.02, 0.0), (1.5, 0.2), (5.0, 5.0)])
+    state = np.array([[1.0, 0.0, 0.0]])
+    passed = []
+    for _ in range(40):
+        trial, state = task.advance(trial, state, state)
+        passed.append(int(task.fitness(trial)[0]))
+    assert passed.index(1) + 1 == 15
+    assert passed.index(2) + 1 == 26
+    assert passed[-1] == 2
+    np.testing.assert_allclose(trial.pose, [[2.0, 0.0, 0.0]], atol=1e-12)
+
+
+def test_at_most_one_waypoint_is_passed_in_a_step(car: System) -> None:
+    task, trial = started(car, [(0.0, 0.0)], horizon=5)
+    rest = np.zeros((1, 3))
+    for k in range(5):
+        trial, _ = task.advance(trial, rest, rest)
+        assert task.fitness(trial)[0] == k + 1
+    assert np.isfinite(task.observe(trial, rest)).all()
+
+
+def test_the_waypoint_radius_counts_from_the_centre_of_the_body(car: System) -> None:
+    rest = np.zeros((1, 3))
+    for distance, passed in ((0.29, 1), (0.31, 0)):
+        for direction in (0.0, 2.0, 4.0):
+            task, trial = started(car, [(distance * np.cos(direction), distance * np.sin(direction)), (9.0, 9.0)])
+            assert task.fitness(task.advance(trial, rest, rest)[0])[0] == passed
+
+
+@pytest.mark.parametrize(
+    "heading, waypoint, angle",
+    [
+        (0.0, (1.0, 0.0), 0.0),
+        (0.0, (0.0, 1.0), np.pi / 2),  # to the left
+        (0.0, (0.0, -1.0), -np.pi / 2),  # to the right
+        (0.0, (-1.0, 0.0), np.pi),  # behind
+        (np.pi / 2, (0.0, 1.0), 0.0),
+        (np.pi / 2, (-1.0, 0.0), np.pi / 2),
+        (3.0, (-1.0, -0.2), 0.33899),  # across the cut of the arctangent: -2.94419 - 3 + 2 pi
+        (20.0 * np.pi, (1.0, 1.0), np.pi / 4),
+    ],
+)
+def test_a_waypoint_to_the_left_has_a_positive_angle(
+    car: System, heading: float, waypoint: tuple[float, float], angle: float
+) -> None:
+    task, trial = started(car, [waypoint])
+    trial = dataclasses.replace(trial, pose=np.array([[0.0, 0.0, heading]]))
+    assert task.observe(trial, np.zeros((1, 3)))[0, 3] == pytest.approx(angle, abs=1e-5)
+
+
+def test_a_controller_is_given_bias_speed_yaw_rate_angle_and_distance(car: System) -> None:
+    task, trial = started(car, [(4.0, 6.0)])
+    trial = dataclasses.replace(trial, pose=np.array([[1.0, 2.0, 0.1]]))
+    observed = task.observe(trial, np.array([[1.5, -0.3, 0.7]]))
+    np.testing.assert_allclose(observed, [[1.0, 1.5, 0.7, np.arctan2(4.0, 3.0) - 0.1, 5.0]])
+    assert [channel.name for channel in task.observations] == [
+        "bias",
+        "forward_speed",
+        "yaw_rate",
+        "waypoint_angle",
+        "waypoint_distance",
+    ]
+
+
+def test_the_roles_of_the_motion_say_which_states_are_observed() -> None:
+    system = System(
+        (Channel("omega"), Channel("temperature"), Channel("vx")),
+        (Channel("u", levels=(-1, 0, 1)),),
+        0.05,
+        PlanarBody(forward="vx", lateral=None, yaw_rate="omega"),
+    )
+    task = PointToPoint().bind(system)
+    trial = task.begin(seeds_of(3))
+    np.testing.assert_array_equal(task.observe(trial, np.array([[0.5, 99.0, 2.0]]))[0, 1:3], [2.0, 0.5])
+    moved, _ = task.advance(trial, np.array([[0.0, 99.0, 2.0]]), np.array([[0.0, 99.0, 2.0]]))
+    np.testing.assert_allclose(moved.pose, [[0.1, 0.0, 0.0]])
+
+
+def test_a_trial_begins_at_rest_in_the_origin_heading_along_x(car: System) -> None:
+    trial = PointToPoint(horizon=20).bind(car).begin(seeds_of(1, 2, 3))
+    np.testing.assert_array_equal(trial.state, np.zeros((3, 3)))
+    np.testing.assert_array_equal(trial.pose, np.zeros((3, 3)))
+    assert trial.alive.all()
+    assert trial.waypoints.shape == (3, 21, 2)
+
+
+def test_a_seed_always_gives_the_same_waypoints_and_another_one_others(car: System) -> None:
+    task = PointToPoint(horizon=30).bind(car)
+    together = task.begin(seeds_of(5, 6, 2**63 + 1)).waypoints
+    for i, seed in enumerate((5, 6, 2**63 + 1)):
+        np.testing.assert_array_equal(task.begin(seeds_of(seed)).waypoints[0], together[i])
+    assert len(np.unique(together.round(12))) == together.size
+
+
+def test_waypoints_are_uniform_over_the_disc(car: System) -> None:
+    task = PointToPoint(arena_radius=1.5).bind(car)
+    waypoints = task.begin(trial_seeds(1, 40)).waypoints.reshape(-1, 2)
+    n = len(waypoints)
+    radius = np.hypot(*waypoints.T)
+    assert radius.max() <= 1.5
+    # the share of the area within r is (r / R)^2; a quantile of n samples has a deviation of sqrt(p (1 - p) / n)
+    share = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
+    quantiles = np.quantile((radius / 1.5) ** 2, share)
+    assert (np.abs(quantiles - share) < 4.0 * np.sqrt(share * (1 - share) / n)).all()
+    direction = waypoints / radius[:, None]
+    for order in (1, 2):  # the mean of n random unit vectors is shorter than 4 / sqrt(n)
+        angle = order * np.arctan2(direction[:, 1], direction[:, 0])
+        assert np.hypot(np.cos(angle).mean(), np.sin(angle).mean()) < 4.0 / np.sqrt(n)
+
+
+def test_a_system_without_a_planar_motion_is_refused_by_the_roles_it_lacks() -> None:
+    system = System((Channel("x"),), (Channel("u"),), dt=0.05, name="pendulum")
+    with pytest.raises(
+        IncompatibleTask, match=r"needs a planar body \(roles forward and yaw_rate\); pendulum has no motion"
+    ):
+        PointToPoint().bind(system)
+
+
+def test_binding_leaves_the_task_itself_unbound(car: System) -> None:
+    task = PointToPoint()
+    assert task.bind(car).system is car
+    assert not hasattr(task, "system")
+
+
+@pytest.mark.parametrize("parameters", [{"horizon": 0}, {"waypoint_radius": 0.0}, {"arena_radius": -1.0}])
+def test_impossible_tasks_are_refused(parameters: dict[str, float]) -> None:
+    with pytest.raises(InvalidArgument, match="expected horizon >= 1 and radii > 0, got"):
+        PointToPoint(**parameters)
+
+
+def test_tiling_puts_the_candidate_first_and_the_trial_second(car: System) -> None:
+    task = PointToPoint(horizon=10).bind(car)
+    trials = task.begin(seeds_of(1, 2, 3))
+    tiled = trials.tile(2)
+    np.testing.assert_array_equal(tiled.trial, [0, 1, 2, 0, 1, 2])
+    assert tiled.waypoints is trials.waypoints
+    assert tiled.pose.shape == (6, 3)
+    np.testing.assert_array_equal(tiled.waypoint[:3], trials.waypoint)
+    np.testing.assert_array_equal(tiled.waypoint[3:], trials.waypoint)
+
+
+def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car: System) -> None:
+    task = PointToPoint(horizon=10).bind(car)
+    old = task.begin(seeds_of(1, 2, 3))
+    new = dataclasses.replace(old, pose=old.pose + 1.0, passed=old.passed + 5)
+    kept = old.keep(new, np.array([True, False, True]))
+    np.testing.assert_array_equal(kept.passed, [5, 0, 5])
+    np.testing.assert_array_equal(kept.pose[:, 0], [1.0, 0.0, 1.0])
+    assert kept.passed.dtype == old.passed.dtype

@@ -1,0 +1,245 @@
+"""Names from decorators and entry points, plugin files, and what is said when one is broken."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from sysid_evo.errors import MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.registry import Registry, load_plugin, make_robot, models, robots
+
+GROUP = "sysid_evo.test_things"
+
+
+class Distributions:
+    """Installs made-up distributions into a folder on ``sys.path``; their modules see ``things``."""
+
+    def __init__(self, folder: Path, registry: Registry[Any]) -> None:
+        self.folder, self.registry = folder, registry
+
+    def install(self, name: str, points: dict[str, str], modules: dict[str, str], requires: str = "") -> None:
+        info = self.folder / f"{name}-1.0.dist-info"
+        info.mkdir()
+        lines = "\n".join(f"{point} = {module}" for point, module in points.items())
+        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{lines}\n")
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{requires}")
+        for module, source in modules.items():
+            (self.folder / f"{module}.py").write_text(f"from made_up_registry import things\n{source}")
+
+
+@pytest.fixture
+def distributions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Distributions]:
+    registry: Registry[Any] = Registry("thing", GROUP)
+    host = ModuleType("made_up_registry")
+    host.things = registry  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "made_up_registry", host)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+    yield Distributions(tmp_path, registry)
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+@pytest.fixture
+def plugin_modules() -> Iterator[None]:
+    yield
+    for name in [name for name in sys.modules if name.startswith("sysid_evo_plugin_")]:
+        del sys.modules[name]
+
+
+GOOD = "@things.register('good')\nclass Good:\n    def __init__(self, size=1):\n        self.size = size\n"
+
+
+def test_a_decorated_class_is_found_and_made_with_its_parameters() -> None:
+    things: Registry[Any] = Registry("thing", GROUP)
+
+    @things.register("box")
+    class Box:
+        def __init__(self, *, size: int) -> None:
+            self.size = size
+
+    assert things.get("box") is Box
+    assert things.make("box", size=3).size == 3
+    assert things.names() == ("box",)
+    assert dict(things.loaded) == {"box": Box}
+
+
+def test_an_entry_point_is_imported_only_when_asked_for(distributions: Distributions) -> None:
+    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
+    registry = distributions.registry
+    assert registry.names() == ("good",)
+    assert "good_module" not in sys.modules
+    assert not registry.loaded
+    assert registry.make("good", size=5).size == 5
+    assert "good_module" in sys.modules
+
+
+def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(distributions: Distributions) -> None:
+    other = "@things.register('other')\ndef make():\n    return None\n"
+    distributions.install(
+        "made-up",
+        {"better": "good_module", "other": "other_module"},
+        {"good_module": GOOD, "other_module": other},
+    )
+    distributions.registry.get("other")
+    for _ in range(2):  # the second time the module is loaded already
+        with pytest.raises(
+            RegistrationError, match=r"better = 'good_module' should register 'better', .* registers 'good'\. Use"
+        ):
+            distributions.registry.get("better")
+
+
+def test_a_module_that_registers_nothing_is_an_error(distributions: Distributions) -> None:
+    distributions.install("made-up", {"good": "empty_module"}, {"empty_module": ""})
+    with pytest.raises(RegistrationError, match="but the module registers nothing"):
+        distributions.registry.get("good")
+
+
+def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions: Distributions) -> None:
+    distributions.install(
+        "made-up",
+        {"bad": "bad_module", "good": "good_module"},
+        {"bad_module": "1 / 0\n", "good_module": GOOD},
+    )
+    with pytest.warns(PluginWarning) as caught:
+        found = dict(distributions.registry.load_all())
+    assert list(found) == ["good"]
+    assert len(caught) == 1
+    assert "thing 'bad' left out: " in str(caught[0].message)
+    with pytest.raises(
+        PluginError, match=r"thing 'bad' \(bad_module\) cannot be imported: ZeroDivisionError"
+    ) as raised:
+        distributions.registry.get("bad")
+    assert not isinstance(raised.value, MissingExtra)
+
+
+def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions: Distributions) -> None:
+    requires = 'Requires-Dist: numpy\nRequires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
+    distributions.install(
+        "made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires
+    )
+    with pytest.raises(MissingExtra, match=r"needs the package 'no_such_package'.*pip install \"made-up\[deep\]\""):
+        distributions.registry.get("deep")
+
+
+def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(distributions: Distributions) -> None:
+    distributions.install("made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package\n"})
+    with pytest.raises(PluginError, match=r"'deep'.*No module named 'no_such_package'") as raised:
+        distributions.registry.get("deep")
+    assert not isinstance(raised.value, MissingExtra)
+
+
+def test_two_packages_that_bring_one_name_are_an_error_that_names_both(distributions: Distributions) -> None:
+    distributions.install("first", {"good": "good_module"}, {"good_module": GOOD})
+    distributions.install("second", {"good": "other_module"}, {"other_module": GOOD})
+    with pytest.raises(RegistrationError, match="'good' is registered twice: by good_module and by other_module"):
+        distributions.registry.get("good")
+
+
+def test_an_unknown_name_is_answered_with_the_nearest_known_one() -> None:
+    with pytest.raises(UnknownName) as raised:
+        models.get("nearest_neighbor")
+    assert str(raised.value).startswith("no model is called 'nearest_neighbor'. Did you mean 'nearest_neighbour'?")
+    assert "linear" in str(raised.value)
+    with pytest.raises(UnknownName, match=r"no thing is called 'x'\. Known: none\."):
+        Registry("thing", GROUP).get("x")
+
+
+def test_a_name_cannot_be_taken_twice() -> None:
+    things: Registry[Any] = Registry("thing", GROUP)
+
+    @things.register("box")
+    class Box:
+        pass
+
+    things.register("box")(Box)
+    with pytest.raises(RegistrationError, match=r"'box' is registered twice: by .*Box and by .*Crate"):
+
+        @things.register("box")
+        class Crate:
+            pass
+
+    assert things.get("box") is Box
+
+
+PLUGIN = (
+    "from sysid_evo.registry import robots\n@robots.register('{name}')\ndef make(seed=0):\n    return '{name}', seed\n"
+)
+
+
+@pytest.fixture
+def forget_robots() -> Iterator[None]:
+    before = set(robots.loaded)
+    yield
+    for name in set(robots.loaded) - before:
+        del robots._entries[name]
+
+
+def test_a_plugin_file_registers_what_it_holds_once(tmp_path: Path, plugin_modules: None, forget_robots: None) -> None:
+    path = tmp_path / "my_robot.py"
+    path.write_text(PLUGIN.format(name="crawler"))
+    load_plugin(path)
+    first = robots.get("crawler")
+    load_plugin(str(path))
+    assert robots.get("crawler") is first
+    assert make_robot("crawler") == ("crawler", 0)
+
+
+def test_a_plugin_file_that_fails_says_why_and_can_be_mended(
+    tmp_path: Path, plugin_modules: None, forget_robots: None
+) -> None:
+    path = tmp_path / "my_robot.py"
+    path.write_text("import nowhere_to_be_found\n")
+    with pytest.raises(
+        PluginError, match=r"my_robot.py cannot be imported: ModuleNotFoundError: .*nowhere_to_be_found"
+    ):
+        load_plugin(path)
+    path.write_text(PLUGIN.format(name="mended") + "# another length, so that no cached bytecode is taken\n")
+    load_plugin(path)
+    assert "mended" in robots.loaded
+
+
+@pytest.mark.parametrize("name", ["missing.py", "folder", "notes.txt"])
+def test_a_plugin_that_is_no_python_file_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(PluginError, match="expected a Python file, found none"):
+        load_plugin(tmp_path / name)
+
+
+def test_two_plugin_files_of_one_name_are_not_confused(
+    tmp_path: Path, plugin_modules: None, forget_robots: None
+) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "my_robot.py").write_text(PLUGIN.format(name=f"robot_{folder}"))
+    load_plugin(tmp_path / "a" / "my_robot.py")
+    with pytest.raises(PluginError, match=r"b/my_robot.py: .*a/my_robot.py, a file of the same name, is loaded"):
+        load_plugin(tmp_path / "b" / "my_robot.py")
+
+
+def test_a_robot_may_be_named_with_a_seed(register: Callable[..., Any]) -> None:
+    register(robots, "made_up", lambda seed=None: ("robot", seed))
+    assert make_robot("made_up") == ("robot", None)
+    assert make_robot("made_up:17") == ("robot", 17)
+    for spec in ("made_up:", "made_up:x", "made_up:-1", "made_up:1.5", "made_up:²"):
+        with pytest.raises(UnknownName, match="expected name or name:SEED with a whole number"):
+            make_robot(spec)
+    with pytest.raises(UnknownName, match=r"no robot is called 'made_down'\. Did you mean 'made_up'"):
+        make_robot("made_down:3")
+
+
+def test_everything_this_repository_registers_can_be_loaded() -> None:
+    from sysid_evo import registry
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for kind in (registry.models, registry.tasks, registry.controllers, registry.strategies):
+            assert [name for name, _ in kind.load_all()] == list(kind.names())

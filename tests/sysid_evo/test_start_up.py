@@ -1,0 +1,56 @@
+"""The command line answers fast because it imports what is heavy only when it is needed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "pandas", "pysindy"}
+
+ASK_FOR_HELP = """
+import json, sys
+import typer
+from sysid_evo.cli.app import app, main
+
+def ask(*arguments):
+    sys.argv = ["sysid-evo", *arguments, "--help"]
+    try:
+        main()
+    except SystemExit as end:
+        return [end.code, sorted({name.partition(".")[0] for name in sys.modules})]
+
+commands = sorted(typer.main.get_command(app).commands)
+print(json.dumps({"": ask(), **{command: ask(command) for command in commands}}))
+"""
+
+ASK_FOR_NAMES = """
+import json, sys
+import sysid_evo
+early = sorted({name.partition(".")[0] for name in sys.modules})
+for name in sysid_evo.__all__:
+    getattr(sysid_evo, name)
+print(json.dumps([early, sysid_evo.__all__]))
+"""
+
+
+def answer(source: str) -> tuple[str, list | dict]:
+    """Return all that a fresh interpreter prints, and its last line."""
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
+    return done.stdout, json.loads(done.stdout.splitlines()[-1])
+
+
+def test_help_imports_nothing_heavy() -> None:
+    printed, asked = answer(ASK_FOR_HELP)
+    assert {"", "compare", "evolve", "fit", "models"} <= set(asked)
+    assert printed.count("Usage: sysid-evo") == len(asked)
+    for command, (code, imported) in asked.items():
+        assert code == 0, command
+        assert not HEAVY & set(imported), command
+        assert "typer" in imported
+
+
+def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None:
+    _, (early, names) = answer(ASK_FOR_NAMES)
+    assert not (HEAVY | {"numpy"}) & set(early)
+    assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)

@@ -1,0 +1,151 @@
+"""Channels and systems: switches, scales, limits, JSON."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_evo.errors import InvalidSystem, ShapeError
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+LOW, HIGH = -1.0, 1.0
+STATE = (Channel("x"),)
+
+
+def system_of(*controls: Channel) -> System:
+    return System(STATE, controls, dt=0.05)
+
+
+def test_three_levels_switch_at_minus_and_plus_three_tenths(car: System) -> None:
+    below, above = np.nextafter(-0.3, -1.0), np.nextafter(0.3, 1.0)
+    raw = np.array([-1.0, below, -0.3, -0.1, 0.0, 0.3, above, 1.0])
+    drive = car.actuate(np.stack([raw, raw], axis=1))
+    np.testing.assert_array_equal(drive[:, 0], [-1, -1, 0, 0, 0, 0, 1, 1])
+    np.testing.assert_array_equal(drive[:, 0], drive[:, 1])
+
+
+def test_two_levels_switch_at_zero() -> None:
+    system = system_of(Channel("gate", levels=(2.0, 5.0), neutral=2.0))
+    np.testing.assert_array_equal(system.actuate(np.array([[-0.01], [0.01]])), [[2.0], [5.0]])
+
+
+def test_five_levels_switch_at_equal_parts_drawn_together() -> None:
+    system = system_of(Channel("gear", levels=(-2.0, -1.0, 0.0, 1.0, 2.0)))
+    raw = np.array([-0.55, -0.53, -0.19, -0.17, 0.17, 0.19, 0.53, 0.55])[:, None]
+    np.testing.assert_array_equal(system.actuate(raw)[:, 0], [-2, -1, -1, 0, 0, 1, 1, 2])
+
+
+@given(raw=st.floats(-2.0, 2.0), levels=st.integers(1, 4).map(lambda half: 2 * half + 1))
+@settings(derandomize=True, deadline=None, database=None)
+def test_an_odd_switch_treats_both_signs_alike(raw: float, levels: int) -> None:
+    half = levels // 2
+    system = system_of(Channel("gear", levels=tuple(np.arange(-half, half + 1.0))))
+    assert system.actuate(np.array([-raw])) == -system.actuate(np.array([raw]))
+
+
+def test_a_continuous_control_scales_to_its_limits_and_saturates() -> None:
+    system = system_of(Channel("throttle", low=0.0, high=0.8), Channel("steer", low=-0.4, high=0.4))
+    raw = np.array([[-1.0, -1.0], [0.0, 0.0], [0.5, 0.5], [1.0, 1.0], [7.0, -7.0]])
+    expected = [[0.0, -0.4], [0.4, 0.0], [0.6, 0.2], [0.8, 0.4], [0.8, -0.4]]
+    np.testing.assert_allclose(system.actuate(raw), expected, rtol=0, atol=1e-15)
+
+
+def test_actuate_keeps_leading_axes_and_its_argument(car: System) -> None:
+    raw = np.linspace(-1, 1, 24).reshape(3, 4, 2)
+    kept = raw.copy()
+    assert car.actuate(raw).shape == (3, 4, 2)
+    np.testing.assert_array_equal(raw, kept)
+
+
+def test_a_control_without_limits_cannot_be_actuated() -> None:
+    with pytest.raises(InvalidSystem, match=r"'force' has no finite limits.*give low and high, or levels"):
+        system_of(Channel("force", "N")).actuate(np.zeros((1, 1)))
+
+
+def test_actuate_says_how_many_outputs_it_expects(car: System) -> None:
+    with pytest.raises(ShapeError, match=r"raw: expected 2 values on the last axis, got shape \(4, 3\)"):
+        car.actuate(np.zeros((4, 3)))
+
+
+def test_a_system_survives_json_with_absent_limits(car: System) -> None:
+    mixed = System(
+        states=(Channel("a", "m", low=-np.inf, high=3.0), Channel("b", low=0.0, neutral=1.0), Channel("c")),
+        controls=(Channel("d", levels=(-1, 0, 1)), Channel("e", "N", -2.0, 2.0, neutral=0.5)),
+        dt=0.02,
+        motion=PlanarBody(forward="a", lateral=None, yaw_rate="c"),
+        name="mixed",
+    )
+    for system in (car, mixed):
+        text = json.dumps(system.to_dict(), allow_nan=False)
+        back = System.from_dict(json.loads(text))
+        assert back == system
+        assert back.name == system.name
+        assert back.to_dict() == system.to_dict()
+
+
+def test_levels_are_the_limits_of_a_discrete_channel() -> None:
+    channel = Channel("gear", levels=(-2, 0, 3))
+    assert (channel.low, channel.high, channel.bounded) == (-2.0, 3.0, True)
+    assert not Channel("x", low=0.0).bounded
+
+
+def test_neutral_values_stand_in_the_order_of_the_channels() -> None:
+    system = System((Channel("a", neutral=1.0), Channel("b", neutral=-2.0)), (Channel("c", neutral=0.5),), dt=0.1)
+    np.testing.assert_array_equal(system.neutral_state, [1.0, -2.0])
+    np.testing.assert_array_equal(system.neutral_control, [0.5])
+    assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
+
+
+def test_another_dt_changes_nothing_else(car: System) -> None:
+    finer = car.with_dt(0.005)
+    assert finer.dt == 0.005
+    assert finer.with_dt(car.dt) == car
+    assert finer.name == car.name
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"name": ""}, "expected a name, got an empty string"),
+        ({"name": "a", "levels": (1.0,)}, r"'a': expected two or more rising levels, got \(1.0,\)"),
+        ({"name": "a", "levels": (0.0, 0.0, 1.0)}, "'a': expected two or more rising levels"),
+        ({"name": "a", "levels": (-1.0, np.nan, 1.0)}, "'a': expected two or more rising levels"),
+        ({"name": "a", "levels": (-1.0, 1.0), "low": -0.5}, r"'a': levels \(-1.0, 1.0\) lie outside \[-0.5, 1.0\]"),
+        ({"name": "a", "low": 1.0, "high": 1.0}, r"'a': expected low < high, got \[1.0, 1.0\]"),
+        ({"name": "a", "low": np.nan}, "'a': expected low < high"),
+        ({"name": "a", "low": 1.0}, r"'a': expected a neutral value within \[1.0, inf\], got 0.0"),
+        ({"name": "a", "neutral": np.inf}, "'a': expected a neutral value within .*, got inf"),
+    ],
+)
+def test_a_channel_that_contradicts_itself_is_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(InvalidSystem, match=message):
+        Channel(**arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"states": ()}, "expected at least one state channel, got none"),
+        ({"controls": (Channel("x"),)}, "channel names must differ, repeated: x"),
+        ({"dt": 0.0}, "expected dt > 0 s, got 0.0"),
+        ({"dt": np.nan}, "expected dt > 0 s, got nan"),
+        ({"dt": np.inf}, "expected dt > 0 s, got inf"),
+        (
+            {"motion": PlanarBody(forward="x", yaw_rate="x")},
+            "role 'lateral' names the channel 'lateral_speed', but the states are x",
+        ),
+    ],
+)
+def test_a_system_that_contradicts_itself_is_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(InvalidSystem, match=message):
+        System(**{"states": STATE, "controls": (Channel("u"),), "dt": 0.05, **arguments})
+
+
+def test_an_unknown_motion_is_refused(car: System) -> None:
+    with pytest.raises(InvalidSystem, match="expected one of planar_body, got 'balloon'"):
+        System.from_dict({**car.to_dict(), "motion": {"kind": "balloon"}})
