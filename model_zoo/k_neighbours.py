@@ -21,6 +21,7 @@ from sysid_evo.registry import register_model
 
 NEIGHBOURS = (8, 20)
 RIDGE = 0.03
+SEARCH_FOLDS = 3
 
 
 @register_model("k_neighbours")
@@ -64,12 +65,15 @@ class KNeighbours(DynamicsModel):
         settings = [(count, pair) for pair in lags for count in counts]
         chosen = settings[0]
         if len(settings) > 1:
-            learned, held = time_blocks(dataset)
+            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
             errors = []
             for number, (count, pair) in enumerate(settings):
                 trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
-                trial.fit(learned, rng=rng)
-                errors.append(simulation_error(trial, validation_windows(held, trial.n_lags, stride=8)))
+                error = 0.0
+                for learned, held in folds:
+                    trial.fit(learned, rng=rng)
+                    error += simulation_error(trial, validation_windows(held, trial.n_lags, stride=8))
+                errors.append(error)
                 if progress is not None:
                     progress(number + 1, len(settings) + 1)
             chosen = settings[int(np.argmin(errors))]

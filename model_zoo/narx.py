@@ -19,6 +19,7 @@ from sysid_evo.registry import register_model
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10
+SEARCH_FOLDS = 3
 
 
 @register_model("narx")
@@ -56,18 +57,21 @@ class Narx(DynamicsModel):
         counts = COUNTS if self.terms is None else (self.terms,)
         chosen = (counts[0], pairs[0])
         if len(pairs) * len(counts) > 1:
-            learned, held = time_blocks(dataset)
+            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
             lowest = np.inf
             for number, lags in enumerate(pairs):
-                windows = validation_windows(held, max(lags))
-                order = self._selection(learned, lags, max(counts))
-                for count in counts:
-                    trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])
-                    trial.system_, trial.envelope_ = self.system_, self.envelope_
-                    trial._learn(learned, lags, count, order)
-                    error = simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
-                    if error < lowest:
-                        lowest, chosen = error, (count, lags)
+                errors = np.zeros(len(counts))
+                for learned, held in folds:
+                    windows = validation_windows(held, max(lags))
+                    order = self._selection(learned, lags, max(counts))
+                    for index, count in enumerate(counts):
+                        trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])
+                        trial.system_, trial.envelope_ = self.system_, self.envelope_
+                        trial._learn(learned, lags, count, order)
+                        errors[index] += simulation_error(trial, windows)
+                        errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0
+                if errors.min() < lowest:
+                    lowest, chosen = float(errors.min()), (counts[int(np.argmin(errors))], lags)
                 if progress is not None:
                     progress(number + 1, len(pairs) + 1)
         count, lags = chosen

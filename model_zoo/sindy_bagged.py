@@ -23,6 +23,7 @@ class SindyBagged(ContinuousSparse):
     term stays in an equation if at least ``inclusion`` of the fits keep it there.
     """
 
+    search_folds = 1
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0, "bags": 5}}
 
     def __init__(

@@ -6,7 +6,7 @@ import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from sklearn.base import clone
@@ -20,7 +20,7 @@ from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
 from sysid_evo.progress import Progress
 
 DEGREES = (2, 3)
-THRESHOLDS = (0.01, 0.03, 0.1)
+THRESHOLDS = (0.01, 0.03, 0.06, 0.1)
 MOST_TERMS = 250
 
 
@@ -76,6 +76,7 @@ class SparsePolynomial(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    search_folds: ClassVar[int] = 3
     degree: int | None
     threshold: float | None
     ridge: float
@@ -103,17 +104,19 @@ class SparsePolynomial(DynamicsModel):
         settings = self._settings(dataset)
         chosen = settings[0]
         if len(settings) > 1:
-            learned, held = time_blocks(dataset)
+            folds = [time_blocks(dataset, fold) for fold in range(self.search_folds)]
             errors = []
             for number, (degree, threshold, lags) in enumerate(settings):
                 trial = clone(self).set_params(
                     degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1]
                 )
                 trial.system_, trial.envelope_ = self.system_, self.envelope_
-                trial._learn(learned, degree, threshold, lags, rng)
-                windows = validation_windows(held, trial.n_lags)
-                error = simulation_error(trial, windows)
-                errors.append(error + (1e6 if diverges(trial, windows, dataset) else 0.0))
+                error = 0.0
+                for learned, held in folds:
+                    trial._learn(learned, degree, threshold, lags, rng)
+                    windows = validation_windows(held, trial.n_lags)
+                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
+                errors.append(error)
                 if progress is not None:
                     progress(number + 1, len(settings) + 1)
             chosen = settings[int(np.argmin(errors))]

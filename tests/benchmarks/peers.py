@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from sysid_evo.arrays import Array
@@ -45,7 +47,7 @@ class LaggedOneStepEnsemble(DynamicsModel):
             draw = torch.Generator().manual_seed(int(rng.integers(2**31)))
             sizes = [x.shape[1], 64, 64, y.shape[1]]
             parameters = []
-            for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
+            for n_in, n_out in pairwise(sizes):
                 parameters += [torch.randn(n_in, n_out, generator=draw) / n_in**0.5, torch.zeros(n_out)]
             for parameter in parameters:
                 parameter.requires_grad_(True)
