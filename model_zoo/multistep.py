@@ -1,8 +1,8 @@
 """Training on free runs: members side by side, from measured states, over windows of growing length.
 
 Every window is a shot of its own that starts at a measured state (multiple shooting with the
-measurements as nodes). The error of each step counts by the inverse of its present size squared,
-so that the first steps matter more than the last, which they decide.
+measurements as nodes). The error of each step counts by the inverse of its present size to the
+power 2.5, so that the first steps matter more than the last, which they decide.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sysid_evo.system import System
 Report: TypeAlias = Callable[[int], None]
 """Told how many updates are done."""
 
-SHARPNESS = 2.0
+SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
 
 FLOOR = 0.002

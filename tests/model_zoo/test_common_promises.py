@@ -1,4 +1,4 @@
-"""Every family of the zoo keeps the contract of `sysid_evo.testing`, and beats standing still."""
+"""What families of the zoo have in common: they beat standing still, and can hold a body at rest."""
 
 from __future__ import annotations
 
@@ -11,48 +11,14 @@ from model_zoo.validation import relative_error, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.registry import make_model, models
-from sysid_evo.testing import example_dataset, run_checks
+from sysid_evo.testing import example_dataset
 
-SMALL: dict[str, dict[str, Any]] = {
-    "evolved3": {"generations": 40},
-    "parametrised": {"generations": 40},
-    "neural_ode": {"updates": 10},
-    "neural_ode_history": {"updates": 10},
-    "hybrid_ode": {"updates": 10},
-    "mlp_ensemble": {"updates": 20},
-}
-FAMILIES = [
-    "backprop27",
-    "evolved3",
-    "gaussian_process",
-    "hybrid_ode",
-    "k_neighbours",
-    "linear",
-    "mlp_ensemble",
-    "narx",
-    "nearest_neighbour",
-    "neural_ode",
-    "neural_ode_history",
-    "parametrised",
-    "sindy",
-    "sindy_bagged",
-    "sindy_discrete",
-]
+SMALL: dict[str, dict[str, Any]] = {"neural_ode": {"updates": 10}}
 
 
 @pytest.fixture(scope="module")
 def recording() -> Dataset:
     return example_dataset()
-
-
-def test_the_list_of_families_is_complete() -> None:
-    assert set(FAMILIES) <= set(models.names())
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_family_keeps_the_contract(name: str, recording: Dataset) -> None:
-    for result in run_checks(name, recording, **SMALL.get(name, {})):
-        assert result.failure is None, f"{result.sentence}: {result.failure}"
 
 
 @pytest.mark.parametrize("name", ["backprop27", "evolved3", "nearest_neighbour", "parametrised"])
