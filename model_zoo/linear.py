@@ -36,12 +36,13 @@ class Linear(DynamicsModel):
         self.control_lags = control_lags
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.ridge < 0 or self.state_lags < 0 or self.control_lags < 0:
+        state_lags, control_lags = self.lags
+        if self.ridge < 0 or state_lags < 0 or control_lags < 0:
             raise InvalidArgument(
                 "linear: expected ridge, state_lags and control_lags >= 0, "
-                f"got {self.ridge}, {self.state_lags}, {self.control_lags}"
+                f"got {self.ridge}, {state_lags}, {control_lags}"
             )
-        data = dataset.transitions(state_lags=self.state_lags, control_lags=self.control_lags)
+        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
         regressors = np.concatenate([data.carry, data.control], axis=1)
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from sysid_evo.system import System
 
 
+REST_BAND = 0.005
+"""Share of the range of the training states, around neutral, that counts as rest."""
+
+
 class Dynamics(ABC):
     """Anything that steps by one ``system.dt``.
 
@@ -70,7 +74,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
     - `step`, if its carry is more than states and controls.
 
     A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
-    that many earlier states (newest first) and that many earlier controls (newest first).
+    that many earlier states (newest first) and that many earlier controls (newest first). None leaves
+    the number to `fit`, which then records it as ``state_lags_`` or ``control_lags_``. With
+    ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
+    the control is neutral.
 
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper).
@@ -84,8 +91,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
     knowledge: ClassVar[str] = "black"
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    state_lags: int = 0
-    control_lags: int = 0
+    state_lags: int | None = 0
+    control_lags: int | None = 0
+    rest_hold: bool = False
     system_: System
     envelope_: Array
 
@@ -102,12 +110,19 @@ class DynamicsModel(Dynamics, BaseEstimator):
         return self.system_
 
     @property
+    def lags(self) -> tuple[int, int]:
+        """Earlier states and earlier controls in the carry: as asked for, else as `fit` chose (0 before it)."""
+        states = getattr(self, "state_lags_", 0) if self.state_lags is None else self.state_lags
+        controls = getattr(self, "control_lags_", 0) if self.control_lags is None else self.control_lags
+        return states, controls
+
+    @property
     def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
-        return max(self.state_lags, self.control_lags)
+        return max(self.lags)
 
     @property
     def n_carry(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
-        return self.system.nx * (1 + self.state_lags) + self.system.nu * self.control_lags
+        return self.system.nx * (1 + self.lags[0]) + self.system.nu * self.lags[1]
 
     @property
     def envelope(self) -> Array | None:
@@ -121,19 +136,38 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        batch = len(states)
-        parts = [states[:, -1 - lag] for lag in range(self.state_lags + 1)]
-        parts += [controls[:, -1 - lag] for lag in range(self.control_lags)]
-        return np.concatenate(parts, axis=1).reshape(batch, self.n_carry)
+        return self.lagged(states, controls)
+
+    def lagged(self, states: Array, controls: Array) -> Array:
+        """Return state, earlier states and earlier controls, newest first, side by side."""
+        state_lags, control_lags = self.lags
+        parts = [states[:, -1 - lag] for lag in range(state_lags + 1)]
+        parts += [controls[:, -1 - lag] for lag in range(control_lags)]
+        return np.concatenate(parts, axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        after = self.next_state(carry, control)
-        if not self.n_lags:
+        after = self.held(carry, control, self.next_state(carry, control))
+        return self.remember(carry, control, after)
+
+    def remember(self, carry: Array, control: Array, after: Array) -> Array:
+        """Return the lagged carry whose newest state is ``after``: states and controls move one place back."""
+        state_lags, control_lags = self.lags
+        if not state_lags and not control_lags:
             return after
         nx, nu = self.system.nx, self.system.nu
-        states = carry[:, : nx * self.state_lags]
-        controls = np.concatenate([control, carry[:, nx * (1 + self.state_lags) :]], axis=1)
-        return np.concatenate([after, states, controls[:, : nu * self.control_lags]], axis=1)
+        states = carry[:, : nx * state_lags]
+        controls = np.concatenate([control, carry[:, nx * (1 + state_lags) :]], axis=1)
+        return np.concatenate([after, states, controls[:, : nu * control_lags]], axis=1)
+
+    def held(self, carry: Array, control: Array, after: Array) -> Array:
+        """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and the control is neutral."""
+        if not self.rest_hold:
+            return after
+        neutral = self.system.neutral_state
+        band = REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        still = (np.abs(carry[:, : self.system.nx] - neutral) <= band).all(axis=1)
+        idle = (control == self.system.neutral_control).all(axis=1)
+        return np.where((still & idle)[:, None], neutral, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

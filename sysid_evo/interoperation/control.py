@@ -49,7 +49,7 @@ def carry_names(model: Dynamics) -> list[str]:
     """Return a name for every number of the carry."""
     system = model.system
     names = list(system.state_names)
-    state_lags, control_lags = getattr(model, "state_lags", 0), getattr(model, "control_lags", 0)
+    state_lags, control_lags = getattr(model, "lags", (0, 0))
     names += [f"{state}[-{lag}]" for lag in range(1, state_lags + 1) for state in system.state_names]
     names += [f"{control}[-{lag}]" for lag in range(1, control_lags + 1) for control in system.control_names]
     return names + [f"carry[{i}]" for i in range(len(names), model.n_carry)]

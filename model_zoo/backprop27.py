@@ -1,0 +1,133 @@
+"""One network for each command and state, trained by back-propagation (paper, section 4.1)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from model_zoo.command_cells import CommandCells
+from model_zoo.network import random_network
+from model_zoo.standardise import positive
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_model
+
+
+@register_model("backprop27")
+class Backprop27(DynamicsModel):
+    """The next state from the state, by one network per command and state: nine commands, 27 networks.
+
+    Each network has one layer of ``hidden`` tanh units and sees the state and a bias. It learns
+    from all data of its command in batch, ``epochs`` times, with the squared error; the paper's
+    plain gradient descent is ``optimiser="gradient"``, the default is Adam, both at
+    ``learning_rate``. Inputs and outputs are standardised over all data. A continuous control falls
+    into the nearest of ``levels`` steps of its range and joins the state as a further input; a
+    command that was never recorded uses the networks of the nearest one that was. The number of
+    hidden units and the learning rate are not stated in the paper.
+
+    With ``state_lags`` and ``control_lags``, earlier samples join the inputs.
+    """
+
+    knowledge = "black"
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
+
+    def __init__(
+        self,
+        *,
+        hidden: int = 8,
+        epochs: int = 1000,
+        optimiser: str = "adam",
+        learning_rate: float = 0.02,
+        levels: int = 3,
+        state_lags: int = 0,
+        control_lags: int = 0,
+        rest_hold: bool = False,
+    ) -> None:
+        self.hidden = hidden
+        self.epochs = epochs
+        self.optimiser = optimiser
+        self.learning_rate = learning_rate
+        self.levels = levels
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        if self.hidden < 1 or self.epochs < 1 or self.learning_rate <= 0:
+            raise InvalidArgument(
+                "backprop27: expected hidden, epochs >= 1 and learning_rate > 0, "
+                f"got {self.hidden}, {self.epochs}, {self.learning_rate}"
+            )
+        if self.optimiser not in ("adam", "gradient"):
+            raise InvalidArgument(f"backprop27: expected the optimiser 'adam' or 'gradient', got {self.optimiser!r}")
+        cells = CommandCells.of(dataset.system, self.levels)
+        state_lags, control_lags = self.lags
+        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        cell = cells.index(data.control)
+        self.filled_ = np.unique(cell)
+        inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
+        centre, scale = inputs.mean(axis=0), positive(inputs.std(axis=0))
+        target_centre, target_scale = data.after.mean(axis=0), positive(data.after.std(axis=0))
+        standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
+        trained = []
+        for number, command in enumerate(self.filled_):
+            rows = np.flatnonzero(cell == command)
+            trained.append(self._trained(standard[rows], targets[rows], rng))
+            if progress is not None:
+                progress(number + 1, len(self.filled_))
+        first, first_bias, last, last_bias = (np.stack(part) for part in zip(*trained, strict=True))
+        self.first_ = first / scale[:, None]
+        self.first_bias_ = first_bias - np.einsum("i,cih->ch", centre / scale, first)
+        self.last_ = last * target_scale[:, None]
+        self.last_bias_ = last_bias * target_scale + target_centre
+        self.__dict__.pop("_serving", None)
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        cells, serving = self._serving
+        number = serving[cells.index(control)]
+        inputs = np.concatenate([carry, control[:, cells.exact]], axis=1)
+        after = np.empty((len(carry), self.last_.shape[1]))
+        for command in np.unique(number):
+            rows = np.flatnonzero(number == command)
+            hidden = np.tanh(inputs[rows] @ self.first_[command] + self.first_bias_[command])
+            by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
+            after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
+        return after
+
+    @cached_property
+    def _serving(self) -> tuple[CommandCells, IntArray]:
+        """The cells, and for each the number of the networks that serve it."""
+        cells = CommandCells.of(self.system, self.levels)
+        return cells, np.searchsorted(self.filled_, cells.fallback(self.filled_))
+
+    def _trained(self, inputs: Array, targets: Array, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+        """Train the nx networks of one command side by side, (N, n) -> (N, nx)."""
+        n, nx = len(inputs), targets.shape[1]
+        start = random_network([inputs.shape[1], nx * self.hidden], 1, rng, last=1.0)
+        values = [
+            start.weights[0][0],
+            np.zeros(nx * self.hidden),
+            rng.standard_normal((nx, self.hidden)) / np.sqrt(self.hidden),
+            np.zeros(nx),
+        ]
+        mean, square = [np.zeros_like(v) for v in values], [np.zeros_like(v) for v in values]
+        for epoch in range(1, self.epochs + 1):
+            first, first_bias, last, last_bias = values
+            hidden = np.tanh(inputs @ first + first_bias).reshape(n, nx, self.hidden)
+            error = 2.0 / n * (np.einsum("nsh,sh->ns", hidden, last) + last_bias - targets)
+            inner = ((1.0 - hidden**2) * last * error[:, :, None]).reshape(n, nx * self.hidden)
+            gradients = [inputs.T @ inner, inner.sum(axis=0), np.einsum("ns,nsh->sh", error, hidden), error.sum(axis=0)]
+            if self.optimiser == "gradient":
+                values = [v - self.learning_rate * g for v, g in zip(values, gradients, strict=True)]
+                continue
+            mean = [0.9 * m + 0.1 * g for m, g in zip(mean, gradients, strict=True)]
+            square = [0.999 * s + 0.001 * g**2 for s, g in zip(square, gradients, strict=True)]
+            rate = self.learning_rate * np.sqrt(1.0 - 0.999**epoch) / (1.0 - 0.9**epoch)
+            values = [v - rate * m / (np.sqrt(s) + 1e-8) for v, m, s in zip(values, mean, square, strict=True)]
+        return values[0], values[1], values[2], values[3]

@@ -1,0 +1,141 @@
+"""The physics of a car with a learned residual: the parametrised model's equation plus a network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from model_zoo.network_rate import NetworkRate
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import require_planar
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import register_model
+from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from model_zoo.flow import FittedFlow
+    from model_zoo.multistep import Plan, Report
+
+INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 3.0, 0.2])
+
+
+@register_model("hybrid_ode")
+class HybridOde(NetworkRate):
+    """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
+
+    The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
+    speed, u forward speed, v lateral speed, r yaw rate, u1 drive and u2 steer (+1 = left)::
+
+        du/dt = U_f max(u1, 0) - U_b max(-u1, 0) - u D_ul - u |u| D_uv
+        dv/dt = - v D_v
+        dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
+
+    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_v, D_rl (1/s),
+    D_rv (1/rad), all positive. They and the residual are trained together as `NetworkRate` says;
+    this is the paper's outlook of injecting physics that are not specific to the car (section 6).
+    ``drive`` and ``steer`` name the controls with these roles.
+    """
+
+    knowledge = "grey"
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {
+            "hidden": [16],
+            "one_step_updates": 60,
+            "updates": 30,
+            "horizon": 5,
+            "control_lags": 2,
+            "state_lags": 0,
+        },
+    }
+
+    def __init__(
+        self,
+        *,
+        hidden: list[int] | None = None,
+        state_lags: int | None = None,
+        control_lags: int | None = None,
+        one_step_updates: int = 1000,
+        updates: int = 500,
+        horizon: int = 20,
+        learning_rate: float = 6e-3,
+        drive: str = "drive",
+        steer: str = "steer",
+        rest_hold: bool = False,
+    ) -> None:
+        self.hidden = hidden
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.one_step_updates = one_step_updates
+        self.updates = updates
+        self.horizon = horizon
+        self.learning_rate = learning_rate
+        self.drive = drive
+        self.steer = steer
+        self.rest_hold = rest_hold
+
+    def check_system(self, system: System) -> None:
+        require_planar(self, system)
+        for role, name in (("drive", self.drive), ("steer", self.steer)):
+            if name not in system.control_names:
+                raise IncompatibleSystem(
+                    f"hybrid_ode needs a control for the role {role}: there is no {name!r} among "
+                    f"{', '.join(system.control_names)}; name it with {role}=..."
+                )
+
+    @property
+    def roles(self) -> tuple[int, int | None, int, int, int]:
+        """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
+        system = self.system
+        assert isinstance(system.motion, PlanarBody)
+        names = system.control_names
+        return (*system.motion.indices(system.state_names), names.index(self.drive), names.index(self.steer))
+
+    def train(
+        self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
+    ) -> FittedFlow:
+        from model_zoo.flow import FittedFlow, train_flow
+
+        fitted = train_flow(
+            dataset,
+            lags,
+            hidden=tuple(self.hidden or (32, 32)),
+            plan=plan,
+            rng=rng,
+            physics=self._torch_rate,
+            physical=np.log(INITIAL),
+            report=report,
+        )
+        return FittedFlow(fitted.network, np.exp(fitted.physical), fitted.error)
+
+    def known_rate(self, state: Array, control: Array) -> Array:
+        forward, lateral, yaw_rate, drive, steer = self.roles
+        u_f, u_b, r_l, r_r, d_ul, d_uv, d_v, d_rl, d_rv = self.physical_
+        u, r, u1, u2 = state[:, forward], state[:, yaw_rate], control[:, drive], control[:, steer]
+        rate = np.zeros_like(state)
+        rate[:, forward] = u_f * np.maximum(u1, 0.0) - u_b * np.maximum(-u1, 0.0) - u * d_ul - u * np.abs(u) * d_uv
+        turning = r_l * np.maximum(u2, 0.0) - r_r * np.maximum(-u2, 0.0)
+        rate[:, yaw_rate] = u * turning - r * d_rl - r * np.abs(r) * d_rv
+        if lateral is not None:
+            rate[:, lateral] = -state[:, lateral] * d_v
+        return rate
+
+    def _torch_rate(self, state: Tensor, control: Tensor, logarithms: Tensor) -> Tensor:
+        """Return `known_rate` for the logarithms (1, 1, 9) of the physical parameters."""
+        import torch
+
+        forward, lateral, yaw_rate, drive, steer = self.roles
+        u_f, u_b, r_l, r_r, d_ul, d_uv, d_v, d_rl, d_rv = torch.exp(logarithms[0, 0])
+        u, r, u1, u2 = state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer]
+        columns = [torch.zeros_like(u) for _ in range(state.shape[-1])]
+        columns[forward] = u_f * torch.relu(u1) - u_b * torch.relu(-u1) - u * d_ul - u * torch.abs(u) * d_uv
+        turning = r_l * torch.relu(u2) - r_r * torch.relu(-u2)
+        columns[yaw_rate] = u * turning - r * d_rl - r * torch.abs(r) * d_rv
+        if lateral is not None:
+            columns[lateral] = -state[..., lateral] * d_v
+        return torch.stack(columns, dim=-1)

@@ -1,0 +1,118 @@
+"""Weighted nearest neighbours in standardised states and controls: the repair of the paper's (section 4.3)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+from sklearn.base import clone
+
+from model_zoo.standardise import Standard
+from model_zoo.stepwise import lagged_steps
+from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_model
+
+NEIGHBOURS = (8, 20)
+RIDGE = 0.03
+SEARCH_FOLDS = 3
+
+
+@register_model("k_neighbours")
+class KNeighbours(DynamicsModel):
+    """The acceleration of a plane fitted to the ``neighbours`` nearest recorded steps (locally weighted regression).
+
+    Distance is Euclidean in (carry, control) divided by standard deviations, controls counting
+    ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
+    d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
+    (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
+    interpolates and never extrapolates. ``neighbours`` and lags left at None are chosen by the simulation
+    error over one second on held-out blocks of time.
+    """
+
+    knowledge = "dark grey"
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
+
+    def __init__(
+        self,
+        *,
+        neighbours: int | None = None,
+        control_weight: float = 1.0,
+        state_lags: int | None = None,
+        control_lags: int | None = None,
+        rest_hold: bool = False,
+    ) -> None:
+        self.neighbours = neighbours
+        self.control_weight = control_weight
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        if (self.neighbours is not None and self.neighbours < 1) or self.control_weight <= 0:
+            raise InvalidArgument(
+                f"k_neighbours: expected neighbours >= 1 and control_weight > 0, "
+                f"got {self.neighbours}, {self.control_weight}"
+            )
+        lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
+        counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
+        settings = [(count, pair) for pair in lags for count in counts]
+        chosen = settings[0]
+        if len(settings) > 1:
+            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
+            errors = []
+            for number, (count, pair) in enumerate(settings):
+                trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
+                error = 0.0
+                for learned, held in folds:
+                    trial.fit(learned, rng=rng)
+                    error += simulation_error(trial, validation_windows(held, trial.n_lags, stride=8))
+                errors.append(error)
+                if progress is not None:
+                    progress(number + 1, len(settings) + 1)
+            chosen = settings[int(np.argmin(errors))]
+        self.neighbours_ = chosen[0]
+        if self.state_lags is None:
+            self.state_lags_ = chosen[1][0]
+        if self.control_lags is None:
+            self.control_lags_ = chosen[1][1]
+        carry, control, after = lagged_steps(dataset, self.lags)
+        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        nx, nu = dataset.system.nx, dataset.system.nu
+        weight = np.full(len(scale), 0.5)
+        weight[:nx] = 1.0
+        weight[-nu:] = self.control_weight
+        self.metric_ = weight / scale
+        self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
+        self.accelerations_ = dataset.system.acceleration(carry[:, :nx], after)
+        self.__dict__.pop("_tree", None)
+        if progress is not None:
+            progress(len(settings) + 1, len(settings) + 1)
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        query = np.concatenate([carry, control], axis=1) * self.metric_
+        count = min(self.neighbours_, len(self.points_))
+        distance, rows = self._tree.query(query, k=np.arange(1, count + 1))
+        weight = (1.0 - (distance / (1.05 * distance[:, -1:] + 1e-12)) ** 2) ** 2
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        targets = self.accelerations_[rows]
+        mean = np.einsum("bk,bko->bo", weight, targets)
+        offset = self.points_[rows] - query[:, None]
+        centre = np.einsum("bk,bki->bi", weight, offset)
+        away = offset - centre[:, None]
+        weighted = away * weight[:, :, None]
+        gram = np.einsum("bki,bkj->bij", weighted, away) + RIDGE * np.eye(query.shape[1])
+        slope = np.linalg.solve(gram, np.einsum("bki,bko->bio", weighted, targets - mean[:, None]))
+        plane = mean - np.einsum("bi,bio->bo", centre, slope)
+        return np.clip(plane, targets.min(axis=1), targets.max(axis=1))
+
+    @cached_property
+    def _tree(self) -> Any:
+        return cKDTree(self.points_, leafsize=16)

@@ -1,0 +1,148 @@
+"""Polynomial NARX: terms chosen one by one by orthogonal least squares."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from sklearn.base import clone
+
+from model_zoo.polynomial import equation, evaluate, lagged_names, monomials
+from model_zoo.stepwise import lagged_steps
+from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_model
+
+COUNTS = (8, 12, 16, 24, 32, 48)
+INDEPENDENT = 1e-10
+SEARCH_FOLDS = 3
+
+
+@register_model("narx")
+class Narx(DynamicsModel):
+    """x_{k+1} = sum of ``terms`` monomials of lagged states and controls, one selection for each state.
+
+    Terms enter in the order of their error reduction ratio, the share of the target's energy that a
+    candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
+    orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
+    over one second on held-out blocks of time. Inputs are clipped to the training range.
+    """
+
+    knowledge = "black"
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
+
+    def __init__(
+        self,
+        *,
+        degree: int = 2,
+        terms: int | None = None,
+        state_lags: int | None = None,
+        control_lags: int | None = None,
+        rest_hold: bool = False,
+    ) -> None:
+        self.degree = degree
+        self.terms = terms
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        if self.degree < 1 or (self.terms is not None and self.terms < 1):
+            raise InvalidArgument(f"narx: expected degree and terms >= 1, got {self.degree}, {self.terms}")
+        pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
+        counts = COUNTS if self.terms is None else (self.terms,)
+        chosen = (counts[0], pairs[0])
+        if len(pairs) * len(counts) > 1:
+            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
+            lowest = np.inf
+            for number, lags in enumerate(pairs):
+                errors = np.zeros(len(counts))
+                for learned, held in folds:
+                    windows = validation_windows(held, max(lags))
+                    order = self._selection(learned, lags, max(counts))
+                    for index, count in enumerate(counts):
+                        trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])
+                        trial.system_, trial.envelope_ = self.system_, self.envelope_
+                        trial._learn(learned, lags, count, order)
+                        errors[index] += simulation_error(trial, windows)
+                        errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0
+                if errors.min() < lowest:
+                    lowest, chosen = float(errors.min()), (counts[int(np.argmin(errors))], lags)
+                if progress is not None:
+                    progress(number + 1, len(pairs) + 1)
+        count, lags = chosen
+        if self.state_lags is None:
+            self.state_lags_ = lags[0]
+        if self.control_lags is None:
+            self.control_lags_ = lags[1]
+        self.terms_ = count
+        self._learn(dataset, lags, count, self._selection(dataset, lags, count))
+        if progress is not None:
+            progress(len(pairs) + 1, len(pairs) + 1)
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        inputs = np.clip(np.concatenate([carry, control], axis=1), self.low_, self.high_)
+        return evaluate(inputs, self.exponents_) @ self.coefficients_
+
+    def equations(self) -> list[str]:
+        """Return one equation for each state, with the unit of every coefficient in brackets."""
+        system, lags = self.system, self.lags
+        names = lagged_names(system.state_names, system.control_names, lags)
+        units = [c.unit for c in system.states] * (lags[0] + 1) + [c.unit for c in system.controls] * (lags[1] + 1)
+        return [
+            equation(f"{state.name}[+1]", state.unit, self.coefficients_[:, i], self.exponents_, names, units)
+            for i, state in enumerate(system.states)
+        ]
+
+    def _selection(self, dataset: Dataset, lags: tuple[int, int], count: int) -> list[IntArray]:
+        """Return, for each state, the terms in the order in which they enter."""
+        carry, control, after = lagged_steps(dataset, lags)
+        inputs = np.concatenate([carry, control], axis=1)
+        library = evaluate(inputs / _size(inputs), monomials(inputs.shape[1], self.degree))
+        return [forward_selection(library, after[:, i], count) for i in range(after.shape[1])]
+
+    def _learn(self, dataset: Dataset, lags: tuple[int, int], count: int, order: list[IntArray]) -> None:
+        carry, control, after = lagged_steps(dataset, lags)
+        inputs = np.concatenate([carry, control], axis=1)
+        scale, exponents = _size(inputs), monomials(inputs.shape[1], self.degree)
+        library = evaluate(inputs / scale, exponents)
+        coefficients = np.zeros((len(exponents), after.shape[1]))
+        for i, terms in enumerate(order):
+            solution, *_ = np.linalg.lstsq(library[:, terms[:count]], after[:, i], rcond=None)
+            coefficients[terms[:count], i] = solution
+        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        used = used if len(used) else np.array([0])
+        self.exponents_ = exponents[used]
+        self.coefficients_ = coefficients[used] / np.prod(scale ** exponents[used], axis=1)[:, None]
+        self.low_, self.high_ = inputs.min(axis=0), inputs.max(axis=0)
+
+
+def forward_selection(library: Array, target: Array, count: int) -> IntArray:
+    """Return up to ``count`` columns of ``library`` (N, T) in the order of their error reduction ratio."""
+    rest, residual = library.copy(), target.copy()
+    original = np.sum(library**2, axis=0)
+    energy = float(target @ target)
+    chosen: list[int] = []
+    while len(chosen) < min(count, library.shape[1]) and float(residual @ residual) > INDEPENDENT**2 * energy:
+        size = np.sum(rest**2, axis=0)
+        usable = size > INDEPENDENT * original
+        usable[chosen] = False
+        if not usable.any():
+            break
+        gain = np.where(usable, (rest.T @ residual) ** 2 / np.where(usable, size, 1.0), -1.0)
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        direction = rest[:, best] / np.sqrt(size[best])
+        rest -= np.outer(direction, direction @ rest)
+        residual = residual - direction * (direction @ residual)
+    return np.array(chosen or [0], dtype=np.int64)
+
+
+def _size(inputs: Array) -> Array:
+    size = np.sqrt(np.mean(inputs**2, axis=0))
+    return np.where(size > 0, size, 1.0)

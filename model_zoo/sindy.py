@@ -1,0 +1,39 @@
+"""Sparse identification of a differential equation (SINDy with control), fitted by pysindy."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from model_zoo.sparse_flow import ContinuousSparse
+from sysid_evo.registry import register_model
+
+
+@register_model("sindy")
+class Sindy(ContinuousSparse):
+    """dx/dt = Theta(x, u) Xi + w(x), Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
+
+    w is the rotation of a planar body's frame, (r v, -r u, 0); without one it is zero. The derivative
+    is the difference over one step, the state the mean of its two ends, the control the one held:
+    correct to second order in dt. Sequentially thresholded least squares drops coefficients below
+    ``threshold`` (of quantities divided by their RMS) and shrinks by ``ridge``. Stepped with the
+    fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range.
+    """
+
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0}}
+
+    def __init__(
+        self,
+        *,
+        degree: int | None = None,
+        threshold: float | None = None,
+        ridge: float = 1e-3,
+        state_lags: int | None = 0,
+        control_lags: int | None = None,
+        rest_hold: bool = False,
+    ) -> None:
+        self.degree = degree
+        self.threshold = threshold
+        self.ridge = ridge
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold

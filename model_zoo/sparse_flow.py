@@ -1,0 +1,41 @@
+"""A sparse polynomial as a differential equation, in the body's own frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model_zoo.runge_kutta import frame_rotation, rk4
+from model_zoo.sparse_regression import Regression, SparsePolynomial
+from model_zoo.stepwise import lagged_steps
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+
+
+class ContinuousSparse(SparsePolynomial):
+    """A sparse differential equation: what `Sindy` and its bagged form share.
+
+    What a state has beyond the training range decays with the time constant dt, so that a
+    polynomial that pushes outwards there cannot run away.
+    """
+
+    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
+        system = dataset.system
+        carry, control, after = lagged_steps(dataset, lags)
+        before = carry[:, : system.nx]
+        middle = 0.5 * (before + after)
+        rate = (after - before) / system.dt - frame_rotation(system, middle)
+        return Regression(np.concatenate([middle, carry[:, system.nx :], control], axis=1), rate)
+
+    def left_sides(self) -> list[tuple[str, str]]:
+        return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        system = self.system
+        held = np.concatenate([carry[:, system.nx :], control], axis=1)
+
+        def rate(state: Array) -> Array:
+            outside = state - np.clip(state, self.low_[: system.nx], self.high_[: system.nx])
+            known = frame_rotation(system, state) - outside / system.dt
+            return self.polynomial(np.concatenate([state, held], axis=1)) + known
+
+        return rk4(rate, carry[:, : system.nx], system.dt)

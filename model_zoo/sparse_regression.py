@@ -1,0 +1,173 @@
+"""What the SINDy families share: pysindy fits, simulation of held-out blocks chooses, a batched polynomial steps."""
+
+from __future__ import annotations
+
+import warnings
+from abc import abstractmethod
+from dataclasses import dataclass
+from itertools import product
+from typing import ClassVar, Self
+
+import numpy as np
+from sklearn.base import clone
+
+from model_zoo.polynomial import equation, evaluate, lagged_names
+from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
+from sysid_evo.progress import Progress
+
+DEGREES = (2, 3)
+THRESHOLDS = (0.01, 0.03, 0.06, 0.1)
+MOST_TERMS = 250
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Regressors (N, n), of which the first ``nx`` are the state, and targets (N, nx)."""
+
+    regressors: Array
+    targets: Array
+
+    def __getitem__(self, rows: IntArray) -> Regression:
+        return Regression(self.regressors[rows], self.targets[rows])
+
+
+def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
+    """Return coefficients (T, nx) and exponents (T, n) that pysindy's STLSQ finds, zeros included.
+
+    pysindy sees regressors and targets divided by their root mean squares, so that ``threshold`` is
+    a share of a target's size; the coefficients returned are those of the raw quantities.
+    """
+    try:
+        from pysindy import SINDy
+        from pysindy.feature_library import PolynomialLibrary
+        from pysindy.optimizers import STLSQ
+    except ImportError as error:
+        raise MissingExtra("the SINDy families are fitted with pysindy: pip install 'sysid-evo[sindy]'") from error
+    if len(data.regressors) < 2:
+        raise InvalidData("data set: a sparse regression needs at least two steps")
+    scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
+    nx = data.targets.shape[1]
+    regressors = data.regressors / scale
+    model = SINDy(optimizer=STLSQ(threshold=threshold, alpha=ridge), feature_library=PolynomialLibrary(degree=degree))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=regressors[:, nx:])
+    exponents = np.asarray(model.feature_library.powers_, dtype=np.int64)
+    coefficients = model.coefficients().T * target_scale / np.prod(scale**exponents, axis=1)[:, None]
+    return np.asarray(coefficients, dtype=np.float64), exponents
+
+
+def root_mean_square(values: Array) -> Array:
+    """Return the root mean square of each column, 1 for a column of zeros."""
+    size = np.sqrt(np.mean(values**2, axis=0))
+    return np.where(size > 0, size, 1.0)
+
+
+class SparsePolynomial(DynamicsModel):
+    """A family whose right-hand side is a sparse polynomial of (carry, control) within the training range.
+
+    A subclass says what is regressed on what (`regression`), and steps with `polynomial`. ``degree``,
+    ``threshold`` and lags left at None are chosen by the simulation error over one second on
+    held-out blocks of time; settings that diverge there are never chosen if one does not.
+    """
+
+    knowledge = "dark grey"
+    search_folds: ClassVar[int] = 3
+    degree: int | None
+    threshold: float | None
+    ridge: float
+
+    @abstractmethod
+    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
+        """Return what the polynomial is fitted to."""
+
+    @abstractmethod
+    def left_sides(self) -> list[tuple[str, str]]:
+        """Return the left side of each equation and its unit."""
+
+    def coefficients(
+        self, data: Regression, degree: int, threshold: float, rng: np.random.Generator
+    ) -> tuple[Array, IntArray]:
+        """Return coefficients (T, nx) and exponents (T, n) for ``data``."""
+        return sparse_coefficients(data, degree, threshold, self.ridge)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        if self.ridge < 0 or (self.threshold or 0.0) < 0 or (self.degree is not None and self.degree < 1):
+            raise InvalidArgument(
+                f"sparse regression: expected degree >= 1, threshold >= 0 and ridge >= 0, "
+                f"got {self.degree}, {self.threshold}, {self.ridge}"
+            )
+        settings = self._settings(dataset)
+        chosen = settings[0]
+        if len(settings) > 1:
+            folds = [time_blocks(dataset, fold) for fold in range(self.search_folds)]
+            errors = []
+            for number, (degree, threshold, lags) in enumerate(settings):
+                trial = clone(self).set_params(
+                    degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1]
+                )
+                trial.system_, trial.envelope_ = self.system_, self.envelope_
+                error = 0.0
+                for learned, held in folds:
+                    trial._learn(learned, degree, threshold, lags, rng)
+                    windows = validation_windows(held, trial.n_lags)
+                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
+                errors.append(error)
+                if progress is not None:
+                    progress(number + 1, len(settings) + 1)
+            chosen = settings[int(np.argmin(errors))]
+        degree, threshold, lags = chosen
+        if self.state_lags is None:
+            self.state_lags_ = lags[0]
+        if self.control_lags is None:
+            self.control_lags_ = lags[1]
+        self.degree_, self.threshold_ = degree, threshold
+        self._learn(dataset, degree, threshold, lags, rng)
+        if progress is not None:
+            progress(len(settings) + 1, len(settings) + 1)
+        return self
+
+    def polynomial(self, inputs: Array) -> Array:
+        """Return the right-hand side (B, nx) for (carry, control), clipped to the training range."""
+        return evaluate(np.clip(inputs, self.low_, self.high_), self.exponents_) @ self.coefficients_
+
+    def equations(self) -> list[str]:
+        """Return one equation for each state, with the unit of every coefficient in brackets."""
+        system = self.system
+        lags = self.lags
+        names = lagged_names(system.state_names, system.control_names, lags)
+        states, controls = [c.unit for c in system.states], [c.unit for c in system.controls]
+        units = states * (lags[0] + 1) + controls * (lags[1] + 1)
+        return [
+            equation(left, unit, self.coefficients_[:, channel], self.exponents_, names, units)
+            for channel, (left, unit) in enumerate(self.left_sides())
+        ]
+
+    def _settings(self, dataset: Dataset) -> list[tuple[int, float, tuple[int, int]]]:
+        """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
+        system = dataset.system
+        degrees = DEGREES if self.degree is None else (self.degree,)
+        thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
+        lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (0, 3), (1, 3)))
+        every = list(product(degrees, thresholds, lags))
+
+        def terms(setting: tuple[int, float, tuple[int, int]]) -> int:
+            n = system.nx * (1 + setting[2][0]) + system.nu * (1 + setting[2][1])
+            return int(np.prod([(n + i) / i for i in range(1, setting[0] + 1)]) + 0.5)
+
+        return [setting for setting in every if terms(setting) <= MOST_TERMS] or [every[0]]
+
+    def _learn(
+        self, dataset: Dataset, degree: int, threshold: float, lags: tuple[int, int], rng: np.random.Generator
+    ) -> None:
+        data = self.regression(dataset, lags)
+        coefficients, exponents = self.coefficients(data, degree, threshold, rng)
+        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        used = used if len(used) else np.array([0])
+        self.coefficients_ = np.ascontiguousarray(coefficients[used])
+        self.exponents_ = np.ascontiguousarray(exponents[used])
+        self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)

@@ -1,0 +1,137 @@
+"""Fits the zoo on two real cars and prints each family's prediction error beside the strongest peer's.
+
+    python -m tests.benchmarks.prediction [FAMILY ...] [--preset standard] [--seeds 3] [--logs slippery_20hz free_20hz]
+
+N is the mean over channels of RMSE / standard deviation, after 1, 10, 20 and 60 steps and over the
+whole file, under `evaluation.prediction.PredictionProtocol`. The peer is trained here. Differences
+come from a paired block bootstrap of the errors pooled over the seeds: an interval without zero is
+marked. Coverage is that of 90 % intervals after one second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from evaluation.prediction import (
+    Interval,
+    MeasuredCases,
+    ModelPrediction,
+    PredictionProtocol,
+    assess_model,
+    measured_cases,
+)
+from evaluation.prediction.bootstrap import interval
+from model_zoo.spread import coverage
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import make_model, models
+from sysid_evo.system import Channel, System
+from tests.benchmarks.peers import LaggedOneStepEnsemble
+
+TEST_EPISODE = {"slippery_20hz": "2025-04-16-17-36-01", "free_20hz": "car_1_Datarecording_09_16_2024_10_12_05"}
+PEER = "peer: 4 one-step networks"
+SECOND = 20
+CAR = System(
+    states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
+    controls=(Channel("drive", low=0.0, high=1.0), Channel("steer", low=-1.0, high=1.0)),
+    dt=0.05,
+    motion=PlanarBody(),
+    name="throttle car",
+)
+
+
+def recording(log: str) -> tuple[Dataset, Dataset]:
+    """Return training and test set of one of the two cars."""
+    root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
+    states, controls, names = [], [], []
+    for path in sorted((root / "dart" / log).glob("*.csv")):
+        rows = np.genfromtxt(path, delimiter=",", names=True)
+        fields = rows.dtype.names or ()
+        safety = rows["safety"] if "safety" in fields else 1.0
+        states.append(np.stack([rows["u"], rows["v"], rows["r"]], axis=1))
+        controls.append(np.stack([np.maximum(rows["throttle"], 0.0) * safety, rows["steering"]], axis=1))
+        names.append(path.stem)
+    return Dataset.from_arrays(CAR, states, controls, names=names).split([TEST_EPISODE[log]])
+
+
+def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> float | None:
+    """Return the share of true states inside 90 % intervals after one second, None without a spread."""
+    if "stochastic" not in model.get_params():
+        return None
+    windows = cases.windows
+    noisy = model.set_params(stochastic=True)
+    drawn = noisy.simulate(
+        windows.past_states,
+        windows.past_controls,
+        windows.controls[:, :SECOND],
+        samples=100,
+        rng=np.random.default_rng(0),
+    )
+    model.set_params(stochastic=False)
+    rows = cases.moving[:, SECOND - 1]
+    return float(coverage(drawn[:, rows, -1], windows.states[rows, SECOND - 1]).mean())
+
+
+def pooled(rows: list[ModelPrediction], horizon: int | None) -> tuple[float, np.ndarray]:
+    """Return the mean N over seeds and its resamples (R,)."""
+    scores = [score for row in rows if (score := row.score(horizon)) is not None]
+    return float(np.mean([s.n for s in scores])), np.mean([s.resampled_n for s in scores], axis=0)
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("families", nargs="*", help="default: every registered family")
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--logs", nargs="+", default=list(TEST_EPISODE), choices=list(TEST_EPISODE))
+    arguments = parser.parse_args()
+    write = sys.stdout.write
+    for log in arguments.logs:
+        training, test = recording(log)
+        cases = measured_cases(training, test, PredictionProtocol())
+        horizons: list[int | None] = [*cases.horizons, None]
+        write(f"\n{log}: N after {', '.join(map(str, cases.horizons))} steps and over the whole file, ")
+        write(f"mean of {arguments.seeds} seeds, preset {arguments.preset}\n")
+        table: dict[str, list[ModelPrediction]] = {}
+        for name in [PEER, *(arguments.families or models.names())]:
+            rows, seconds, covered = [], [], []
+            for seed in range(arguments.seeds):
+                if name == PEER:
+                    model: DynamicsModel = LaggedOneStepEnsemble()
+                else:
+                    options = dict(models.get(name).presets.get(arguments.preset, {}))  # type: ignore[attr-defined]
+                    model = make_model(name, **options)
+                began = time.perf_counter()
+                model.fit(training, rng=np.random.default_rng(seed))
+                seconds.append(time.perf_counter() - began)
+                rows.append(assess_model(f"{name}-{seed}", model, cases, family=name))
+                covered.append(interval_coverage(model, cases))
+            table[name] = rows
+            figures = "  ".join(f"{pooled(rows, horizon)[0]:.3f}" for horizon in horizons)
+            touched = max(row.divergence.share for row in rows if row.divergence is not None)
+            known = [value for value in covered if value is not None]
+            extra = f"  90 % intervals hold {100 * float(np.mean(known)):.0f} %" if known else ""
+            write(f"  {name:26s} {figures}  fit {np.mean(seconds):6.1f} s  diverged {100 * touched:.1f} %{extra}\n")
+            sys.stdout.flush()
+        best = min((name for name in table if name != PEER), key=lambda name: pooled(table[name], SECOND)[0])
+        write(f"  {best} against the {PEER}:\n")
+        for horizon in horizons:
+            own, own_draws = pooled(table[best], horizon)
+            other, other_draws = pooled(table[PEER], horizon)
+            between: Interval = interval(own_draws - other_draws, 0.95)
+            mark = "" if between.spans(0.0) else " *"
+            label = "file" if horizon is None else f"{horizon:4d}"
+            write(f"    {label}: {100 * (own / other - 1):+.1f} %  {own - other:+.3f} ")
+            write(f"[{between.low:+.3f}, {between.high:+.3f}]{mark}\n")
+
+
+if __name__ == "__main__":
+    main()

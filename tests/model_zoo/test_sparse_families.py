@@ -1,0 +1,123 @@
+"""SINDy and NARX recover known equations, and say them with units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model_zoo.narx import Narx
+from model_zoo.polynomial import evaluate, monomials
+from model_zoo.sindy import Sindy
+from model_zoo.sindy_bagged import SindyBagged
+from model_zoo.sindy_discrete import SindyDiscrete
+from model_zoo.sparse_regression import Regression, root_mean_square, sparse_coefficients
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.system import Channel, System
+
+SYSTEM = System(
+    states=(Channel("speed", "m/s"), Channel("angle", "rad")), controls=(Channel("drive", low=-1.0, high=1.0),), dt=0.01
+)
+
+
+def recording_of(advance: object, steps: int = 600, episodes: int = 2) -> Dataset:
+    rng = np.random.default_rng(5)
+    states, controls = [], []
+    for _ in range(episodes):
+        control = np.repeat(rng.uniform(-1.0, 1.0, (steps // 20, 1)), 20, axis=0)
+        state = [rng.uniform(-0.5, 0.5, 2)]
+        for u in control:
+            state.append(advance(state[-1], u))  # type: ignore[operator]  # a plain function
+        states.append(np.array(state))
+        controls.append(control)
+    return Dataset.from_arrays(SYSTEM, states, controls)
+
+
+def discrete(x: Array, u: Array) -> Array:
+    return np.array([0.9 * x[0] + 0.3 * u[0] - 0.1 * x[0] * x[1], 0.8 * x[1] + 0.2 * x[0] ** 2])
+
+
+def continuous(x: Array, u: Array) -> Array:
+    return np.array([2.0 * u[0] - 1.5 * x[0], -3.0 * x[1] + 4.0 * x[0] * u[0]])
+
+
+def through_rk4(x: Array, u: Array) -> Array:
+    for _ in range(4):
+        h = SYSTEM.dt / 4
+        k1 = continuous(x, u)
+        k2 = continuous(x + h / 2 * k1, u)
+        k3 = continuous(x + h / 2 * k2, u)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + continuous(x + h * k3, u))
+    return x
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        SindyDiscrete(degree=2, threshold=0.01, ridge=0.0, state_lags=0, control_lags=0),
+        Narx(degree=2, terms=3, state_lags=0, control_lags=0),
+    ],
+)
+def test_a_discrete_system_is_recovered_exactly(model: SindyDiscrete | Narx) -> None:
+    model.fit(recording_of(discrete), rng=np.random.default_rng(0))
+    expected = {
+        (1, 0, 0): [0.9, 0.0],
+        (0, 0, 1): [0.3, 0.0],
+        (1, 1, 0): [-0.1, 0.0],
+        (0, 1, 0): [0.0, 0.8],
+        (2, 0, 0): [0.0, 0.2],
+    }
+    found = {
+        tuple(int(p) for p in powers): row for powers, row in zip(model.exponents_, model.coefficients_, strict=True)
+    }
+    for powers, row in found.items():
+        np.testing.assert_allclose(row, expected.get(powers, [0.0, 0.0]), atol=1e-8)
+    assert set(expected) <= set(found)
+
+
+@pytest.mark.parametrize("family", [Sindy, SindyBagged])
+def test_a_differential_equation_is_recovered(family: type[Sindy] | type[SindyBagged]) -> None:
+    model = family(degree=2, threshold=0.05, ridge=1e-6, state_lags=0, control_lags=0)
+    model.fit(recording_of(through_rk4), rng=np.random.default_rng(0))
+    expected = {(0, 0, 1): [2.0, 0.0], (1, 0, 0): [-1.5, 0.0], (0, 1, 0): [0.0, -3.0], (1, 0, 1): [0.0, 4.0]}
+    found = {
+        tuple(int(p) for p in powers): row for powers, row in zip(model.exponents_, model.coefficients_, strict=True)
+    }
+    assert set(found) == set(expected)
+    for powers, row in found.items():
+        np.testing.assert_allclose(row, expected[powers], atol=2e-3)
+
+
+def test_equations_carry_units() -> None:
+    model = Sindy(degree=2, threshold=0.05, ridge=1e-6, state_lags=0, control_lags=0)
+    model.fit(recording_of(through_rk4), rng=np.random.default_rng(0))
+    first, second = model.equations()
+    assert first.startswith("acceleration of speed = ")
+    assert "[(m/s/s)/(m/s)] speed" in first
+    assert "speed drive" in second
+
+
+def test_coefficients_are_those_of_pysindy() -> None:
+    import pysindy
+
+    rng = np.random.default_rng(1)
+    x, u = rng.standard_normal((300, 2)), rng.standard_normal((300, 1))
+    data = Regression(np.hstack([x, u]), np.stack([x[:, 0] * u[:, 0] - x[:, 1], 2.0 * x[:, 1] ** 2], axis=1))
+    scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
+    theirs = pysindy.SINDy(
+        optimizer=pysindy.STLSQ(threshold=0.02, alpha=1e-3),
+        feature_library=pysindy.PolynomialLibrary(degree=2),
+    )
+    theirs.fit(x / scale[:2], t=1.0, x_dot=data.targets / target_scale, u=u / scale[2:])
+    coefficients, exponents = sparse_coefficients(data, 2, 0.02, 1e-3)
+    rescaled = coefficients * np.prod(scale**exponents, axis=1)[:, None] / target_scale
+    np.testing.assert_allclose(rescaled.T, theirs.coefficients(), atol=1e-12)
+    library = np.asarray(theirs.feature_library.transform(x[:, :1].repeat(3, axis=1)))
+    np.testing.assert_allclose(evaluate(x[:, :1].repeat(3, axis=1), exponents), library, atol=1e-12)
+
+
+def test_monomials_are_all_and_each_once() -> None:
+    found = monomials(3, 2)
+    assert len(found) == 10
+    assert len({tuple(row) for row in found}) == 10
+    assert found.sum(axis=1).max() == 2
