@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 @register_model("backprop27")
@@ -99,6 +102,24 @@ class Backprop27(DynamicsModel):
             by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
         return after
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import command_network_predictor, stepping_kernel
+
+        cells, serving = self._serving
+        commands, n_in, _ = self.first_.shape
+        shape = self.last_.shape[1:]
+        predictor = command_network_predictor(
+            self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),
+            self.first_bias_.reshape(commands, *shape),
+            self.last_,
+            self.last_bias_,
+            serving,
+            cells.midpoints,
+            cells.exact,
+            self.n_carry,
+        )
+        return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

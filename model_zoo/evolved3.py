@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 @register_model("evolved3")
@@ -56,12 +59,40 @@ class Evolved3(DynamicsModel):
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
         search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
         self.parameters_ = search.run(
-            self._advance, dataset, initial=np.zeros(n), spread=self.spread, rng=rng, progress=progress
+            self._advance,
+            dataset,
+            initial=np.zeros(n),
+            spread=self.spread,
+            rng=rng,
+            progress=progress,
+            kernel=self._kernels,
         )
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
+
+    def kernel(self) -> DynamicsKernel:
+        return self._kernels(self.parameters_[None])[0]
+
+    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
+        """Return a kernel and its flat parameters (P, m) for parameter vectors (P, n)."""
+        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+
+        nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
+        cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
+        own = np.repeat(np.eye(nx), hidden, axis=0)
+        kernels = []
+        for one in parameters:
+            first, first_bias, last, last_bias = np.split(one, cut)
+            weights = first.reshape(n, nx * hidden) / self.scale_[:, None]
+            layers = [
+                (weights, first_bias - self.centre_ @ weights),
+                (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
+            ]
+            predictor = network_predictor([layers], nx, self.system.nu)
+            kernels.append(stepping_kernel(predictor, self.system, output="acceleration", rest_band=self.rest_band))
+        return kernels[0], np.stack([kernel.parameters for kernel in kernels])
 
     def _advance(self, parameters: Array, state: Array, control: Array) -> Array:
         """Step parameter vectors (P, n) from states (P, B, nx) under controls (B, nu)."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, ClassVar, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -19,6 +20,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
@@ -96,6 +100,22 @@ class GaussianProcess(DynamicsModel):
         if noise is not None:
             after = after + self.noise_scale_ * np.sqrt(variance) * self.system.dt * noise
         return self.remember(carry, control, after)
+
+    def kernel(self) -> DynamicsKernel | None:
+        from sysid_evo.engine.kernels import gaussian_predictor, stepping_kernel
+
+        if self.stochastic:
+            return None
+        predictor = gaussian_predictor(
+            self.points_,
+            self.lengths_,
+            self.weights_ * self.amplitude_[:, None] ** 2,
+            self.slope_,
+            self.intercept_,
+            self.n_carry,
+        )
+        shell = stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+        return replace(shell, precision="float64")  # its large weights cancel
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""

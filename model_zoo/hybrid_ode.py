@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from model_zoo.flow import FittedFlow
     from model_zoo.multistep import Plan, Report
+    from sysid_evo.engine.kernels import Predictor
 
 INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 3.0, 0.2])
 
@@ -124,6 +125,13 @@ class HybridOde(NetworkRate):
         if lateral is not None:
             rate[:, lateral] = -state[:, lateral] * d_v
         return rate
+
+    def known_predictor(self) -> Predictor:
+        from model_zoo.kernels.car_rate import car_rate
+        from sysid_evo.engine.kernels import Predictor
+
+        roles = [-1 if role is None else role for role in self.roles]
+        return Predictor(car_rate, np.array([*roles, self.system.nx, *self.physical_], dtype=np.float64), n_scratch=0)
 
     def _torch_rate(self, state: Tensor, control: Tensor, logarithms: Tensor) -> Tensor:
         """Return `known_rate` for the logarithms (1, 1, 9) of the physical parameters."""

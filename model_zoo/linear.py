@@ -64,10 +64,4 @@ class Linear(DynamicsModel):
         from sysid_evo.engine.kernels import network_predictor, stepping_kernel
 
         one_layer = network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)
-        return stepping_kernel(
-            one_layer,
-            self.system,
-            output="next_state",
-            state_lags=self.state_lags,
-            control_lags=self.control_lags,
-        )
+        return stepping_kernel(one_layer, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)

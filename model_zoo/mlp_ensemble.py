@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 SEARCH_UPDATES = (600, 120)
 OFFERED = ((1, 3), (2, 4))
@@ -151,6 +154,14 @@ class MlpEnsemble(DynamicsModel):
             deviation = np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
             after = after + self.noise_scale_ * deviation * noise
         return self.remember(carry, control, after)
+
+    def kernel(self) -> DynamicsKernel | None:
+        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+
+        if self.stochastic:
+            return None
+        predictor = network_predictor(self.network.members(), self.n_carry, self.system.nu)
+        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
 
     def _calibrate(self, dataset: Dataset, rng: np.random.Generator) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from sklearn.base import clone
@@ -16,6 +16,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10
@@ -88,6 +91,13 @@ class Narx(DynamicsModel):
     def next_state(self, carry: Array, control: Array) -> Array:
         inputs = np.clip(np.concatenate([carry, control], axis=1), self.low_, self.high_)
         return evaluate(inputs, self.exponents_) @ self.coefficients_
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import polynomial_predictor, stepping_kernel, within
+
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
+        predictor = within(sums, self.low_, self.high_, self.n_carry)
+        return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""

@@ -72,7 +72,7 @@ class NearestNeighbour(DynamicsModel):
             cells.exact,
             self.system.nx,
         )
-        return stepping_kernel(predictor, self.system, output="acceleration")
+        return stepping_kernel(predictor, self.system, output="acceleration", rest_band=self.rest_band)
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

@@ -30,6 +30,13 @@ class Network:
                 values = np.tanh(values)
         return values
 
+    def members(self) -> list[list[tuple[Array, Array]]]:
+        """Return every network as its layers: weights (n_in, n_out) and bias (n_out,)."""
+        return [
+            [(weight[m], bias[m]) for weight, bias in zip(self.weights, self.biases, strict=True)]
+            for m in range(len(self.weights[0]))
+        ]
+
     @property
     def n_parameters(self) -> int:
         """Number of weights and biases of all members."""

@@ -19,6 +19,8 @@ from sysid_evo.progress import Progress
 if TYPE_CHECKING:
     from model_zoo.flow import FittedFlow
     from model_zoo.multistep import Plan, Report
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
 
@@ -98,6 +100,28 @@ class NetworkRate(DynamicsModel):
     def network(self) -> Network:
         """Raw (carry, control) to the learned part of dx/dt."""
         return Network(self.weights_, self.biases_)
+
+    def known_predictor(self) -> Predictor | None:
+        """Return `known_rate` as a predictor of the fast engine, if there is one."""
+        return None
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import (
+            added,
+            network_predictor,
+            runge_kutta_predictor,
+            stepping_kernel,
+            turning_frame,
+        )
+
+        rate, known = (
+            network_predictor(self.network.members()[:1], self.n_carry, self.system.nu),
+            self.known_predictor(),
+        )
+        if known is not None:
+            rate = added(rate, known, self.system.nx)
+        step = runge_kutta_predictor(turning_frame(rate, self.system), self.system, n_carry=self.n_carry)
+        return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system, network = self.system, self.network

@@ -107,7 +107,9 @@ class Parametrised(DynamicsModel):
 
         roles = [-1 if role is None else role for role in self.roles]
         flat = np.concatenate([np.tile([*roles, self.system.dt], (len(parameters), 1)), parameters], axis=1)
-        kernel = stepping_kernel(Predictor(equation_one, flat[0], 0), self.system, output="next_state")
+        kernel = stepping_kernel(
+            Predictor(equation_one, flat[0], 0), self.system, output="next_state", rest_band=self.rest_band
+        )
         head = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
         return kernel, np.concatenate([np.tile(head, (len(flat), 1)), flat], axis=1)
 

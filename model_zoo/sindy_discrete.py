@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from model_zoo.stepwise import lagged_steps
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 @register_model("sindy_discrete")
@@ -47,6 +50,13 @@ class SindyDiscrete(SparsePolynomial):
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"{channel.name}[+1]", channel.unit) for channel in self.system.states]
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import stepping_kernel
+
+        return stepping_kernel(
+            self.predictor(), self.system, output="next_state", lags=self.lags, rest_band=self.rest_band
+        )
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return self.polynomial(np.concatenate([carry, control], axis=1))

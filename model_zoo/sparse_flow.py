@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from model_zoo.runge_kutta import frame_rotation, rk4
@@ -9,6 +11,9 @@ from model_zoo.sparse_regression import Regression, SparsePolynomial
 from model_zoo.stepwise import lagged_steps
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 class ContinuousSparse(SparsePolynomial):
@@ -28,6 +33,14 @@ class ContinuousSparse(SparsePolynomial):
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.kernels import runge_kutta_predictor, stepping_kernel, turning_frame
+
+        nx = self.system.nx
+        rate = turning_frame(self.predictor(), self.system, low=self.low_[:nx], high=self.high_[:nx])
+        step = runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
+        return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system = self.system

@@ -6,7 +6,7 @@ import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from sklearn.base import clone
@@ -18,6 +18,9 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
 from sysid_evo.progress import Progress
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.kernels import Predictor
 
 DEGREES = (2, 3)
 THRESHOLDS = (0.01, 0.03, 0.06, 0.1)
@@ -134,6 +137,13 @@ class SparsePolynomial(DynamicsModel):
     def polynomial(self, inputs: Array) -> Array:
         """Return the right-hand side (B, nx) for (carry, control), clipped to the training range."""
         return evaluate(np.clip(inputs, self.low_, self.high_), self.exponents_) @ self.coefficients_
+
+    def predictor(self) -> Predictor:
+        """Return `polynomial` as a predictor of the fast engine."""
+        from sysid_evo.engine.kernels import polynomial_predictor, within
+
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
+        return within(sums, self.low_, self.high_, self.n_carry)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""

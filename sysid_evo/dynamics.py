@@ -159,12 +159,19 @@ class DynamicsModel(Dynamics, BaseEstimator):
         controls = np.concatenate([control, carry[:, nx * (1 + state_lags) :]], axis=1)
         return np.concatenate([after, states, controls[:, : nu * control_lags]], axis=1)
 
+    @property
+    def rest_band(self) -> Array | None:
+        """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
+        if not self.rest_hold:
+            return None
+        return REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+
     def held(self, carry: Array, control: Array, after: Array) -> Array:
         """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and the control is neutral."""
-        if not self.rest_hold:
+        band = self.rest_band
+        if band is None:
             return after
         neutral = self.system.neutral_state
-        band = REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
         still = (np.abs(carry[:, : self.system.nx] - neutral) <= band).all(axis=1)
         idle = (control == self.system.neutral_control).all(axis=1)
         return np.where((still & idle)[:, None], neutral, after)

@@ -45,7 +45,8 @@ def run(
             view = View(observation.reshape(*grid, -1), state.reshape(*grid, -1), task_state)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
-            stepped = dynamics.step(carry, control, np.tile(noise[:, k], (candidates, 1)))
+            draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
+            stepped = dynamics.step(carry, control, draw)
             diverged |= alive & ~np.isfinite(stepped).all(axis=1)
             going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)

@@ -117,7 +117,7 @@ def rollout(
                     task,
                     seeds,
                     record=record,
-                    precision="float64" if engine == "float64" else "float32",
+                    precision=of_dynamics.precision if engine == "auto" else engine,
                     threads=threads or available_processors(),
                 )
             )

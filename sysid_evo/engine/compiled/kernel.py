@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source
 
 if TYPE_CHECKING:
     from sysid_evo.tasks.task import TaskState
@@ -34,11 +34,12 @@ of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
 
 @dataclass(frozen=True)
 class DynamicsKernel:
-    """The compiled form of `Dynamics.step`."""
+    """The compiled form of `Dynamics.step`; ``precision`` is the lowest one in which it is exact enough."""
 
-    source: KernelSource
+    source: Source
     parameters: Array = field(default_factory=lambda: np.zeros(1))
     n_scratch: int = 0
+    precision: Precision = "float32"
 
 
 @dataclass(frozen=True)

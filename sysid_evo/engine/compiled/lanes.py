@@ -174,6 +174,20 @@ def lowest(typing_context, row):
 
 
 @intrinsic
+def power_of_two(typing_context, exponent):
+    """Return 2 to the power of a whole number given as a real one, by writing its exponent bits."""
+    whole, mantissa, bias = (32, 23, 127) if exponent == types.float32 else (64, 52, 1023)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        integer = ir.IntType(whole)
+        biased = builder.add(builder.fptosi(arguments[0], integer), ir.Constant(integer, bias))
+        bits = builder.shl(biased, ir.Constant(integer, mantissa))
+        return builder.bitcast(bits, context.get_value_type(exponent))
+
+    return exponent(exponent), generate
+
+
+@intrinsic
 def view(typing_context, array, first):
     """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
 

@@ -98,7 +98,8 @@ def run(
                 buffer["scratch"],
             )  # fmt: skip
             legal = control.reshape(rollouts, nu).astype(np.float64)
-            stepped = dynamics.step(carry, legal, np.tile(noise[:, k], (candidates, 1)))
+            draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
+            stepped = dynamics.step(carry, legal, draw)
             diverged |= alive & ~np.isfinite(stepped).all(axis=1)
             going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)

@@ -1,18 +1,24 @@
 """The kernel library: predictors, and the shells that make a model's step of them."""
 
 from sysid_evo.engine.kernels.command_networks import command_network_predictor
+from sysid_evo.engine.kernels.gaussian import gaussian_predictor
 from sysid_evo.engine.kernels.neighbours import neighbour_predictor
 from sysid_evo.engine.kernels.networks import network_predictor
 from sysid_evo.engine.kernels.polynomial import polynomial_predictor
 from sysid_evo.engine.kernels.runge_kutta import runge_kutta_predictor
+from sysid_evo.engine.kernels.shells import added, turning_frame, within
 from sysid_evo.engine.kernels.stepping import Predictor, stepping_kernel
 
 __all__ = [
     "Predictor",
+    "added",
     "command_network_predictor",
+    "gaussian_predictor",
     "network_predictor",
     "neighbour_predictor",
     "polynomial_predictor",
     "runge_kutta_predictor",
     "stepping_kernel",
+    "turning_frame",
+    "within",
 ]

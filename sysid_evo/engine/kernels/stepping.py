@@ -23,7 +23,7 @@ from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, HEADER = range(10)
+NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, REST, OWN, HEADER = range(12)
 NEXT_STATE, PLAIN, PLANAR = range(3)
 
 
@@ -52,52 +52,79 @@ def stepping_kernel(
     system: System,
     *,
     output: Output,
-    state_lags: int = 0,
-    control_lags: int = 0,
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
 ) -> DynamicsKernel:
     """Return the kernel of a model whose predictor gives the next state or an acceleration.
 
-    The carry is that of `DynamicsModel`: state, earlier states, earlier controls.
+    The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
+    ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control.
     """
     header = np.zeros(HEADER)
-    header[[NX, NU, STATE_LAGS, CONTROL_LAGS, DT]] = system.nx, system.nu, state_lags, control_lags, system.dt
+    header[[NX, NU, STATE_LAGS, CONTROL_LAGS, DT]] = system.nx, system.nu, *lags, system.dt
     if output == "acceleration":
         header[MODE] = PLAIN
         if isinstance(system.motion, PlanarBody):
             forward, lateral, yaw_rate = system.motion.indices(system.state_names)
             if lateral is not None:
                 header[[MODE, FORWARD, LATERAL, YAW_RATE]] = PLANAR, forward, lateral, yaw_rate
+    rest = []
+    if rest_band is not None:
+        header[REST] = 1.0
+        rest = [rest_band, system.neutral_state, system.neutral_control]
+    header[OWN] = HEADER + sum(len(part) for part in rest)
     return DynamicsKernel(
         KernelSource(step, predictor.bindings),
-        np.concatenate([header, np.ravel(predictor.parameters)]),
-        system.nx + predictor.n_scratch,
+        np.concatenate([header, *rest, np.ravel(predictor.parameters)]),
+        system.nx + 1 + predictor.n_scratch,
     )
 
 
 def step(carry, control, noise, parameters, scratch):
     """Predict, integrate, and shift the lags."""
     nx, nu = int(parameters[NX]), int(parameters[NU])
-    own, room = view(parameters, HEADER), view(scratch, nx * LANES)
+    rows = nx * LANES
+    moving = view(scratch, rows)
+    own, room = view(parameters, int(parameters[OWN])), view(moving, LANES)
     prepare(control, own, room)
     predict(carry, control, own, scratch, room)
     mode, dt = int(parameters[MODE]), parameters[DT]
     if mode != NEXT_STATE:
-        for i in range(nx * LANES):
+        for i in range(rows):
             scratch[i] = carry[i] + dt * scratch[i]
     if mode == PLANAR:
         forward, lateral = int(parameters[FORWARD]) * LANES, int(parameters[LATERAL]) * LANES
         turn_back(view(scratch, forward), view(scratch, lateral), view(carry, int(parameters[YAW_RATE]) * LANES), dt)
+    if parameters[REST] > 0.0:
+        hold(carry, control, view(parameters, HEADER), nx, nu, moving, scratch)
     state_lags, control_lags = int(parameters[STATE_LAGS]), int(parameters[CONTROL_LAGS])
-    rows = nx * LANES
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
     past = view(carry, (1 + state_lags) * rows)
-    rows = nu * LANES
+    size = nu * LANES
     for back in range(control_lags - 1, 0, -1):
-        copy(view(past, (back - 1) * rows), view(past, back * rows), rows)
+        copy(view(past, (back - 1) * size), view(past, back * size), size)
     if control_lags > 0:
-        copy(control, past, rows)
-    copy(scratch, carry, nx * LANES)
+        copy(control, past, size)
+    copy(scratch, carry, rows)
+
+
+def hold(carry, control, p, nx, nu, moving, after):
+    """Put the lanes that rest under neutral control back to neutral; p: band, neutral state, neutral control."""
+    for lane in range(LANES):
+        moving[lane] = 0.0
+    for row in range(nu):
+        here, neutral = view(control, row * LANES), p[2 * nx + row]
+        for lane in range(LANES):
+            moving[lane] = moving[lane] if here[lane] == neutral else 1.0
+    for row in range(nx):
+        here, neutral, band = view(carry, row * LANES), p[nx + row], p[row]
+        for lane in range(LANES):
+            moving[lane] = moving[lane] if abs(here[lane] - neutral) <= band else 1.0
+    for row in range(nx):
+        there, neutral = view(after, row * LANES), p[nx + row]
+        for lane in range(LANES):
+            there[lane] = there[lane] if moving[lane] > 0.0 else neutral
 
 
 def turn_back(along, across, yaw_rate, dt):
