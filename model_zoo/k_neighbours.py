@@ -11,7 +11,7 @@ from sklearn.base import clone
 
 from model_zoo.standardise import Standard
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -26,13 +26,17 @@ SEARCH_FOLDS = 3
 
 @register_model("k_neighbours")
 class KNeighbours(DynamicsModel):
-    """The acceleration of a plane fitted to the ``neighbours`` nearest recorded steps (locally weighted regression).
+    """The change of the state on a plane fitted to the ``neighbours`` nearest steps (locally weighted regression).
+
+    The plain change in one step is used, not the acceleration: a lateral acceleration balances
+    forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
 
     Distance is Euclidean in (carry, control) divided by standard deviations, controls counting
     ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
     d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
     (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
-    interpolates and never extrapolates. ``neighbours`` and lags left at None are chosen by the simulation
+    interpolates and never extrapolates; what a state has beyond the training range is taken back in
+    one step. ``neighbours`` and lags left at None are chosen by the simulation
     error over one second on held-out blocks of time.
     """
 
@@ -72,7 +76,8 @@ class KNeighbours(DynamicsModel):
                 error = 0.0
                 for learned, held in folds:
                     trial.fit(learned, rng=rng)
-                    error += simulation_error(trial, validation_windows(held, trial.n_lags, stride=8))
+                    windows = validation_windows(held, trial.n_lags, stride=8)
+                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
                 errors.append(error)
                 if progress is not None:
                     progress(number + 1, len(settings) + 1)
@@ -90,19 +95,20 @@ class KNeighbours(DynamicsModel):
         weight[-nu:] = self.control_weight
         self.metric_ = weight / scale
         self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
-        self.accelerations_ = dataset.system.acceleration(carry[:, :nx], after)
+        self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)
+        self.changes_ = after - carry[:, :nx]
         self.__dict__.pop("_tree", None)
         if progress is not None:
             progress(len(settings) + 1, len(settings) + 1)
         return self
 
-    def acceleration(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry: Array, control: Array) -> Array:
         query = np.concatenate([carry, control], axis=1) * self.metric_
         count = min(self.neighbours_, len(self.points_))
         distance, rows = self._tree.query(query, k=np.arange(1, count + 1))
         weight = (1.0 - (distance / (1.05 * distance[:, -1:] + 1e-12)) ** 2) ** 2
         weight = weight / weight.sum(axis=1, keepdims=True)
-        targets = self.accelerations_[rows]
+        targets = self.changes_[rows]
         mean = np.einsum("bk,bko->bo", weight, targets)
         offset = self.points_[rows] - query[:, None]
         centre = np.einsum("bk,bki->bi", weight, offset)
@@ -111,7 +117,9 @@ class KNeighbours(DynamicsModel):
         gram = np.einsum("bki,bkj->bij", weighted, away) + RIDGE * np.eye(query.shape[1])
         slope = np.linalg.solve(gram, np.einsum("bki,bko->bio", weighted, targets - mean[:, None]))
         plane = mean - np.einsum("bi,bio->bo", centre, slope)
-        return np.clip(plane, targets.min(axis=1), targets.max(axis=1))
+        state = carry[:, : self.system.nx]
+        inside = np.clip(state, self.low_, self.high_)
+        return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
     @cached_property
     def _tree(self) -> Any:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
+from sklearn.base import clone
 
 from model_zoo.mirror import Mirror
 from model_zoo.network import Network
-from model_zoo.spread import calibrated_scale
-from model_zoo.validation import lag_candidates, validation_windows
+from model_zoo.spread import calibrated_scale, joined
+from model_zoo.validation import lag_candidates, time_blocks, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -39,7 +41,7 @@ class MlpEnsemble(DynamicsModel):
     differ. The flag is fixed after the fit.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step
-    residual, scaled so that 90 % intervals hold 90 % of the training samples after one second.
+    residual, scaled so that 90 % intervals hold 90 % of held-out samples after one second.
     """
 
     knowledge = "dark grey"
@@ -164,9 +166,24 @@ class MlpEnsemble(DynamicsModel):
         return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
 
     def _calibrate(self, dataset: Dataset, rng: np.random.Generator) -> None:
-        """Set the one-step residual (nx,) and the scale of the noise (nx,)."""
-        windows = validation_windows(dataset, self.n_lags, stride=10)
-        carry = self.start(windows.past_states, windows.past_controls)
-        after = self.step(carry, windows.controls[:, 0])[:, : self.system.nx]
-        self.residual_ = np.sqrt(np.mean((after - windows.states[:, 0]) ** 2, axis=0))
-        self.noise_scale_ = calibrated_scale(self, windows, rng)
+        """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
+
+        Each member simulates the blocks that it did not learn from; its error there, added to what
+        the whole ensemble simulates, is the truth that the intervals must hold.
+        """
+        parts, residuals = [], []
+        learned = {key: value for key, value in vars(self).items() if key.endswith("_")}
+        together = clone(self).set_params(stochastic=False)
+        together.__dict__.update(learned)
+        for member in range(self.members):
+            windows = validation_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
+            alone = clone(together)
+            alone.__dict__.update(learned)
+            alone.weights_ = [weight[member : member + 1] for weight in self.weights_]
+            alone.biases_ = [bias[member : member + 1] for bias in self.biases_]
+            history = windows.past_states, windows.past_controls, windows.controls
+            error = windows.states - alone.simulate(*history)
+            residuals.append(error[:, 0])
+            parts.append(replace(windows, states=together.simulate(*history) + error))
+        self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
+        self.noise_scale_ = calibrated_scale(self, joined(parts), rng)

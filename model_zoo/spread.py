@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
+
 import numpy as np
 from sklearn.base import clone
 
@@ -44,3 +47,19 @@ def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
     """Return how much of ``truth`` (N, nx) lies in the central ``share`` of ``samples`` (S, N, nx), (nx,)."""
     low, high = np.quantile(samples, [0.5 - share / 2, 0.5 + share / 2], axis=0)
     return ((truth >= low) & (truth <= high)).mean(axis=0)
+
+
+def joined(parts: Sequence[Windows]) -> Windows:
+    """Return windows of equal length from several sources, those of the shortest horizon deciding."""
+    horizon = min(part.controls.shape[1] for part in parts)
+    cut = {"controls", "states"}
+    columns = {
+        field.name: np.concatenate(
+            [
+                getattr(part, field.name)[:, :horizon] if field.name in cut else getattr(part, field.name)
+                for part in parts
+            ]
+        )
+        for field in fields(Windows)
+    }
+    return Windows(**columns)

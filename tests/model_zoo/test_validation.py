@@ -62,9 +62,12 @@ def test_forward_selection_takes_the_largest_share_first() -> None:
 def test_neighbours_never_leave_what_they_did() -> None:
     dataset = example_dataset()
     model = KNeighbours(neighbours=8, state_lags=0, control_lags=0).fit(dataset, rng=np.random.default_rng(0))
-    far = model.acceleration(np.full((4, 3), 50.0), np.ones((4, 2)))
-    assert (far <= model.accelerations_.max(axis=0)).all()
-    assert (far >= model.accelerations_.min(axis=0)).all()
+    edge = np.tile(model.high_, (4, 1))
+    after = model.next_state(edge, np.ones((4, 2)))
+    assert (after - edge <= model.changes_.max(axis=0)).all()
+    assert (after - edge >= model.changes_.min(axis=0)).all()
+    beyond = model.next_state(edge + 5.0, np.ones((4, 2)))
+    assert (beyond < edge + 2.0).all()
 
 
 def test_a_gaussian_process_knows_less_far_from_its_data() -> None:
