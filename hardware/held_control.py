@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
 class HeldControl(Dynamics):
@@ -46,3 +51,11 @@ class HeldControl(Dynamics):
         for k in range(self.repeats):
             carry = self.fine.step(carry, control, None if noise is None else noise[:, k * size : (k + 1) * size])
         return carry
+
+    def kernel(self) -> DynamicsKernel | None:
+        fine = self.fine.kernel()
+        if fine is None:
+            return None
+        from hardware.kernels.held import held_kernel
+
+        return held_kernel(fine, self.repeats, self.fine.n_noise)
