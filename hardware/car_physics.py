@@ -238,6 +238,7 @@ class CarPhysics(Dynamics):
         return self.held_kernel(1)
 
     def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
         from hardware.kernels.car import car_kernel
 
         return car_kernel(self.coefficients, repeats)

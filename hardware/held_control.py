@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -12,6 +12,15 @@ from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+
+@runtime_checkable
+class HasHeldKernel(Protocol):
+    """A fine dynamics with a compiled form of its own for several steps under one control."""
+
+    def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps; their noise follows one another."""
+        ...
 
 
 class HeldControl(Dynamics):
@@ -53,6 +62,8 @@ class HeldControl(Dynamics):
         return carry
 
     def kernel(self) -> DynamicsKernel | None:
+        if isinstance(self.fine, HasHeldKernel):
+            return self.fine.held_kernel(self.repeats)
         fine = self.fine.kernel()
         if fine is None:
             return None
