@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import ndtr
@@ -14,6 +14,9 @@ from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 CAR = System(
     states=(
@@ -230,3 +233,12 @@ class CarPhysics(Dynamics):
         for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
             after[row] = result
         return after.T
+
+    def kernel(self) -> DynamicsKernel:
+        return self.held_kernel(1)
+
+    def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
+        from hardware.kernels.car import car_kernel
+
+        return car_kernel(self.coefficients, repeats)

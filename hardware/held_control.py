@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
 import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+
+@runtime_checkable
+class HasHeldKernel(Protocol):
+    """A fine dynamics with a compiled form of its own for several steps under one control."""
+
+    def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps; their noise follows one another."""
+        ...
 
 
 class HeldControl(Dynamics):
@@ -46,3 +60,13 @@ class HeldControl(Dynamics):
         for k in range(self.repeats):
             carry = self.fine.step(carry, control, None if noise is None else noise[:, k * size : (k + 1) * size])
         return carry
+
+    def kernel(self) -> DynamicsKernel | None:
+        if isinstance(self.fine, HasHeldKernel):
+            return self.fine.held_kernel(self.repeats)
+        fine = self.fine.kernel()
+        if fine is None:
+            return None
+        from hardware.kernels.held import held_kernel
+
+        return held_kernel(fine, self.repeats, self.fine.n_noise)

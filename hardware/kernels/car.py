@@ -1,0 +1,114 @@
+"""The emulated car over lanes: `hardware.car_physics.fine_step` and the commands under way."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hardware.car_physics import (
+    BODY,
+    BUFFER,
+    CREEP_SPEED,
+    FINE_DT,
+    LATENCY,
+    REST_SPEED,
+    REST_YAW_RATE,
+    Coefficients,
+)
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.kernels.stepping import copy
+
+REPEATS, HEADER = range(2)
+COMMANDS = BUFFER.start * LANES
+CREEP = 1.0 / CREEP_SPEED
+SIXTH = 1.0 / 6.0
+
+
+def car_kernel(coefficients: Coefficients, repeats: int) -> DynamicsKernel:
+    """Return the kernel of ``repeats`` fine steps under a held control."""
+    return DynamicsKernel(KernelSource(car), np.array([repeats, *coefficients]))
+
+
+def car(carry, control, noise, parameters, scratch):
+    """Take the fine steps, each under the command then due, and move the commands under way only once."""
+    repeats, p = int(parameters[REPEATS]), view(parameters, HEADER)
+    commands = view(carry, COMMANDS)
+    for k in range(repeats):
+        command = view(commands, 2 * k * LANES) if k < LATENCY else control
+        fine_step(carry, view(carry, BODY * LANES), command, view(noise, 2 * k * LANES), p)
+    for k in range(LATENCY):
+        command = view(commands, 2 * (k + repeats) * LANES) if k + repeats < LATENCY else control
+        copy(command, view(commands, 2 * k * LANES), 2 * LANES)
+
+
+def fine_step(state, body, command, noise, p):
+    """One step of 5 ms; ``p`` are the `Coefficients` in their order.
+
+    Friction is taken off the change before that is added: rounding the speed first would, in
+    float32, shift every step the same way, by 6e-6 m/s after some.
+    """
+    inverse_mass, inverse_inertia, front_axle, rear_axle = p[0], p[1], p[2], p[3]
+    thrust_forward, thrust_backward, back_emf, coasting_drag = p[4], p[5], p[6], p[7]
+    rolling_drag, rolling_loss, static_loss = p[8], p[9], p[10]
+    motor_rate, sag_full, sag_rate, slack_rate = p[11], p[12], p[13], p[14]
+    steer_mean, steer_difference, steer_offset, linkage_play, steering_rate = p[15], p[16], p[17], p[18], p[19]
+    front_grip, rear_grip, thrust_grip_loss, traction_share = p[20], p[21], p[22], p[23]
+    slip_gain, slip_floor = p[24], p[25]
+    noise_keep, force_fresh, yaw_fresh = p[26], p[27], p[28]
+    for lane in range(LANES):
+        u, v, r = state[lane], state[LANES + lane], state[2 * LANES + lane]
+        drive, steer = command[lane], command[LANES + lane]
+
+        motor = body[lane]
+        motor = motor + (drive - motor) * motor_rate
+        power = abs(motor)
+        sag = body[LANES + lane]
+        sag = sag + (power * sag_full - sag) * sag_rate
+        slack = min(max(body[3 * LANES + lane] + motor * slack_rate, -1.0), 1.0)
+        meshed = 1.0 if motor * slack >= power else 0.0
+        pull = max(motor, 0.0) * thrust_forward + min(motor, 0.0) * thrust_backward
+        braking = coasting_drag + (back_emf - coasting_drag) * power
+        traction = pull * (body[2 * LANES + lane] - sag) * meshed - braking * u
+
+        target = steer * (steer_mean + steer_difference * steer) + steer_offset
+        steering = body[4 * LANES + lane]
+        steering = steering + (target - steering) * steering_rate
+        speed = abs(u)
+        per_pace = 1.0 / max(speed, slip_floor)
+        angle = steering - linkage_play * u * per_pace
+        square = angle * angle
+        sine, cosine = angle * (1.0 - square * SIXTH), 1.0 - square * 0.5
+
+        gain = slip_gain * per_pace
+        front = math.tanh(gain * (u * sine - (v + front_axle * r) * cosine)) * front_grip
+        grip = rear_grip * (1.0 - min(abs(traction) * traction_share, thrust_grip_loss))
+        rear = math.tanh(gain * (rear_axle * r - v)) * grip
+        across = front * cosine
+
+        force_noise = body[5 * LANES + lane] * noise_keep + noise[lane] * force_fresh
+        yaw_noise = body[6 * LANES + lane] * noise_keep + noise[LANES + lane] * yaw_fresh
+        shake = speed * per_pace
+
+        push = traction - rolling_drag * u - front * sine * inverse_mass
+        change = (push + v * r + force_noise * shake) * FINE_DT
+        v = v + ((across + rear) * inverse_mass - u * r) * FINE_DT
+        r = r + ((front_axle * across - rear_axle * rear) * inverse_inertia + yaw_noise * shake) * FINE_DT
+
+        creep = max(1.0 - speed * CREEP, 0.0)
+        loss = rolling_loss + (static_loss - rolling_loss) * creep
+        u = max(u + (change - loss), 0.0) + min(u + (change + loss), 0.0)
+        moving = (u != 0.0) | (abs(v) > REST_SPEED) | (abs(r) > REST_YAW_RATE)
+        going = 1.0 if moving else 0.0
+
+        state[lane] = u
+        state[LANES + lane] = v * going
+        state[2 * LANES + lane] = r * going
+        body[lane] = motor
+        body[LANES + lane] = sag
+        body[3 * LANES + lane] = slack
+        body[4 * LANES + lane] = steering
+        body[5 * LANES + lane] = force_noise
+        body[6 * LANES + lane] = yaw_noise
