@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,15 @@ ROOT = Path(__file__).parents[1]
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="also run the heavy tests")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled kernels in a folder of this session, which its workers share, not in the user's cache."""
+    if "SYSID_EVO_CACHE" not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")
+        os.environ["SYSID_EVO_CACHE"] = folder.name
+        config.add_cleanup(folder.cleanup)
+        config.add_cleanup(lambda: os.environ.pop("SYSID_EVO_CACHE"))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

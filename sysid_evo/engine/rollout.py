@@ -101,6 +101,8 @@ def rollout(
         raise InvalidArgument("rollout: expected at least one trial seed, got none")
     if engine not in ("auto", "reference", "mixed", "float32", "float64"):
         raise InvalidArgument(f"rollout: engine is auto, reference, mixed, float32 or float64, not {engine!r}")
+    if threads is not None and threads < 1:
+        raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
     if engine == "reference":
         return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
     of_dynamics, of_controller, of_task = dynamics.kernel(), controller.kernel(), task.kernel()
@@ -128,7 +130,7 @@ def rollout(
     if engine == "auto":
         return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
     kernels = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
-    missing = [role for role, kernel in kernels.items() if kernel is None]
+    missing = [role for role, kernel in kernels.items() if kernel is None and (engine, role) != ("mixed", "dynamics")]
     raise InvalidArgument(
         f"rollout: engine {engine!r} cannot run this: "
         + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")

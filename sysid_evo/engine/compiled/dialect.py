@@ -21,6 +21,7 @@ import numbers
 import os
 import sys
 import textwrap
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -40,8 +41,10 @@ Precision: TypeAlias = Literal["float32", "float64"]
 LANE_FUNCTIONS = (
     "load", "load_quarter", "lowest", "power_of_two", "splat", "splat_quarter", "store", "view", "where_less",
 )  # fmt: skip
+_IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
+REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
 
 HEADER = """\
@@ -50,12 +53,12 @@ import math
 
 import numpy as np
 from numba import cfunc, njit, types
-from numba import {precision} as real
+from numba import {precision} as _real
 
 from sysid_evo.engine.compiled.lanes import {functions}
 
 LANES = {lanes}
-R = types.Array(real, 1, "C")
+R = types.Array(_real, 1, "C")
 I = types.Array(types.int64, 1, "C")
 """
 
@@ -120,6 +123,7 @@ def compile_kernel(source: Source, signature: str, precision: Precision, *, poin
 def generate(source: Source, decorator: str, precision: Precision) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
     writer = _Writer(precision)
+    writer.open.append(KernelSource(source.function, source.bindings))
     body = writer.function(source, entry=decorator)
     origin = f"{source.function.__module__}.{source.function.__qualname__}"
     header = HEADER.format(origin=origin, precision=precision, lanes=lanes.LANES, functions=", ".join(LANE_FUNCTIONS))
@@ -133,16 +137,18 @@ class _Writer:
         self.precision = precision
         self.done: list[str] = []
         self.names: dict[Source, str] = {}
+        self.open: list[Source] = []
+        self.count = 0
 
     def function(self, source: Source, entry: str | None = None) -> str:
         inner = f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True)"
         if isinstance(source, Lifted):
             scalar = self.needs(KernelSource(source.function))
-            name = "entry" if entry else f"lifted_{len(self.names)}"
+            name = "entry" if entry else self.fresh("lifted")
             return f"{entry or inner}\n{source.write(scalar, name)}"
         function = _plain(source.function)
         tree = _parse(function)
-        name = "entry" if entry else f"{function.__name__}_{len(self.names)}"
+        name = "entry" if entry else self.fresh(function.__name__)
         tree.name = name
         tree.decorator_list = []
         tree.returns = None
@@ -153,16 +159,27 @@ class _Writer:
         local = {argument.arg for argument in tree.args.args} | {
             node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         }
-        tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local).visit(tree))
+        tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local, name).visit(tree))
         return f"{entry or inner}\n{ast.unparse(tree)}"
 
     def needs(self, source: Source) -> str:
+        if source in self.open:
+            raise InvalidArgument(
+                f"kernel function {source.function.__qualname__} calls itself, which kernels cannot: write a loop"
+            )
         if source not in self.names:
+            self.open.append(source)
             text = self.function(source)
+            self.open.pop()
             name = text.split("def ", 1)[1].split("(", 1)[0]
             self.names[source] = name
             self.done.append(text)
         return self.names[source]
+
+    def fresh(self, name: str) -> str:
+        """Return a name that no other function of this file has, for two modules may use the same."""
+        self.count += 1
+        return f"{name}_{self.count}"
 
 
 class _Specialise(ast.NodeTransformer):
@@ -174,10 +191,20 @@ class _Specialise(ast.NodeTransformer):
         function: FunctionType,
         bindings: Mapping[str, Any],
         local: set[str],
+        name: str,
     ) -> None:
         self.writer, self.function, self.bindings, self.local = writer, function, bindings, local
+        self.own_name = name
         closure = inspect.getclosurevars(function)
         self.scope = {**function.__globals__, **closure.nonlocals}
+
+    def visit_Lambda(self, node: ast.Lambda) -> ast.expr:  # ast's own naming
+        raise self._unusable(ast.unparse(node), "write it as a function beside this one")
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:  # ast's own naming
+        if node.name != self.own_name:
+            raise self._unusable(node.name, "write a function within a function beside this one")
+        return self.generic_visit(node)
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:  # ast's own naming
         return _real(node.value) if isinstance(node.value, float) else node
@@ -189,7 +216,7 @@ class _Specialise(ast.NodeTransformer):
 
     def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming
         if node.id == "float":
-            return ast.Name("real", ast.Load())
+            return ast.Name(REAL, ast.Load())
         if node.id in self.local or node.id in BUILTINS or node.id == "LANES":
             return node
         if node.id in self.bindings:
@@ -203,6 +230,8 @@ class _Specialise(ast.NodeTransformer):
             return ast.Constant(int(value))
         if isinstance(value, numbers.Real):
             return _real(float(value))
+        if value.__hash__ is None:
+            raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
         if value in PASSED_ON:
             return ast.Name(PASSED_ON[value], ast.Load())
         if getattr(value, "__module__", "") == "math" or value in elementary.FLOAT32:
@@ -227,7 +256,7 @@ class _Specialise(ast.NodeTransformer):
 
 
 def _real(value: float) -> ast.expr:
-    return ast.Call(ast.Name("real", ast.Load()), [ast.Constant(value)], [])
+    return ast.Call(ast.Name(REAL, ast.Load()), [ast.Constant(value)], [])
 
 
 def _plain(function: Any) -> Any:
@@ -265,11 +294,14 @@ def _fingerprint() -> str:
 def _import(text: str) -> Any:
     digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
     name = f"sysid_evo_kernel_{digest}"
-    if name in sys.modules:
-        return sys.modules[name]
+    with _IMPORTING:
+        return sys.modules[name] if name in sys.modules else _load(name, text)
+
+
+def _load(name: str, text: str) -> Any:
     path = cache_folder() / f"{name}.py"
-    if not path.is_file() or path.read_text() != text:
-        write_atomically(path, lambda temporary: temporary.write_text(text))
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source
+from sysid_evo.engine.compiled.dialect import Precision, Source
 
 if TYPE_CHECKING:
     from sysid_evo.tasks.task import TaskState
@@ -46,7 +46,7 @@ class DynamicsKernel:
 class ControllerKernel:
     """The compiled form of `Controller.act`."""
 
-    source: KernelSource
+    source: Source
     parameters: Array = field(default_factory=lambda: np.zeros(1))
     n_scratch: int = 0
 
@@ -60,8 +60,8 @@ class TaskKernel:
     ``pose_row`` is the first of ``n_pose`` rows that hold the pose.
     """
 
-    observe: KernelSource
-    advance: KernelSource
+    observe: Source
+    advance: Source
     n_rows: int
     rows: Callable[[TaskState], Array]
     trial_data: Callable[[TaskState], Array]

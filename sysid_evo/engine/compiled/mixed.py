@@ -131,4 +131,5 @@ def run(
 def _blocks(rows: Array) -> Array:
     """Turn (n, blocks * LANES) into blocks of n rows of 64 lanes, flat."""
     n = len(rows)
-    return np.ascontiguousarray(rows.reshape(n, -1, LANES).transpose(1, 0, 2), dtype=REAL).reshape(-1)
+    with np.errstate(over="ignore"):  # a number beyond float32 is infinite
+        return np.ascontiguousarray(rows.reshape(n, -1, LANES).transpose(1, 0, 2), dtype=REAL).reshape(-1)

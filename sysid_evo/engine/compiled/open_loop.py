@@ -43,7 +43,8 @@ def final_errors(
     real = np.dtype(precision)
 
     def flat(array: Array) -> Any:
-        return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
+        with np.errstate(over="ignore"):  # a number beyond float32 is infinite
+            return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
 
     sizes = np.zeros(16, np.int64)
     sizes[: loops.OPEN_PARAMETERS + 1] = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -60,6 +61,10 @@ def pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="rollout")
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=pool.cache_clear)  # a forked process has none of its parent's threads
+
+
 def spread(work: Callable[[int, int], None], count: int, threads: int) -> None:
     """Call ``work(first, last)`` for parts of ``range(count)``, at once on up to ``threads`` threads."""
     parts = max(1, min(threads, count))
@@ -85,6 +90,7 @@ def actuation_table(system: System) -> Array:
     ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous.
     """
     most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
+    system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
     table = np.zeros((system.nu, 4 + 2 * most))
     for row, channel in zip(table, system.controls, strict=True):
         row[1], row[2] = channel.low, channel.high
@@ -121,7 +127,8 @@ def run(
         envelope = np.stack([np.full(system.nx, -np.inf), np.full(system.nx, np.inf)])
 
     def flat(array: Array) -> Any:
-        return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
+        with np.errstate(over="ignore"):  # a number beyond float32 is infinite
+            return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
 
     sizes = np.zeros(16, np.int64)
     n_observations = len(task.observations)
@@ -158,7 +165,7 @@ def run(
         buffers = [
             aligned(np.zeros(n * LANES, real))
             for n in (
-                carry.shape[1], system.nu, dynamics.n_noise, controller.n_memory, n_observations, system.nu,
+                carry.shape[1], system.nu, dynamics.n_noise, controller.n_memory, max(1, n_observations), system.nu,
                 system.nx, len(rows), parameters.shape[1], carry.shape[1] + len(rows),
                 kernels.dynamics.n_scratch, kernels.controller.n_scratch,
             )

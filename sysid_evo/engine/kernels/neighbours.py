@@ -125,7 +125,7 @@ def neighbours(x, u, p, y, scratch):
         store(nearest, 0, least)
         store(column_group, 0, which)
         closest, column = lowest(least), 0
-        while nearest[column] != closest:
+        while column < BUCKET - 1 and nearest[column] != closest:  # the distance of a nan equals nothing
             column += 1
         first = int(column_group[column]) * BUCKET + column
         best, winner = search(x, u, p, n_states, sides, lane, points, first, distance, 1e30, 0)

@@ -65,7 +65,7 @@ def network(x, u, p, y, scratch):
                 move(y, target, 1.0, y, size)
             weights = view(weights, n_out * (n_in + 1))
     if n_networks > 1:
-        share = 1.0 / n_networks
+        share = 1.0 / float(n_networks)
         for i in range(size):
             y[i] *= share
 
