@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 
 DEFAULT_ROBOT = "emulated_car"
 RECORDED_MINUTES = 6.0
-DEFAULT_ENSEMBLES = (("nearest_neighbour", "parametrised"),)
+PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
+DEFAULT_FAMILIES = {"paper": PAPER_FAMILIES}
+OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
+"""What is compared when no family is named and the preset has no choice of its own."""
+DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
+"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 HELD_BACK = 0.25
 """Share of every episode held back for the test when no episode is named."""
 
@@ -27,10 +32,8 @@ HELD_BACK = 0.25
 def compare(
     data: Annotated[Path | None, typer.Option(help="Recordings of a robot (default: record an emulated one).")] = None,
     test: Test = None,
-    models: Annotated[str | None, typer.Option(help="Families, separated by commas (default: all).")] = None,
-    ensembles: Annotated[
-        str | None, typer.Option(help="Members joined by +, ensembles separated by commas (default: all models).")
-    ] = None,
+    models: Annotated[str | None, typer.Option(help="Families, separated by commas, or 'all'.")] = None,
+    ensembles: Annotated[str | None, typer.Option(help="Members joined by +, ensembles separated by commas.")] = None,
     robot: Annotated[
         str | None, typer.Option(help="Robot for the last column (default without --data: emulated_car).")
     ] = None,
@@ -59,7 +62,9 @@ def compare(
     if only not in (None, "prediction"):
         raise InvalidArgument(f"--only: expected 'prediction', got {only!r}")
     load_plugins(plugin)
-    families = split_names(models) or tuple(name for name, _ in registry.load_all())
+    families = split_names(models) or DEFAULT_FAMILIES.get(preset, OTHER_FAMILIES)
+    if families == ("all",):
+        families = tuple(name for name, _ in registry.load_all())
     evolution = replace(controller_preset(preset), aggregate=aggregate)
     settings = ComparisonSettings(
         models=families,
@@ -106,10 +111,10 @@ def where_time_went(timings: Mapping[str, float]) -> str:
 
 
 def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Read ``a+b,a+b+c``; by default `DEFAULT_ENSEMBLES`, and all families together."""
+    """Read ``a+b,a+b+c``; by default those of `DEFAULT_ENSEMBLES` that can be formed, else all families together."""
     if text is None:
         chosen = [members for members in DEFAULT_ENSEMBLES if set(members) <= set(families)]
-        return (*chosen, *([families] if len(families) > 1 and set(families) not in map(set, chosen) else []))
+        return tuple(chosen) or ((families,) if len(families) > 1 else ())
     return tuple(tuple(member.strip() for member in ensemble.split("+")) for ensemble in split_names(text))
 
 
