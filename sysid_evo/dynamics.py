@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -85,7 +86,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
     anything else is derived from them when needed. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped.
+    ranges, beyond which a simulation is clipped; ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -94,6 +95,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
+    fit_seconds: float | None = None
     system_: System
     envelope_: Array
 
@@ -258,6 +260,7 @@ def _recorded(fit: Any) -> Any:
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.envelope_ = training_envelope(states, self.envelope_multiple)
+        began = time.perf_counter()
         try:
             fitted: object = fit(self, dataset, rng=rng, progress=progress)
             if fitted is not self:
@@ -265,6 +268,7 @@ def _recorded(fit: Any) -> Any:
         except BaseException:
             del self.system_, self.envelope_
             raise
+        self.fit_seconds = time.perf_counter() - began
         return self
 
     return wrapped

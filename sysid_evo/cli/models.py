@@ -38,6 +38,26 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     out.print(table)
 
 
+@app.command("show")
+def show_model(
+    name: Annotated[str, typer.Argument(help="A family, or the file of a fitted model.")],
+    plugin: Plugins = None,
+    as_json: Json = False,
+) -> None:
+    """Show the card of a model family, or of a fitted model with its size, lags, training time and speed."""
+    from sysid_evo.cli.cards import card_table, family_card, model_card
+    from sysid_evo.registry import models
+
+    load_plugins(plugin)
+    stored = Path(name).suffix in (".json", ".safetensors") or Path(f"{name}.json").is_file()
+    card = model_card(Path(name)) if stored and name not in models.names() else family_card(name)
+    if as_json:
+        out.print_json(json.dumps(card))
+        return
+    for part in card_table(card):
+        out.print(part)
+
+
 def fit(
     data: Annotated[Path, typer.Argument(help="Folder of logs, one log, or a folder written by import.")],
     models: Annotated[str, typer.Option(help="Families, separated by commas.")],

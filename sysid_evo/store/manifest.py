@@ -59,6 +59,7 @@ class Manifest(BaseModel):
     seed: int | None
     data: str | None
     versions: dict[str, str]
+    timings: dict[str, float] = {}
     tensors: dict[str, list[int]]
     sha256: str
 

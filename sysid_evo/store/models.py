@@ -53,6 +53,7 @@ def save_model(model: DynamicsModel, path: str | Path, *, seed: int | None = Non
         "system": model.system.to_dict(),
         "seed": seed,
         "data": data,
+        "timings": {} if model.fit_seconds is None else {"fit_seconds": model.fit_seconds},
     }
     return write_artefact(Path(path), tensors, fields)
 

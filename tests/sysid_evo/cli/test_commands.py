@@ -99,3 +99,19 @@ def test_a_wrong_argument_is_one_message_and_exit_code_2(
     assert "Traceback" not in done.stderr
     assert not done.stdout
     assert not (tmp_path / "runs").exists()
+
+
+def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path, tmp_path: Path) -> None:
+    family = run("models", "show", "parametrised", cwd=tmp_path)
+    assert family.returncode == 0, family.stderr
+    assert "generations" in family.stdout
+    assert "thrust" in family.stdout
+    fitted = run("fit", logs, "--models", "linear", "--out", "mine", cwd=tmp_path)
+    assert fitted.returncode == 0, fitted.stderr
+    card = json.loads(run("models", "show", "mine/models/linear-0.json", "--json", cwd=tmp_path).stdout)
+    assert card["family"] == "linear"
+    assert card["timings"]["fit_seconds"] >= 0
+    assert card["timings"]["million_steps_per_second"] > 0
+    assert card["timings"]["engine"].startswith("compiled")
+    shown = run("models", "show", "mine/models/linear-0.json", cwd=tmp_path)
+    assert max(map(len, shown.stdout.splitlines())) <= 80
