@@ -30,7 +30,9 @@ class ComparisonSettings:
 
     Every model is an ensemble of one; ``ensembles`` lists the members of further ones. Each cell of
     the matrix has ``transfer_trials`` fresh trials, of which ``traces`` are kept for the plots and
-    for the exploitability section. Without ``controllers`` only prediction is compared.
+    for the exploitability section. Without ``controllers`` only prediction is compared. With
+    ``yardstick`` a controller is also evolved on the emulated robot itself, by its name: what can be
+    achieved there at all.
     """
 
     models: tuple[str, ...]
@@ -41,6 +43,7 @@ class ComparisonSettings:
     transfer_trials: int = 100
     traces: int = 10
     controllers: bool = True
+    yardstick: bool = False
 
     def __post_init__(self) -> None:
         if not self.models:
@@ -50,6 +53,8 @@ class ComparisonSettings:
             raise InvalidArgument(
                 f"compare: an ensemble names {', '.join(unknown)}, but the models are {', '.join(self.models)}"
             )
+        if self.yardstick and not self.controllers:
+            raise InvalidArgument("compare: a yardstick is a controller, but only prediction is to be compared")
 
     @property
     def all_ensembles(self) -> tuple[tuple[str, ...], ...]:
@@ -75,8 +80,11 @@ def compare(
     """Fit, evolve, transfer and assess; what ``run`` has done already is read from it.
 
     ``robot`` names the last column of the transfer matrix and says how controllers are run on it. A
-    cell that fails is a row with its reason. Raises `InvalidData` if no model at all could be fitted.
+    cell that fails is a row with its reason. Raises `InvalidData` if no model at all could be fitted,
+    `InvalidArgument` if there is no robot to evolve the yardstick on.
     """
+    if settings.yardstick and robot is None:
+        raise InvalidArgument("compare: a yardstick is evolved on an emulated robot, but none is given")
     fits = fit_models(run, settings.models, training, seed=settings.seed, preset=settings.preset, observer=observer)
     models = {name: outcome.value for name, outcome in fits.items() if outcome.value is not None}
     if not models:
@@ -97,10 +105,12 @@ def compare(
     matrix = None
     if settings.controllers:
         runners: dict[str, Runner] = {name: DynamicsRunner(model) for name, model in models.items()}
+        columns = {**runners, robot[0]: robot[1]} if robot is not None else runners
+        yardstick = ((robot[0],),) if robot is not None and settings.yardstick else ()
         champions = evolve_champions(
             run,
-            settings.all_ensembles,
-            runners,
+            settings.all_ensembles + yardstick,
+            columns,
             training.system,
             settings.evolution,
             seed=settings.seed,
@@ -108,7 +118,6 @@ def compare(
         )
         outcomes.update({f"evolve {name}": outcome for name, outcome in champions.items()})
         evolved = [outcome.value for outcome in champions.values() if outcome.value is not None]
-        columns = {**runners, robot[0]: robot[1]} if robot is not None else runners
         matrix = _transfer(run, evolved, columns, settings, observer, robot[0] if robot else None, families, outcomes)
     failures = [Failure(cell, outcome.reason) for cell, outcome in outcomes.items() if outcome.reason]
     return Report(
@@ -160,7 +169,7 @@ def _run(
     traces: int,
     observer: Observer,
 ) -> Outcome[Cell]:
-    path = run.path / "results" / f"{champion.name}@{column.replace(':', '-')}.json"
+    path = run.path / "results" / f"{champion.name}@{column}.json".replace(":", "-")
 
     def work(_: Progress) -> Cell:
         cell = run_on(champion, column, runner, seeds, traces=traces)

@@ -68,7 +68,8 @@ class TransferSummary:
     """All controllers, the one to pick without the robot, and what would have predicted success.
 
     ``pick`` has the highest median fitness on models of other families; controllers evolved on the
-    robot itself, and those that no other family can judge, are left out.
+    robot itself, and those that no other family can judge, are left out; the former also of the
+    correlations, since what they claim is what they achieve.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -85,8 +86,9 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
     judged = [c for c in controllers if c.other_families is not None and not c.on_robot]
     pick = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
+    elsewhere = [c for c in controllers if not c.on_robot]
     correlations = tuple(
-        _correlation(figure, [getattr(c, name) for c in controllers], [c.achieved for c in controllers])
+        _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])
         for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))
     )
     return TransferSummary(

@@ -41,6 +41,7 @@ def compare(
     only: Annotated[str | None, typer.Option(help="'prediction' leaves the controllers out.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")] = None,
     aggregate: Annotated[str, typer.Option(help="Of an ensemble's fitnesses: min, mean, median.")] = "min",
+    yardstick: Annotated[bool, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")] = False,
     seed: Seed = 0,
     folder: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
     columns: Columns = None,
@@ -73,9 +74,12 @@ def compare(
         seed=seed,
         evolution=evolution if generations is None else replace(evolution, generations=generations),
         controllers=only is None,
+        yardstick=yardstick,
     )
     for family in families:
         registry.get(family)
+    if yardstick and data is not None and robot is None:
+        raise InvalidArgument("--yardstick: name the emulated robot that it is evolved on with --robot")
     path = new_run_folder(folder)
     with Bars() as bars:
         robot = robot or (DEFAULT_ROBOT if data is None else None)

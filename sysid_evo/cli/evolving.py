@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, Preset, Seed, latest_run_folder, load_plugins, split_names
+from sysid_evo.cli.options import Plugins, Preset, Seed, latest_run_folder, load_plugins, new_run_folder, split_names
 
 if TYPE_CHECKING:
     from sysid_evo.dynamics import Dynamics
@@ -29,7 +29,8 @@ def evolve(
     """Evolve a controller against one model or against an ensemble of them at once.
 
     A model is named by its family, as it stands in the run folder (or family-seed), by the path of
-    its file, or by the name of an emulated robot.
+    its file, or by the name of an emulated robot. Against robots alone, the controller is stored in a
+    new run folder unless --run names one.
     """
     from sysid_evo.cli.progress import Bars
     from sysid_evo.engine import DynamicsRunner
@@ -41,7 +42,8 @@ def evolve(
     load_plugins(plugin)
     members = split_names(against)
     check_aggregate(aggregate, [[0.0]])
-    folder = latest_run_folder(run)
+    alone = run is None and all(is_robot(member) for member in members)
+    folder = new_run_folder(None) if alone else latest_run_folder(run)
     dynamics = {member: find_dynamics(folder, member) for member in members}
     runners = {member: DynamicsRunner(found) for member, found in dynamics.items()}
     settings = controller_preset(preset)
@@ -65,16 +67,23 @@ def evolve(
     for member, runner in runners.items():
         fitness = runner.run(settings.make_controller(task), outcome.value.parameters[None], task, seeds).fitness
         out.print(f"{member}: {fitness.mean():.1f} ± {fitness.std():.1f} {task.fitness_unit} in 100 fresh trials")
-    err.print(f"stored as {folder / 'controllers' / f'{name}-{seed}'}", highlight=False, markup=False)
+    err.print(f"stored as {RunFolder(folder).controller(name, seed)}", highlight=False, markup=False)
+
+
+def is_robot(name: str) -> bool:
+    """Whether ``name`` is that of a robot, perhaps with the seed of a variant (``name:seed``)."""
+    from sysid_evo.registry import robots
+
+    return name.split(":")[0] in robots.names()
 
 
 def find_dynamics(folder: Path, name: str) -> Dynamics:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`."""
     from sysid_evo.errors import InvalidArgument
-    from sysid_evo.registry import make_robot, robots
+    from sysid_evo.registry import make_robot
     from sysid_evo.store import load_model
 
-    if name.split(":")[0] in robots.names():
+    if is_robot(name):
         robot = make_robot(name)
         if robot.dynamics is None:
             raise InvalidArgument(f"{name} is a physical robot: controllers are evolved on models or emulated robots")

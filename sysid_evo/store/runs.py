@@ -74,7 +74,7 @@ class RunFolder:
 
     def controller(self, name: str, seed: int) -> Path:
         """Where the champion ``name`` stands (without suffix)."""
-        return self.path / "controllers" / f"{name}-{seed}"
+        return self.path / "controllers" / f"{name}-{seed}".replace(":", "-")
 
     def _settings(self) -> dict[str, Any]:
         try:

@@ -12,6 +12,7 @@ import pytest
 
 from evaluation.comparison import ComparisonSettings, compare
 from evaluation.report import Report, save_report, to_json
+from evaluation.transfer import summarise
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner
@@ -121,6 +122,36 @@ def test_the_robot_is_the_last_column(tmp_path: Path) -> None:
     assert report.matrix is not None
     assert report.matrix.columns == ("linear", "car")
     assert report.matrix.robot == "car"
+
+
+def test_the_yardstick_is_a_controller_evolved_on_the_robot_itself(tmp_path: Path) -> None:
+    training, test = example_dataset().split(0.3)
+    chosen = settings("linear", yardstick=True)
+    robot = DynamicsRunner(FittedElsewhere().fit(training, rng=np.random.default_rng(0)))
+    run = RunFolder.open(tmp_path, chosen.to_dict())
+    report = compare(run, training, test, chosen, observer=Silent(), robot=("car:3", robot))
+    assert report.matrix is not None
+    assert report.matrix.rows == ("linear", "car:3")
+    yardstick = report.matrix.champions[-1]
+    assert yardstick.against == ("car:3",)
+    assert not report.matrix.cell("car:3", "linear").failed
+    summary = summarise(report.matrix).controller("car:3")
+    assert summary.on_robot
+    assert summary.claimed == summary.achieved
+    assert not report.failures
+    _, page = save_report(report, tmp_path)
+    assert "car:3" in page.read_text()
+    watching = Watching()
+    again = compare(run, training, test, chosen, observer=watching, robot=("car:3", robot))
+    assert ("evolve car:3", True, None) in watching.finished
+    assert without_timings(again) == without_timings(report)
+
+
+def test_a_yardstick_without_a_robot_or_without_controllers_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="a yardstick is evolved on an emulated robot, but none is given"):
+        run_in(tmp_path, settings("linear", yardstick=True))
+    with pytest.raises(InvalidArgument, match="only prediction is to be compared"):
+        settings("linear", yardstick=True, controllers=False)
 
 
 def test_prediction_alone_evolves_nothing(tmp_path: Path) -> None:

@@ -167,6 +167,7 @@ def test_a_controller_evolved_on_the_robot_is_not_picked_without_it() -> None:
     summary = summarise(TransferMatrix.of(champions, ("car", "a", "b"), cells, robot="car"))
     assert summary.pick == "c"
     assert summary.controller("cheat").on_robot
+    assert [correlation.controllers for correlation in summary.correlations] == [1, 1]
 
 
 def test_the_aggregate_of_the_evolution_makes_the_claim() -> None:

@@ -56,9 +56,11 @@ def closed_loop(
             observe(task, carry, observation, task_parameters)
             controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
             actuate(raw, control, actuation, nu)
-            for row in range(n_noise):
+            if n_noise > 0:
                 for lane in range(LANES):
-                    noise[row * LANES + lane] = noise_of[(trials[lane] * horizon + k) * n_noise + row]
+                    drawn, column = view(noise_of, (trials[lane] * horizon + k) * n_noise), view(noise, lane)
+                    for row in range(n_noise):
+                        column[row * LANES] = drawn[row]
             for i in range(nx * LANES):
                 before[i] = carry[i]
             if n_dead > 0:

@@ -72,6 +72,27 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     assert (tmp_path / "mine" / "controllers" / "linear+nearest_neighbour-0.safetensors").is_file()
 
 
+def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Path) -> None:
+    evolved = run(
+        "evolve", "--against", "emulated_car:4", "--generations", "1", "--trials", "2", "--runs", "1", cwd=tmp_path
+    )
+    assert evolved.returncode == 0, evolved.stderr
+    assert "emulated_car:4:" in evolved.stdout
+    assert len(list(tmp_path.glob("runs/*/controllers/emulated_car-4-0.safetensors"))) == 1
+
+
+def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(logs: Path, tmp_path: Path) -> None:
+    command = ("compare", "--data", logs, "--models", "linear", "--generations", "1", "--out", "out", "--yardstick")
+    refused = run(*command, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "nametheemulatedrobot" in "".join(refused.stderr.split())
+    done = run(*command, "--robot", "emulated_car", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "evolve emulated_car" in done.stderr
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert [champion["name"] for champion in report["champions"]] == ["linear", "emulated_car"]
+
+
 def test_models_list_names_every_family_as_table_and_as_json(tmp_path: Path) -> None:
     table, document = run("models", "list", cwd=tmp_path), run("models", "list", "--json", cwd=tmp_path)
     rows = json.loads(document.stdout)
