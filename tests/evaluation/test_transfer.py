@@ -55,10 +55,9 @@ class Unplugged:
 
 def test_a_cell_holds_the_numbers_of_the_rollout() -> None:
     model, driver, seeds = fitted(Boxed()), champion("c", ("boxed",), seed=3), transfer_seeds(7, 6)
-    cell = run_cell(driver, "boxed", DynamicsRunner(model), seeds, traces=2)
-    expected = rollout(
-        model, make_controller("recurrent"), driver.parameters[None], make_task("point_to_point", horizon=60), seeds
-    )
+    cell = run_cell(driver, "boxed", DynamicsRunner(model, engine="reference"), seeds, traces=2)
+    task, controller = make_task("point_to_point", horizon=60), make_controller("recurrent")
+    expected = rollout(model, controller, driver.parameters[None], task, seeds, engine="reference")
     np.testing.assert_array_equal(cell.fitness, expected.fitness[0])
     assert cell.mean == expected.fitness.mean()
     assert cell.std == pytest.approx(expected.fitness.std(ddof=1))
