@@ -37,7 +37,10 @@ from sysid_evo.files import write_atomically
 
 Precision: TypeAlias = Literal["float32", "float64"]
 
-LANE_FUNCTIONS = ("load", "load_quarter", "lowest", "splat", "splat_quarter", "store", "view", "where_less")
+LANE_FUNCTIONS = (
+    "first_lane", "lane_of_lowest", "lanes_less", "load", "load_quarter", "lowest", "pick", "splat", "splat_quarter",
+    "store", "view", "where_less",
+)  # fmt: skip
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 FASTMATH = "{'contract', 'arcp', 'nsz'}"

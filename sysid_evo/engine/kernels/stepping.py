@@ -23,7 +23,8 @@ from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, HEADER = range(10)
+NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE = range(9)
+HEADER = 16  # numbers: a cache line, so that what a predictor aligns in its parameters stays aligned
 NEXT_STATE, PLAIN, PLANAR = range(3)
 
 
