@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, where_less
 
 
 def command_cells(u, p, n_controls, cells):
@@ -11,15 +11,12 @@ def command_cells(u, p, n_controls, cells):
     Cells are counted like an odometer over the ``n_controls`` controls; ``p`` holds for each control
     the number of boundaries between its levels, then the boundaries, which belong to the lower level.
     """
-    for lane in range(LANES):
-        cells[lane] = 0.0
+    total, one, zero = splat(0.0), splat(1.0), splat(0.0)
     place = 0
     for control in range(n_controls):
-        count, row = int(p[place]), view(u, control * LANES)
-        for lane in range(LANES):
-            cells[lane] *= p[place] + 1.0
+        count, value = int(p[place]), load(u, control * LANES)
+        total = total * splat(p[place] + 1.0)
         for i in range(count):
-            middle = p[place + 1 + i]
-            for lane in range(LANES):
-                cells[lane] += 1.0 if middle < row[lane] else 0.0
+            total = total + where_less(splat(p[place + 1 + i]), value, one, zero)
         place += count + 1
+    store(cells, 0, total)

@@ -6,6 +6,7 @@ and drives like a trained network. Two families are those of the model zoo.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -111,7 +112,7 @@ class CommandNetworks(Fitted):
         order = np.argsort(cell, kind="stable")
         edges = np.searchsorted(cell[order], np.arange(self.cells.count + 1))
         after, sorted_carry = np.empty_like(carry), carry[order]
-        for number, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for number, (begin, end) in enumerate(itertools.pairwise(edges)):
             if begin < end:
                 units = np.tanh(sorted_carry[begin:end] @ self.first[number] + self.first_bias[number])
                 after[order[begin:end]] = units @ self.second[number] + self.second_bias[number]
@@ -164,7 +165,9 @@ class CubicPolynomial(Derivative):
         self.triple = np.array(triples).T
         ones = np.eye(n, dtype=np.int64)
         squares = ones[self.pair[0]] + ones[self.pair[1]]
-        self.powers = np.concatenate([np.zeros((1, n), int), ones, squares, squares[self.triple[0]] + ones[self.triple[1]]])
+        self.powers = np.concatenate(
+            [np.zeros((1, n), int), ones, squares, squares[self.triple[0]] + ones[self.triple[1]]]
+        )
         terms, target = self.monomials(state, control).T, (after - state) / self.system.dt
         scale = terms.std(axis=0) + (np.arange(len(self.powers)) == 0)
         self.coefficients = np.zeros((len(self.powers), state.shape[1]))
