@@ -39,7 +39,8 @@ from sysid_evo.files import write_atomically
 Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = (
-    "load", "load_quarter", "lowest", "power_of_two", "splat", "splat_quarter", "store", "view", "where_less",
+    "first_lane", "lane_of_lowest", "lanes_less", "load", "load_quarter", "lowest", "pick", "power_of_two", "splat",
+    "splat_quarter", "store", "view", "where_less",
 )  # fmt: skip
 _IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}

@@ -3,8 +3,9 @@
 Block kernels hold 64 rollouts side by side: row i of a quantity is ``array[i * LANES : (i + 1) *
 LANES]``. Plain loops over lanes vectorise by themselves; what they cannot do is keep an accumulator
 in registers across an inner loop. A row as a value can: `load` and `splat` make one, ``+ - *`` and
-`where_less` combine them, `store` writes one, `lowest` reduces one; `load_quarter` and
-`splat_quarter` make rows of sixteen.
+`where_less` combine them, `store` writes one; `load_quarter` and `splat_quarter` make rows of sixteen.
+For a search, `lowest` and `lane_of_lowest` reduce a row, `pick` takes one lane of it, and `lanes_less`
+marks lanes as the bits of an integer, whose lowest `first_lane` finds.
 
 `view` moves the beginning of an array: an index that is a loop's own counter is known not to be
 negative, ``start + i`` is not, and Numba's test for it would keep the loop from vectorising; a slice
@@ -63,12 +64,16 @@ def _splat(number: Any, count: int) -> Any:
     lanes = LanesType(number, count)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = context.get_value_type(lanes)
-        empty = ir.Constant(vector, ir.Undefined)
-        first = builder.insert_element(empty, arguments[0], ir.Constant(ir.IntType(32), 0))
-        return builder.shuffle_vector(first, empty, ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count))
+        return _broadcast(builder, arguments[0], context.get_value_type(lanes))
 
     return lanes(number), generate
+
+
+def _broadcast(builder: Any, number: Any, vector: Any) -> Any:
+    empty = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
+    return builder.shuffle_vector(first, empty, zeros)
 
 
 @intrinsic
@@ -159,18 +164,74 @@ def _lanes_mul(a, b):
     return None
 
 
+def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    row = signature.args[0]
+    vector = context.get_value_type(row)
+    kind = "f32" if row.dtype == types.float32 else "f64"
+    name = f"llvm.vector.reduce.fmin.v{row.count}{kind}"
+    reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector.element, [vector]), name)
+    return builder.call(reduce, arguments, fastmath=("nnan",))
+
+
 @intrinsic
 def lowest(typing_context, row):
     """Return the smallest number of a row (or of a quarter); none may be nan."""
+    return row.dtype(row), _lowest
+
+
+def _bits(builder: Any, chosen: Any, count: int) -> Any:
+    """Return ``count`` truth values as the lowest bits of an int64."""
+    return builder.zext(builder.bitcast(chosen, ir.IntType(count)), ir.IntType(64))
+
+
+def _first_bit(builder: Any, bits: Any) -> Any:
+    name = "llvm.cttz.i64"
+    number = ir.IntType(64)
+    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(number, [number, ir.IntType(1)]), name)
+    return builder.call(count, [bits, ir.Constant(ir.IntType(1), 1)])
+
+
+@intrinsic
+def lane_of_lowest(typing_context, row):
+    """Return the first lane of a quarter that holds its smallest number; the last lane if none compares."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = context.get_value_type(signature.args[0])
-        kind = "f32" if row.dtype == types.float32 else "f64"
-        name = f"llvm.vector.reduce.fmin.v{row.count}{kind}"
-        reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector.element, [vector]), name)
-        return builder.call(reduce, arguments, fastmath=("nnan",))
+        least = _lowest(context, builder, signature, arguments)
+        everywhere = _broadcast(builder, least, context.get_value_type(row))
+        bits = _bits(builder, builder.fcmp_ordered("==", arguments[0], everywhere), row.count)
+        return _first_bit(builder, builder.or_(bits, ir.Constant(bits.type, 1 << (row.count - 1))))
 
-    return row.dtype(row), generate
+    return types.int64(row), generate
+
+
+@intrinsic
+def lanes_less(typing_context, a, b):
+    """Return an integer whose bit i says whether a < b in lane i of two quarters."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _bits(builder, builder.fcmp_ordered("<", *arguments), a.count)
+
+    return types.int64(a, b), generate
+
+
+@intrinsic
+def first_lane(typing_context, bits):
+    """Return the number of the lowest bit that is set; there must be one."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _first_bit(builder, *arguments)
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
+def pick(typing_context, row, lane):
+    """Return the number in one lane of a row."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.extract_element(*arguments)
+
+    return row.dtype(row, types.int64), generate
 
 
 @intrinsic

@@ -3,7 +3,7 @@
 from sysid_evo.engine.kernels.command_networks import command_network_predictor
 from sysid_evo.engine.kernels.gaussian import gaussian_predictor
 from sysid_evo.engine.kernels.neighbours import neighbour_predictor
-from sysid_evo.engine.kernels.networks import network_predictor
+from sysid_evo.engine.kernels.networks import network_predictor, separate_networks_predictor
 from sysid_evo.engine.kernels.polynomial import polynomial_predictor
 from sysid_evo.engine.kernels.runge_kutta import runge_kutta_predictor
 from sysid_evo.engine.kernels.shells import added, turning_frame, within
@@ -18,6 +18,7 @@ __all__ = [
     "neighbour_predictor",
     "polynomial_predictor",
     "runge_kutta_predictor",
+    "separate_networks_predictor",
     "stepping_kernel",
     "turning_frame",
     "within",

@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, splat_quarter, store, view
+from sysid_evo.engine.kernels.commands import command_cells
 from sysid_evo.engine.kernels.stepping import Predictor
 
 N_STATES, N_EXACT, N_OUT, HIDDEN, N_CONTROLS, CELLS, WEIGHTS, EXACT = range(8)
@@ -62,7 +63,7 @@ def command_networks(x, u, p, y, scratch):
     result = view(units, hidden * QUARTER)
     first = view(result, QUARTER)
     n_cells = int(p[WEIGHTS]) - int(p[CELLS])
-    sort_key(u, view(p, EXACT + n_exact), int(p[N_CONTROLS]), cells)
+    command_cells(u, view(p, EXACT + n_exact), int(p[N_CONTROLS]), cells)
     serving = view(p, int(p[CELLS]))
     sort_lanes(cells, order, first, n_cells)
     for cell in range(n_cells):
@@ -97,22 +98,6 @@ def sort_lanes(cells, order, first, n_cells):
         cell = int(cells[lane])
         order[int(place[cell])] = lane
         place[cell] += 1.0
-
-
-def sort_key(u, p, n_controls, cells):
-    """Write the command cell of every lane, as a number."""
-    for lane in range(LANES):
-        cells[lane] = 0.0
-    place = 0
-    for control in range(n_controls):
-        count, row = int(p[place]), view(u, control * LANES)
-        for lane in range(LANES):
-            cells[lane] *= p[place] + 1.0
-        for i in range(count):
-            middle = p[place + 1 + i]
-            for lane in range(LANES):
-                cells[lane] += 1.0 if middle < row[lane] else 0.0
-        place += count + 1
 
 
 def one_network(x, n_in, p, hidden, units, y):

@@ -1,7 +1,9 @@
 """Exact nearest neighbour over lanes: one k-d tree of small buckets for each command.
 
-For every query the squared distances to the boxes of all buckets are computed at once; the nearest
-box is searched first, then only those nearer than the best point so far. The result is exact.
+For every query the squared distances to the boxes of all buckets are computed, sixteen at once, and
+the nearest box is searched; its best point says which boxes may hold a nearer one. These are then
+searched, after all queries of the block have got so far: a processor that guesses their number wrong
+has less to repeat. The result is exact.
 """
 
 from __future__ import annotations
@@ -11,16 +13,32 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.engine.compiled.lanes import LANES, load_quarter, lowest, splat_quarter, store, view, where_less
-from sysid_evo.engine.kernels.stepping import Predictor
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    first_lane,
+    lane_of_lowest,
+    lanes_less,
+    load_quarter,
+    lowest,
+    pick,
+    splat_quarter,
+    store,
+    view,
+    where_less,
+)
+from sysid_evo.engine.kernels.commands import command_cells
+from sysid_evo.engine.kernels.stepping import Predictor, copy
 from sysid_evo.errors import InvalidArgument
 
 BUCKET = 16
+GROUPS_AT_ONCE = 4
+ALL_BOXES = 2**BUCKET - 1
 FAR = 1e15
 EXACT_INTEGERS = 2**24
 
-N_STATES, N_EXACT, N_OUT, N_CONTROLS, CELLS, EXACT, MIDPOINTS = range(7)
-GROUPS, BOXES, POINTS, VALUES, TABLE = range(5)
+N_STATES, N_EXACT, N_OUT, N_CONTROLS, CELLS, MOST_GROUPS, MIDPOINTS = range(7)
+GROUPS, PLACE, TABLE = range(3)
 
 
 def neighbour_predictor(
@@ -44,24 +62,29 @@ def neighbour_predictor(
         lookup += [len(between), *between]
     where_cells = MIDPOINTS + len(lookup)
     where_tables = where_cells + len(serving)
-    flat = [*head, where_cells, MIDPOINTS, *lookup, *(where_tables + TABLE * table for table in serving)]
-    place = where_tables + TABLE * len(tables)
+    flat = [*head, where_cells, 0, *lookup, *(where_tables + TABLE * table for table in serving)]
+    place = -(-(where_tables + TABLE * len(tables)) // BUCKET) * BUCKET
+    begin = place
     blocks: list[Array] = []
     most = 0
     for points, values in tables:
         buckets = split(points, np.arange(len(points)))
         boxes, near, value = _pack(points, values, buckets)
-        flat += [boxes.shape[2] // BUCKET, place, place + boxes.size, place + boxes.size + near.size]
+        flat += [len(boxes), place]
         place += boxes.size + near.size + value.size
-        most = max(most, boxes.shape[2])
+        most = max(most, len(boxes))
         blocks += [boxes.ravel(), near.ravel(), value.ravel()]
+    flat[MOST_GROUPS] = most
     if place >= EXACT_INTEGERS:
         raise InvalidArgument(
             f"nearest neighbour: its tables take {place} numbers; the compiled form addresses {EXACT_INTEGERS}: "
             "use fewer points"
         )
-    parameters = np.concatenate([np.array(flat, dtype=np.float64), *blocks])
-    return Predictor(neighbours, parameters, n_scratch=-(-(4 * BUCKET + most) // LANES))
+    parameters = np.concatenate([np.pad(np.array(flat, dtype=np.float64), (0, begin - len(flat))), *blocks])
+    sides = n_states + len(exact)
+    return Predictor(
+        KernelSource(neighbours, {"SIDES": sides}), parameters, n_scratch=1 + sides + -(-most * BUCKET // LANES) + most
+    )
 
 
 def split(points: Array, rows: IntArray) -> list[IntArray]:
@@ -77,7 +100,7 @@ def split(points: Array, rows: IntArray) -> list[IntArray]:
 
 
 def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
-    """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
+    """Return boxes (groups, sides, 2, 16), points (buckets, sides, 16), values (buckets, 16, n_out).
 
     There are as many buckets as fill groups of 16; those without points stand far away.
     """
@@ -89,85 +112,89 @@ def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Ar
         boxes[:, 0, number], boxes[:, 1, number] = points[rows].min(axis=0), points[rows].max(axis=0)
         near[number, :, : len(rows)] = points[rows].T
         value[number, : len(rows)] = values[rows]
-    return boxes, near, value
+    return boxes.reshape(sides, 2, -1, BUCKET).transpose(2, 0, 1, 3), near, value
 
 
 def neighbours(x, u, p, y, scratch):
-    """Write the values of the nearest point under the same command (a predictor, see `stepping`)."""
+    """Write the values of the nearest point under the same command (a predictor, see `stepping`).
+
+    The number of SIDES is compiled in: unrolled, the two distances take half the time.
+    """
     n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
-    n_controls, cells = int(p[N_CONTROLS]), view(p, int(p[CELLS]))
-    sides = n_states + n_exact
-    distance, nearest = scratch, view(scratch, BUCKET)
-    column_group, bound = view(nearest, BUCKET), view(nearest, 2 * BUCKET)
+    cells, queries = scratch, view(scratch, LANES)
+    command_cells(u, view(p, MIDPOINTS + n_exact), int(p[N_CONTROLS]), cells)
+    copy(x, queries, n_states * LANES)
+    for row in range(n_exact):
+        copy(view(u, int(p[MIDPOINTS + row]) * LANES), view(queries, (n_states + row) * LANES), LANES)
+    serving = view(p, int(p[CELLS]))
+    marks = view(queries, SIDES * LANES)
+    bounds = view(marks, int(p[MOST_GROUPS]) * LANES)
     for lane in range(LANES):
-        cell, place = 0, MIDPOINTS + n_exact
-        for control in range(n_controls):
-            count, level, value = int(p[place]), 0, u[control * LANES + lane]
-            for i in range(count):
-                level += 1 if p[place + 1 + i] < value else 0
-            cell = cell * (count + 1) + level
-            place += count + 1
-        table = int(cells[cell])
-        groups = int(p[table + GROUPS])
-        boxes, points = view(p, int(p[table + BOXES])), view(p, int(p[table + POINTS]))
-        values = view(p, int(p[table + VALUES]))
-        for side in range(sides):
-            if side < n_states:
-                value = x[side * LANES + lane]
-            else:
-                value = u[int(p[MIDPOINTS + side - n_states]) * LANES + lane]
-            box_distance(value, view(boxes, side * 2 * groups * BUCKET), bound, groups, side)
-        least, which = load_quarter(bound, 0), splat_quarter(0.0)
-        for group in range(1, groups):
-            there = load_quarter(bound, group * BUCKET)
-            which = where_less(there, least, splat_quarter(float(group)), which)
-            least = where_less(there, least, there, least)
-        store(nearest, 0, least)
-        store(column_group, 0, which)
-        closest, column = lowest(least), 0
-        while column < BUCKET - 1 and nearest[column] != closest:  # the distance of a nan equals nothing
-            column += 1
-        first = int(column_group[column]) * BUCKET + column
-        best, winner = search(x, u, p, n_states, sides, lane, points, first, distance, 1e30, 0)
-        bound[first] = 1e30
-        for column in range(BUCKET):
-            if nearest[column] < best:
-                for group in range(groups):
-                    bucket = group * BUCKET + column
-                    if bound[bucket] < best:
-                        best, winner = search(x, u, p, n_states, sides, lane, points, bucket, distance, best, winner)
+        table = view(p, int(serving[int(cells[lane])]))
+        groups, boxes = int(table[GROUPS]), view(p, int(table[PLACE]))
+        mark_boxes(view(queries, lane), SIDES, groups, boxes, bounds, view(marks, lane))
+    for lane in range(LANES):
+        table = view(p, int(serving[int(cells[lane])]))
+        groups = int(table[GROUPS])
+        points = view(p, int(table[PLACE]) + groups * SIDES * 2 * BUCKET)
+        winner = nearest(view(queries, lane), SIDES, groups, points, view(marks, lane))
+        value = view(points, groups * BUCKET * SIDES * BUCKET + winner * n_out)
         for row in range(n_out):
-            y[row * LANES + lane] = values[winner * n_out + row]
+            y[row * LANES + lane] = value[row]
 
 
-def box_distance(value, sides, bound, groups, side):
-    """Add the squared distances along one side to the bounds of all boxes."""
-    here, zero = splat_quarter(value), splat_quarter(0.0)
+def mark_boxes(query, sides, groups, boxes, bounds, marks):
+    """Write for each group of boxes which ones may hold the nearest point, as the bits of a number."""
+    least, which = splat_quarter(FAR * FAR), splat_quarter(0.0)
     for group in range(groups):
-        below = load_quarter(sides, group * BUCKET) - here
-        above = here - load_quarter(sides, (groups + group) * BUCKET)
+        bound = box_distances(query, sides, view(boxes, group * sides * 2 * BUCKET))
+        store(bounds, group * BUCKET, bound)
+        which = where_less(bound, least, splat_quarter(float(group)), which)
+        least = where_less(bound, least, bound, least)
+    column = lane_of_lowest(least)
+    first = int(pick(which, column)) * BUCKET + column
+    points = view(boxes, groups * sides * 2 * BUCKET)
+    limit = splat_quarter(lowest(point_distances(query, sides, view(points, first * sides * BUCKET))))
+    for group in range(groups):
+        farther = lanes_less(limit, load_quarter(bounds, group * BUCKET))
+        marks[group * LANES] = float(ALL_BOXES - farther)
+
+
+def nearest(query, sides, groups, points, marks):
+    """Return the number of the point nearest to a query among the buckets that are marked."""
+    best, bucket = splat_quarter(FAR * FAR), splat_quarter(0.0)
+    for start in range(0, groups, GROUPS_AT_ONCE):
+        near = 0
+        for group in range(start, min(start + GROUPS_AT_ONCE, groups)):
+            near |= int(marks[group * LANES]) << ((group - start) * BUCKET)
+        while near != 0:
+            number = start * BUCKET + first_lane(near)
+            near &= near - 1
+            distance = point_distances(query, sides, view(points, number * sides * BUCKET))
+            bucket = where_less(distance, best, splat_quarter(float(number)), bucket)
+            best = where_less(distance, best, distance, best)
+    column = lane_of_lowest(best)
+    return int(pick(bucket, column)) * BUCKET + column
+
+
+def box_distances(query, sides, box):
+    """Return the squared distances from a query to sixteen boxes."""
+    zero = splat_quarter(0.0)
+    total = zero
+    for side in range(sides):
+        here = splat_quarter(query[side * LANES])
+        below = load_quarter(box, side * 2 * BUCKET) - here
+        above = here - load_quarter(box, (side * 2 + 1) * BUCKET)
         off = where_less(below, above, above, below)
         off = where_less(off, zero, zero, off)
-        sofar = load_quarter(bound, group * BUCKET) if side > 0 else zero
-        store(bound, group * BUCKET, sofar + off * off)
+        total = total + off * off
+    return total
 
 
-def search(x, u, p, n_states, sides, lane, points, bucket, distance, best, winner):
-    """Look through one bucket; return the best squared distance and its point."""
-    near = view(points, bucket * sides * BUCKET)
+def point_distances(query, sides, near):
+    """Return the squared distances from a query to the sixteen points of a bucket."""
     total = splat_quarter(0.0)
     for side in range(sides):
-        if side < n_states:
-            value = x[side * LANES + lane]
-        else:
-            value = u[int(p[MIDPOINTS + side - n_states]) * LANES + lane]
-        off = load_quarter(near, side * BUCKET) - splat_quarter(value)
+        off = load_quarter(near, side * BUCKET) - splat_quarter(query[side * LANES])
         total = total + off * off
-    closest = lowest(total)
-    if closest < best:
-        store(distance, 0, total)
-        i = 0
-        while distance[i] != closest:
-            i += 1
-        best, winner = closest, bucket * BUCKET + i
-    return best, winner
+    return total

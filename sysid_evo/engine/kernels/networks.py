@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,6 +26,18 @@ def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) 
 
     Their inputs are ``n_carry`` rows of the carry, then ``n_control`` of the control.
     """
+    return _predictor(network, networks, n_carry, n_control)
+
+
+def separate_networks_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
+    """Return a predictor whose outputs are those of the first network, then of the second, and so on.
+
+    The networks have one shape and the same inputs, those of `network_predictor`.
+    """
+    return _predictor(separate_networks, networks, n_carry, n_control)
+
+
+def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_control: int) -> Predictor:
     sizes = [networks[0][0][0].shape[0], *(weights.shape[1] for weights, _ in networks[0])]
     if sizes[0] != n_carry + n_control or any(
         [weights.shape[1] for weights, _ in layers] != sizes[1:] for layers in networks
@@ -34,40 +46,65 @@ def network_predictor(networks: Sequence[Layers], n_carry: int, n_control: int) 
     flat = [np.concatenate([bias, weights.ravel()]) for layers in networks for weights, bias in layers]
     head = [len(networks), len(sizes) - 1, n_carry, n_control, *sizes]
     return Predictor(
-        network, np.concatenate([np.array(head, dtype=np.float64), *flat]), n_scratch=sizes[0] + 2 * max(sizes)
+        function, np.concatenate([np.array(head, dtype=np.float64), *flat]), n_scratch=sizes[0] + 3 * max(sizes)
     )
 
 
 def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
-    n_networks, n_layers = int(p[N_NETWORKS]), int(p[N_LAYERS])
-    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
-    widest = 0
-    for layer in range(n_layers + 1):
-        widest = max(widest, int(p[SIZES + layer]))
-    copy(x, scratch, n_carry * LANES)
-    copy(u, view(scratch, n_carry * LANES), n_control * LANES)
-    even = view(scratch, (n_carry + n_control) * LANES)
-    odd = view(even, widest * LANES)
-    weights = view(p, SIZES + n_layers + 1)
-    size = int(p[SIZES + n_layers]) * LANES
-    for member in range(n_networks):
-        for layer in range(n_layers):
-            n_in, n_out = int(p[SIZES + layer]), int(p[SIZES + layer + 1])
-            source = scratch if layer == 0 else (even if layer % 2 == 1 else odd)
-            target = even if layer % 2 == 0 else odd
-            dense(source, n_in, weights, target, n_out)
-            if layer < n_layers - 1:
-                squash(target, n_out * LANES)
-            elif member == 0:
-                copy(target, y, size)
-            else:
-                move(y, target, 1.0, y, size)
-            weights = view(weights, n_out * (n_in + 1))
+    n_networks = int(p[N_NETWORKS])
+    room, weights = gather(x, u, p, scratch), view(p, SIZES + int(p[N_LAYERS]) + 1)
+    size = int(p[SIZES + int(p[N_LAYERS])]) * LANES
+    weights = forward(p, weights, scratch, room, y)
     if n_networks > 1:
+        other = view(room, 2 * widest(p) * LANES)
+        for _ in range(1, n_networks):
+            weights = forward(p, weights, scratch, room, other)
+            move(y, other, 1.0, y, size)
         share = 1.0 / float(n_networks)
         for i in range(size):
             y[i] *= share
+
+
+def separate_networks(x, u, p, y, scratch):
+    """Write the outputs of every network one after the other (a predictor, see `stepping`)."""
+    room, weights = gather(x, u, p, scratch), view(p, SIZES + int(p[N_LAYERS]) + 1)
+    size = int(p[SIZES + int(p[N_LAYERS])]) * LANES
+    for member in range(int(p[N_NETWORKS])):
+        weights = forward(p, weights, scratch, room, view(y, member * size))
+
+
+def gather(x, u, p, scratch):
+    """Write the inputs of the networks to the head of ``scratch``; return what comes after them."""
+    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
+    copy(x, scratch, n_carry * LANES)
+    copy(u, view(scratch, n_carry * LANES), n_control * LANES)
+    return view(scratch, (n_carry + n_control) * LANES)
+
+
+def widest(p):
+    """Return the number of rows of the widest layer."""
+    rows = 0
+    for layer in range(int(p[N_LAYERS]) + 1):
+        rows = max(rows, int(p[SIZES + layer]))
+    return rows
+
+
+def forward(p, weights, inputs, room, y):
+    """Write the output of one network; return the weights after its own."""
+    n_layers, even = int(p[N_LAYERS]), room
+    odd = view(room, widest(p) * LANES)
+    for layer in range(n_layers):
+        n_in, n_out = int(p[SIZES + layer]), int(p[SIZES + layer + 1])
+        source = inputs if layer == 0 else (even if layer % 2 == 1 else odd)
+        if layer == n_layers - 1:
+            dense(source, n_in, weights, y, n_out)
+        else:
+            target = even if layer % 2 == 0 else odd
+            dense(source, n_in, weights, target, n_out)
+            squash(target, n_out * LANES)
+        weights = view(weights, n_out * (n_in + 1))
+    return weights
 
 
 def squash(x, count):

@@ -23,7 +23,8 @@ from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, REST, OWN, HEADER = range(12)
+NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, REST, OWN = range(11)
+HEADER = 16  # numbers: a cache line, so that what a predictor aligns in its parameters stays aligned
 NEXT_STATE, PLAIN, PLANAR = range(3)
 
 
@@ -68,14 +69,15 @@ def stepping_kernel(
             forward, lateral, yaw_rate = system.motion.indices(system.state_names)
             if lateral is not None:
                 header[[MODE, FORWARD, LATERAL, YAW_RATE]] = PLANAR, forward, lateral, yaw_rate
-    rest = []
+    rest = np.empty(0)
     if rest_band is not None:
         header[REST] = 1.0
-        rest = [rest_band, system.neutral_state, system.neutral_control]
-    header[OWN] = HEADER + sum(len(part) for part in rest)
+        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
+        rest = np.pad(rest, (0, -len(rest) % HEADER))
+    header[OWN] = HEADER + len(rest)
     return DynamicsKernel(
         KernelSource(step, predictor.bindings),
-        np.concatenate([header, *rest, np.ravel(predictor.parameters)]),
+        np.concatenate([header, rest, np.ravel(predictor.parameters)]),
         system.nx + 1 + predictor.n_scratch,
     )
 

@@ -1,0 +1,19 @@
+"""The benchmark of rollouts runs and reports every model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks.rollout.__main__ import main
+
+
+def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--quick", "--without-jax", "--json", str(tmp_path / "speeds.json")])
+    rows = json.loads((tmp_path / "speeds.json").read_text())["models"]
+    assert len(rows) >= 6
+    assert all(speed > 0 for row in rows for speed in row["million_steps_per_second"].values())
+    printed = capsys.readouterr().out
+    assert all(len(line) <= 80 for line in printed.splitlines())
