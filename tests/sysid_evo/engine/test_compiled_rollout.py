@@ -141,7 +141,7 @@ def test_every_candidate_meets_the_noise_of_its_trial(climb: System, engine: Eng
 @pytest.mark.parametrize("levels", [(-1.0, 1.0), (0.0, 0.5, 2.0), (-2.0, -1.0, 0.0, 3.0), (0.0, 1.0, 2.0, 3.0, 4.0)])
 def test_every_output_selects_the_level_that_the_system_says(engine: Engine, levels: tuple[float, ...]) -> None:
     system = System((Channel("height", "m"),), (Channel("climb", "m", levels=levels, neutral=levels[0]),), dt=0.1)
-    raw = np.linspace(-1.3, 1.3, 144)[:, None]
+    raw = np.linspace(-1.3, 1.3, 137)[:, None]
     fast, _ = compare(
         engine, CompiledClimber(system), CompiledConstant(), raw, CompiledLadder(horizon=1), seeds_from(0), record=True
     )
