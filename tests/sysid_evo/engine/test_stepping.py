@@ -49,9 +49,7 @@ def plane(lateral: str | None = "v", order: str = "uvr") -> System:
 
 
 def no_motion(nx: int, nu: int = 2, dt: float = 0.05) -> System:
-    return System(
-        tuple(Channel(f"x{i}") for i in range(nx)), tuple(Channel(f"u{i}", "", -1, 1) for i in range(nu)), dt
-    )
+    return System(tuple(Channel(f"x{i}") for i in range(nx)), tuple(Channel(f"u{i}", "", -1, 1) for i in range(nu)), dt)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
