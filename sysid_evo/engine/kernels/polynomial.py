@@ -50,7 +50,7 @@ def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: in
         for terms in found.values():
             flat += [len(terms), *(number for term in terms for number in term)]
     rows = n_factors + max(len(states.links), len(controls.links)) + 1
-    return Predictor(polynomial, np.array(flat), n_scratch=rows, prepare=control_factors)
+    return Predictor(polynomial, np.array(flat, dtype=np.float64), n_scratch=rows, prepare=control_factors)
 
 
 class _Chain:

@@ -1,0 +1,92 @@
+"""How often compiled rollouts score as the reference does: ``python -m tests.benchmarks.equality``.
+
+For every registered family with a kernel: controllers are evolved on it, and the last parents drive
+1,000 rollouts of 500 steps in each form.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from sysid_evo.arrays import Array, Seeds
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import Engine, rollout
+from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import make_model, models
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import example_dataset
+
+FORMS: tuple[Engine, ...] = ("float64", "float32")
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Mean waypoints of the reference, share of equal scores, difference of the means, same number of clipped steps."""
+
+    mean: float
+    equal: float
+    difference: float
+    clipped: float
+
+
+def evolved_population(dynamics: Dynamics, generations: int, seed: int = 0, trials: int = 3) -> Array:
+    """Return the last parents (50, 78) of a short evolution of the paper's controller on ``dynamics``."""
+    strategy = MuPlusLambda(n_parameters=78, seed=seed)
+    for generation in range(generations):
+        population = strategy.ask()
+        seeds = trial_seeds(seed, trials, generation=generation)
+        run = rollout(dynamics, RecurrentNetwork(), population, PointToPoint(), seeds)
+        strategy.tell(population, run.fitness.mean(axis=1))
+    return strategy.elite
+
+
+def agreement(dynamics: Dynamics, population: Array, seeds: Seeds, engine: Engine) -> Agreement:
+    """Compare ``engine`` with the reference over every candidate in every trial."""
+    given = (dynamics, RecurrentNetwork(), population, PointToPoint(), seeds)
+    exact, fast = rollout(*given, engine="reference"), rollout(*given, engine=engine)
+    return Agreement(
+        float(exact.fitness.mean()),
+        float((exact.fitness == fast.fitness).mean()),
+        float(abs(exact.fitness.mean() - fast.fitness.mean())),
+        float((exact.clipped == fast.clipped).mean()),
+    )
+
+
+def fitted(name: str, dataset: Dataset) -> Dynamics:
+    """Return the registered family ``name``, quickly fitted."""
+    quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
+    return make_model(name, **quick).fit(dataset, rng=np.random.default_rng(0))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("families", nargs="*", help="by default all that are registered")
+    parser.add_argument("--generations", type=int, default=60)
+    parser.add_argument("--trials", type=int, default=20, help="of each of the 50 last parents")
+    arguments = parser.parse_args()
+    table = Table("family", "form", "mean waypoints", "equal scores", "difference", "equal clipping")
+    for name in arguments.families or models.names():
+        dynamics = fitted(name, example_dataset())
+        if dynamics.kernel() is None:
+            continue
+        population = evolved_population(dynamics, arguments.generations)
+        seeds = trial_seeds(99, arguments.trials)
+        for form in FORMS:
+            found = agreement(dynamics, population, seeds, form)
+            table.add_row(
+                name, form, f"{found.mean:.2f}", f"{found.equal:.2%}", f"{found.difference:.4f}", f"{found.clipped:.2%}"
+            )
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Float32 kernels compute in float32: no number of the library's compiled code is a double."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled.dialect import KernelSource, Source, generate
+from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
+from sysid_evo.engine.kernels import (
+    command_network_predictor,
+    neighbour_predictor,
+    network_predictor,
+    polynomial_predictor,
+    runge_kutta_predictor,
+    stepping_kernel,
+)
+from sysid_evo.system import System
+from sysid_evo.tasks import PointToPoint
+
+
+def library(car: System) -> dict[str, tuple[Source, str]]:
+    between, layers = [np.zeros(1)], [(np.zeros((3, 3)), np.zeros(3))]
+    predictors = {
+        "networks": network_predictor([layers, layers], 3, 0),
+        "polynomial": runge_kutta_predictor(polynomial_predictor([[1, 0, 0, 1]], np.ones((1, 3)), 3, 1), car),
+        "neighbours": neighbour_predictor(
+            [(np.zeros((1, 3)), np.zeros((1, 3)))], np.zeros(2, dtype=int), between, [], 3
+        ),
+        "command networks": command_network_predictor(
+            np.zeros((1, 3, 3, 4)), np.zeros((1, 3, 4)), np.zeros((1, 3, 4)), np.zeros((1, 3)),
+            np.zeros(2, dtype=int), between, [], 3,
+        ),
+    }  # fmt: skip
+    found: dict[str, tuple[Source, str]] = {
+        name: (stepping_kernel(predictor, car, output="acceleration").source, DYNAMICS)
+        for name, predictor in predictors.items()
+    }
+    task, controller = PointToPoint().bind(car).kernel(), RecurrentNetwork().bind(5, 2).kernel()
+    found["recurrent"] = controller.source, CONTROLLER
+    found["observe"], found["advance"] = (task.observe, OBSERVE), (task.advance, ADVANCE)
+    found["open loop"] = KernelSource(loops.open_loop), loops.OPEN_LOOP
+    return found
+
+
+def promotes(x, y):
+    y[0] = x[0] * 3 + x[1] * 5
+
+
+def llvm(source: Source, signature: str, folder: Path, decorator: str = "@cfunc") -> str:
+    """Compile without the cache, whose code cannot be looked at; return its LLVM text."""
+    options = "fastmath={'contract', 'arcp', 'nsz'}, error_model='numpy'"
+    path = folder / "looked_at.py"
+    path.write_text(generate(source, f"{decorator}({signature}, {options})", "float32"))
+    spec = importlib.util.spec_from_file_location("looked_at", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    text = module.entry.inspect_llvm()
+    return text if isinstance(text, str) else "\n".join(text.values())
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["networks", "polynomial", "neighbours", "command networks", "recurrent", "observe", "advance", "open loop"],
+)
+def test_a_float32_kernel_computes_no_double(name: str, car: System, tmp_path: Path) -> None:
+    source, signature = library(car)[name]
+    text = llvm(source, signature, tmp_path, "@njit" if name == "open loop" else "@cfunc")
+    assert " double" not in text
+    assert "float" in text
+
+
+def test_the_search_for_doubles_finds_one(tmp_path: Path) -> None:
+    """A whole number beside a float32 one makes a float64 one: that is what the library avoids."""
+    assert " double" in llvm(KernelSource(promotes), "types.void(R, R)", tmp_path)

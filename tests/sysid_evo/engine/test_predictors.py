@@ -1,0 +1,210 @@
+"""The kernel library's predictors against plain NumPy, over random shapes and parameters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import Precision
+from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.kernels import (
+    command_network_predictor,
+    neighbour_predictor,
+    network_predictor,
+    polynomial_predictor,
+)
+from sysid_evo.engine.kernels import neighbours
+from sysid_evo.errors import InvalidArgument
+
+from .running import PRECISIONS, RTOL, predictions
+
+few = settings(max_examples=12, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def agree(predicted: Array, expected: Array, precision: str) -> None:
+    tolerance = RTOL[precision]
+    np.testing.assert_allclose(predicted, expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(
+    seed=seeds,
+    hidden=st.lists(st.integers(1, 9), max_size=3),
+    members=st.integers(1, 3),
+    n_carry=st.integers(1, 7),
+    n_control=st.integers(0, 3),
+    n_out=st.integers(1, 6),
+)
+def test_networks_give_their_mean(
+    precision: Precision, seed: int, hidden: list[int], members: int, n_carry: int, n_control: int, n_out: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    sizes = [n_carry + n_control, *hidden, n_out]
+    networks = [
+        [(rng.normal(size=(a, b)) / np.sqrt(a), rng.normal(size=b)) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
+        for _ in range(members)
+    ]
+    x, u = rng.normal(size=(LANES, n_carry)), rng.normal(size=(LANES, n_control))
+    outputs = []
+    for layers in networks:
+        z = np.concatenate([x, u], axis=1)
+        for i, (weights, bias) in enumerate(layers):
+            z = z @ weights + bias
+            z = np.tanh(z) if i < len(layers) - 1 else z
+        outputs.append(z)
+    predicted = predictions(network_predictor(networks, n_carry, n_control), x, u, n_out, precision)
+    agree(predicted, np.mean(outputs, axis=0), precision)
+
+
+def test_networks_of_different_shapes_are_refused() -> None:
+    one, two = [(np.zeros((3, 2)), np.zeros(2))], [(np.zeros((3, 1)), np.zeros(1))]
+    with pytest.raises(InvalidArgument, match="equal shapes"):
+        network_predictor([one, two], 2, 1)
+    with pytest.raises(InvalidArgument, match=r"expected 2 \+ 2 inputs"):
+        network_predictor([one], 2, 2)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(
+    seed=seeds,
+    terms=st.integers(1, 30),
+    n_carry=st.integers(1, 4),
+    n_control=st.integers(0, 3),
+    n_out=st.integers(1, 4),
+)
+def test_polynomials_are_the_sum_of_their_terms(
+    precision: Precision, seed: int, terms: int, n_carry: int, n_control: int, n_out: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    powers = rng.integers(0, 4, (terms, n_carry + n_control))
+    coefficients = rng.normal(size=(terms, n_out)) * (rng.random((terms, n_out)) < 0.5)
+    x, u = rng.uniform(-1.2, 1.2, (LANES, n_carry)), rng.uniform(-1, 1, (LANES, n_control))
+    z = np.concatenate([x, u], axis=1)
+    expected = np.prod(z[:, None] ** powers, axis=2) @ coefficients
+    agree(predictions(polynomial_predictor(powers, coefficients, n_carry, n_control), x, u, n_out, precision),
+          expected, precision)  # fmt: skip
+
+
+def test_a_polynomial_of_wrong_exponents_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="exponents >= 0"):
+        polynomial_predictor([[1, -1]], np.ones((1, 1)), 1, 1)
+    with pytest.raises(InvalidArgument, match=r"2 \+ 1 variables"):
+        polynomial_predictor([[1, 1]], np.ones((1, 1)), 2, 1)
+
+
+def cell_of(u: Array, midpoints: list[Array]) -> Any:
+    cell = np.zeros(len(u), dtype=np.int64)
+    for i, between in enumerate(midpoints):
+        cell = cell * (len(between) + 1) + np.searchsorted(between, u[:, i])
+    return cell
+
+
+def some_grid(rng: np.random.Generator, n_controls: int) -> tuple[list[Array], int]:
+    midpoints = [np.sort(rng.uniform(-1, 1, rng.integers(1, 4))) for _ in range(n_controls)]
+    return midpoints, int(np.prod([len(m) + 1 for m in midpoints]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(
+    seed=seeds,
+    n_states=st.integers(1, 4),
+    n_controls=st.integers(1, 3),
+    n_out=st.integers(1, 3),
+    hidden=st.integers(1, 12),
+)
+def test_the_networks_of_the_command_in_force_answer(
+    precision: Precision, seed: int, n_states: int, n_controls: int, n_out: int, hidden: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    midpoints, cells = some_grid(rng, n_controls)
+    exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()
+    n_in, commands = n_states + len(exact), max(1, cells // 2)
+    serving = rng.integers(0, commands, cells)
+    first, first_bias = rng.normal(size=(commands, n_out, n_in, hidden)), rng.normal(size=(commands, n_out, hidden))
+    second, second_bias = rng.normal(size=(commands, n_out, hidden)) / hidden, rng.normal(size=(commands, n_out))
+    predictor = command_network_predictor(first, first_bias, second, second_bias, serving, midpoints, exact, n_states)
+    x, u = rng.normal(size=(LANES, n_states)), rng.uniform(-1.5, 1.5, (LANES, n_controls))
+    x, u = x.astype(np.float32).astype(float), u.astype(np.float32).astype(float)
+    command = serving[cell_of(u, midpoints)]
+    z = np.concatenate([x, u[:, exact]], axis=1)
+    units = np.tanh(np.einsum("bi,bkih->bkh", z, first[command]) + first_bias[command])
+    expected = np.einsum("bkh,bkh->bk", units, second[command]) + second_bias[command]
+    agree(predictions(predictor, x, u, n_out, precision), expected, precision)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    seed=seeds,
+    n_states=st.integers(1, 4),
+    n_controls=st.integers(1, 2),
+    n_out=st.integers(1, 3),
+    most=st.sampled_from([1, 3, 17, 400, 3000]),
+    reach=st.sampled_from([1.0, 100.0]),
+)
+def test_the_nearest_of_all_points_under_the_command_answers(
+    precision: Precision, seed: int, n_states: int, n_controls: int, n_out: int, most: int, reach: float
+) -> None:
+    """Also with a single point, with far queries, with exact controls, with cells that have no points."""
+    rng = np.random.default_rng(seed)
+    midpoints, cells = some_grid(rng, n_controls)
+    exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()
+    sides, n_tables = n_states + len(exact), max(1, cells // 2)
+    serving = rng.integers(0, n_tables, cells)
+    tables = []
+    for _ in range(n_tables):
+        points = rng.normal(size=(rng.integers(1, most + 1), sides)).astype(np.float32).astype(float)
+        tables.append((points, rng.normal(size=(len(points), n_out))))
+    x, u = reach * rng.normal(size=(LANES, n_states)), rng.uniform(-1.5, 1.5, (LANES, n_controls))
+    x, u = x.astype(np.float32).astype(float), u.astype(np.float32).astype(float)
+    predictor = neighbour_predictor(tables, serving, midpoints, exact, n_states)
+    predicted = predictions(predictor, x, u, n_out, precision)
+    query, table = np.concatenate([x, u[:, exact]], axis=1), serving[cell_of(u, midpoints)]
+    for lane in range(LANES):
+        points, values = tables[table[lane]]
+        squares = ((points - query[lane]) ** 2).sum(axis=1)
+        nearest = np.argmin(squares)
+        tied = squares <= squares[nearest] * (1 + (1e-12 if precision == "float64" else 2e-6))
+        assert any(np.allclose(predicted[lane], value, rtol=1e-6) for value in values[tied])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_point_that_was_recorded_finds_itself_among_many_equal_coordinates(precision: Precision) -> None:
+    rng = np.random.default_rng(4)
+    points = np.unique(rng.integers(0, 9, (2000, 3)), axis=0).astype(float)
+    points = points[rng.permutation(len(points))]
+    values = np.arange(len(points), dtype=float)[:, None]
+    predictor = neighbour_predictor([(points, values)], np.array([0, 0]), [np.array([0.0])], [], 3)
+    asked = rng.choice(len(points), LANES, replace=False)
+    found = predictions(predictor, points[asked], np.zeros((LANES, 1)), 1, precision)
+    np.testing.assert_array_equal(found[:, 0], asked)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision: Precision) -> None:
+    rng = np.random.default_rng(4)
+    points, values = rng.normal(size=(900, 2)), rng.normal(size=(900, 2))
+    predictor = neighbour_predictor([(points, values)], np.array([0, 0]), [np.array([0.0])], [0], 1)
+    x, u = rng.normal(size=(LANES, 1)), rng.uniform(-1, 1, (LANES, 1))
+    x[0], x[1], x[2], u[3], u[4] = np.nan, np.inf, 1e30, np.nan, -np.inf
+    found = predictions(predictor, x, u, 2, precision)
+    assert np.isfinite(found).all()
+    query = np.concatenate([x, u], axis=1)[5:]
+    nearest = np.argmin(((points - query[:, None]) ** 2).sum(axis=2), axis=1)
+    np.testing.assert_allclose(found[5:], values[nearest], rtol=1e-6)
+
+
+def test_more_points_than_the_compiled_form_can_address_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neighbours, "EXACT_INTEGERS", 1000)
+    points = np.zeros((400, 1))
+    with pytest.raises(InvalidArgument, match="use fewer points"):
+        neighbour_predictor([(points, np.zeros((len(points), 3)))], np.array([0, 0]), [np.array([0.0])], [], 1)

@@ -1,0 +1,189 @@
+"""From a prediction to the next carry: integration, frame, lags, Runge-Kutta, lifted scalar steps."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import Lifted, Precision, compile_kernel
+from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.run import aligned
+from sysid_evo.engine.kernels import (
+    Predictor,
+    network_predictor,
+    polynomial_predictor,
+    runge_kutta_predictor,
+    stepping_kernel,
+)
+from sysid_evo.engine.kernels.stepping import Output
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+from .running import PRECISIONS, RTOL, predictions
+
+few = settings(max_examples=10, deadline=None, derandomize=True)
+
+
+def step(kernel: DynamicsKernel, carry: Array, control: Array, precision: Precision, noise: Array | None = None) -> Any:
+    """Return the carry (64, n) after one step of ``kernel``."""
+    noise = np.zeros((LANES, 1)) if noise is None else noise
+    rows = [carry.T, control.T, noise.T]
+    flat = [aligned(np.ravel(row).astype(precision)) for row in rows]
+    flat += [aligned(kernel.parameters.astype(precision)), aligned(np.zeros(kernel.n_scratch * LANES, precision))]
+    compile_kernel(kernel.source, DYNAMICS, precision, pointer=False)(*flat)
+    return flat[0].reshape(carry.T.shape).T.astype(float)
+
+
+def plane(lateral: str | None = "v", order: str = "uvr") -> System:
+    names = [name for name in order if lateral is not None or name != "v"]
+    body = PlanarBody(forward="u", lateral=lateral, yaw_rate="r")
+    return System(tuple(Channel(n) for n in names), (Channel("a", "", -1, 1), Channel("b", "", -1, 1)), 0.05, body)
+
+
+def no_motion(nx: int, nu: int = 2, dt: float = 0.05) -> System:
+    return System(tuple(Channel(f"x{i}") for i in range(nx)), tuple(Channel(f"u{i}", "", -1, 1) for i in range(nu)), dt)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("output", ["next_state", "acceleration"])
+@pytest.mark.parametrize(
+    "system",
+    [plane(), plane(order="rvu"), plane(order="vru"), plane(lateral=None), plane(None, "ru"), no_motion(4)],
+    ids=["uvr", "rvu", "vru", "ur", "ru", "no motion"],
+)
+@few
+@given(seed=st.integers(0, 10**6), state_lags=st.integers(0, 3), control_lags=st.integers(0, 3))
+def test_a_step_is_what_the_contract_of_models_says(
+    precision: Precision, output: Output, system: System, seed: int, state_lags: int, control_lags: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    nx, nu = system.nx, system.nu
+    n_carry = nx * (1 + state_lags) + nu * control_lags
+    matrix, offset = rng.normal(size=(n_carry + nu, nx)) / 3.0, rng.normal(size=nx)
+    carry, control = 3.0 * rng.normal(size=(LANES, n_carry)), rng.uniform(-1, 1, (LANES, nu))
+    predictor = network_predictor([[(matrix, offset)]], n_carry, nu)
+    kernel = stepping_kernel(predictor, system, output=output, state_lags=state_lags, control_lags=control_lags)
+    said = np.concatenate([carry, control], axis=1) @ matrix + offset
+    after = said if output == "next_state" else system.integrate(carry[:, :nx], said)
+    states = np.concatenate([after, carry[:, : nx * (1 + state_lags)]], axis=1)[:, : nx * (1 + state_lags)]
+    controls = np.concatenate([control, carry[:, nx * (1 + state_lags) :]], axis=1)[:, : nu * control_lags]
+    stepped = step(kernel, carry, control, precision)
+    tolerance = RTOL[precision]
+    np.testing.assert_allclose(stepped, np.concatenate([states, controls], 1), rtol=tolerance, atol=tolerance)
+
+
+def oscillator(system: System, *, n_carry: int | None = None) -> Predictor:
+    """dx/dt = v, dv/dt = -4 x + u: a polynomial."""
+    rows = n_carry or 2
+    powers = np.zeros((3, rows + 1), dtype=int)
+    powers[0, 1] = powers[1, 0] = powers[2, -1] = 1
+    coefficients = np.array([[1.0, 0.0], [0.0, -4.0], [0.0, 1.0]])
+    return runge_kutta_predictor(polynomial_predictor(powers, coefficients, rows, 1), system, n_carry=n_carry)
+
+
+def test_runge_kutta_is_of_fourth_order() -> None:
+    """The error after 1 s of x'' = -4 x + u falls by 16 when the step is halved."""
+    u = np.full((LANES, 1), 0.5)
+    errors = []
+    for steps in (10, 20, 40):
+        system = no_motion(2, 1, dt=1.0 / steps)
+        x = np.tile([1.0, 0.0], (LANES, 1))
+        for _ in range(steps):
+            x = predictions(oscillator(system), x, u, 2, "float64")
+        exact = 0.125 + 0.875 * math.cos(2.0)
+        errors.append(abs(x[0, 0] - exact))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert ((orders > 3.7) & (orders < 4.3)).all()
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(
+    seed=st.integers(0, 10**6), nx=st.integers(1, 4), nu=st.integers(0, 2), substeps=st.integers(1, 3),
+    lags=st.integers(0, 3), neural=st.booleans(),
+)  # fmt: skip
+def test_runge_kutta_equals_plain_numpy_around_any_derivative(
+    precision: Precision, seed: int, nx: int, nu: int, substeps: int, lags: int, neural: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    system, n_carry = no_motion(nx, nu), nx + lags
+    n_in = n_carry + nu
+    if neural:
+        layers = [(rng.normal(size=(n_in, 5)), rng.normal(size=5)), (rng.normal(size=(5, nx)), rng.normal(size=nx))]
+        derivative = network_predictor([layers], n_carry, nu)
+    else:
+        powers, coefficients = rng.integers(0, 3, (8, n_in)), rng.normal(size=(8, nx))
+        derivative = polynomial_predictor(powers, coefficients, n_carry, nu)
+
+    carry, u = rng.uniform(-1, 1, (LANES, n_carry)), rng.uniform(-1, 1, (LANES, nu))
+
+    def slope(x: Array) -> Array:
+        z = np.concatenate([x, carry[:, nx:], u], axis=1)
+        if neural:
+            return np.tanh(z @ layers[0][0] + layers[0][1]) @ layers[1][0] + layers[1][1]
+        return np.prod(z[:, None] ** powers, axis=2) @ coefficients
+
+    x, h = carry[:, :nx], system.dt / substeps
+    for _ in range(substeps):
+        k1 = slope(x)
+        k2 = slope(x + 0.5 * h * k1)
+        k3 = slope(x + 0.5 * h * k2)
+        k4 = slope(x + h * k3)
+        x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    predictor = runge_kutta_predictor(derivative, system, substeps=substeps, n_carry=n_carry)
+    tolerance = RTOL[precision]
+    np.testing.assert_allclose(
+        predictions(predictor, carry, u, nx, precision), x, rtol=tolerance, atol=tolerance
+    )  # fmt: skip
+
+
+def test_runge_kutta_in_a_step_shifts_the_lags_it_held() -> None:
+    system = no_motion(2, 1)
+    kernel = stepping_kernel(oscillator(system, n_carry=5), system, output="next_state", state_lags=1, control_lags=1)
+    carry, u = np.random.default_rng(0).normal(size=(LANES, 5)), np.full((LANES, 1), 0.5)
+    after = step(kernel, carry, u, "float64")
+    np.testing.assert_allclose(after[:, :2], predictions(oscillator(system), carry[:, :2], u, 2, "float64"), rtol=1e-12)
+    np.testing.assert_array_equal(after[:, 2:4], carry[:, :2])
+    np.testing.assert_array_equal(after[:, 4], u[:, 0])
+
+
+def noisy_pendulum(x, u, w, p):
+    angle, rate = x
+    rate = rate + p[0] * (u[0] - p[1] * math.sin(angle)) + p[2] * w[1]
+    return angle + p[0] * rate + 0.1 * w[0], rate
+
+
+def decay(x, u, p):
+    return (x[0] * 0.5 + p[0],)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_lifted_scalar_step_is_the_scalar_step_in_every_lane(precision: Precision) -> None:
+    rng = np.random.default_rng(2)
+    carry, control, noise = rng.normal(size=(LANES, 2)), rng.normal(size=(LANES, 1)), rng.normal(size=(LANES, 2))
+    parameters = np.array([0.05, 9.81, 0.3])
+    kernel = DynamicsKernel(Lifted(noisy_pendulum, n_carry=2, nu=1, n_noise=2), parameters)
+    expected = [noisy_pendulum(x, u, w, parameters) for x, u, w in zip(carry, control, noise, strict=True)]
+    tolerance = RTOL[precision]
+    np.testing.assert_allclose(step(kernel, carry, control, precision, noise), expected, rtol=tolerance, atol=tolerance)
+    small = DynamicsKernel(Lifted(decay, n_carry=1, nu=0), np.array([3.0]))
+    after = step(small, carry[:, :1], np.zeros((LANES, 0)), precision)
+    np.testing.assert_allclose(after, carry[:, :1] * 0.5 + 3.0, rtol=tolerance)
+
+
+def test_the_same_source_twice_is_the_same_key() -> None:
+    system = plane()
+    kernels = [stepping_kernel(oscillator(system), system, output="next_state") for _ in range(2)]
+    assert kernels[0].source == kernels[1].source
+    assert hash(kernels[0].source) == hash(kernels[1].source)
+    lifted = Lifted(decay, 1, 0)
+    assert lifted == Lifted(decay, 1, 0)
+    assert lifted != dataclasses.replace(lifted, nu=1)
