@@ -123,7 +123,7 @@ def compile_kernel(source: Source, signature: str, precision: Precision, *, poin
 def generate(source: Source, decorator: str, precision: Precision) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
     writer = _Writer(precision)
-    writer.open.append(KernelSource(source.function, source.bindings))
+    writer.open.append(source)
     body = writer.function(source, entry=decorator)
     origin = f"{source.function.__module__}.{source.function.__qualname__}"
     header = HEADER.format(origin=origin, precision=precision, lanes=lanes.LANES, functions=", ".join(LANE_FUNCTIONS))
