@@ -27,7 +27,8 @@ class Evolved3(DynamicsModel):
     numbers in one vector, evolved for ``generations`` of a 50+50 strategy with Gaussian mutation of
     deviation 0.1 on the error ``horizon`` steps after ``windows`` random starts. Not stated in the
     paper, and so by default: five hidden units, inputs divided by their standard deviations,
-    outputs in units of each state's RMS change in one step, first weights of deviation 0.5.
+    outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
+    (none in the paper) are further inputs of every network.
     """
 
     knowledge = "dark grey"
@@ -41,6 +42,8 @@ class Evolved3(DynamicsModel):
         windows: int = 100,
         horizon: int = 10,
         spread: float = 0.5,
+        state_lags: int = 0,
+        control_lags: int = 0,
         rest_hold: bool = False,
     ) -> None:
         self.hidden = hidden
@@ -48,13 +51,15 @@ class Evolved3(DynamicsModel):
         self.windows = windows
         self.horizon = horizon
         self.spread = spread
+        self.state_lags = state_lags
+        self.control_lags = control_lags
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         if self.hidden < 1:
             raise InvalidArgument(f"evolved3: expected at least one hidden unit, got {self.hidden}")
         standard = Standard.of(dataset)
-        self.centre_, self.scale_ = standard.of_inputs((0, 0))
+        self.centre_, self.scale_ = standard.of_inputs(self.lags)
         self.output_scale_ = standard.change / dataset.system.dt
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
         search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
@@ -66,10 +71,12 @@ class Evolved3(DynamicsModel):
             rng=rng,
             progress=progress,
             kernel=self._kernels,
+            start=self.lagged,
+            history=self.n_lags,
         )
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
 
     def kernel(self) -> DynamicsKernel:
@@ -90,18 +97,21 @@ class Evolved3(DynamicsModel):
                 (weights, first_bias - self.centre_ @ weights),
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
-            predictor = network_predictor([layers], nx, self.system.nu)
-            kernels.append(stepping_kernel(predictor, self.system, output="acceleration", rest_band=self.rest_band))
+            predictor = network_predictor([layers], self.n_carry, self.system.nu)
+            kernels.append(
+                stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+            )
         return kernels[0], np.stack([kernel.parameters for kernel in kernels])
 
-    def _advance(self, parameters: Array, state: Array, control: Array) -> Array:
-        """Step parameter vectors (P, n) from states (P, B, nx) under controls (B, nu)."""
+    def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
+        """Step parameter vectors (P, n) from carries (P, B, n_carry) under controls (B, nu)."""
         p, nx, n = len(parameters), self.system.nx, len(self.centre_)
         cut = np.cumsum([nx * self.hidden * n, nx * self.hidden, nx * self.hidden])
         first, first_bias, last, last_bias = np.split(parameters, cut, axis=1)
         held = np.broadcast_to(control, (p, *control.shape))
-        inputs = (np.concatenate([state, held], axis=2) - self.centre_) / self.scale_
+        inputs = (np.concatenate([carry, held], axis=2) - self.centre_) / self.scale_
         hidden = np.tanh(inputs @ first.reshape(p, n, nx * self.hidden) + first_bias[:, None])
         by_state = hidden.reshape(p, len(control), nx, self.hidden)
         change = np.einsum("pbsh,psh->pbs", by_state, last.reshape(p, nx, self.hidden)) + last_bias[:, None]
-        return self.system.integrate(state, change * self.output_scale_)
+        after = self.system.integrate(carry[..., :nx], change * self.output_scale_)
+        return self.remember(carry, held, self.held(carry, held, after))

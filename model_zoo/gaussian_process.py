@@ -96,10 +96,10 @@ class GaussianProcess(DynamicsModel):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         state = carry[:, : self.system.nx]
         mean, variance = self.predicted(carry, control, with_variance=noise is not None)
-        after = self.held(carry, control, self.system.integrate(state, mean))
+        after = self.system.integrate(state, mean)
         if noise is not None:
             after = after + self.noise_scale_ * np.sqrt(variance) * self.system.dt * noise
-        return self.remember(carry, control, after)
+        return self.remember(carry, control, self.held(carry, control, after))
 
     def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import gaussian_predictor, stepping_kernel

@@ -28,12 +28,19 @@ class Linear(DynamicsModel):
     knowledge = "black"
 
     def __init__(
-        self, *, ridge: float = 0.0, intercept: bool = True, state_lags: int = 0, control_lags: int = 0
+        self,
+        *,
+        ridge: float = 0.0,
+        intercept: bool = True,
+        state_lags: int = 0,
+        control_lags: int = 0,
+        rest_hold: bool = False,
     ) -> None:
         self.ridge = ridge
         self.intercept = intercept
         self.state_lags = state_lags
         self.control_lags = control_lags
+        self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         state_lags, control_lags = self.lags

@@ -151,11 +151,11 @@ class MlpEnsemble(DynamicsModel):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         state, members = carry[:, : self.system.nx], self.network(np.concatenate([carry, control], axis=1))
-        after = self.held(carry, control, self.system.integrate(state, members.mean(axis=0)))
+        after = self.system.integrate(state, members.mean(axis=0))
         if noise is not None:
             deviation = np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
             after = after + self.noise_scale_ * deviation * noise
-        return self.remember(carry, control, after)
+        return self.remember(carry, control, self.held(carry, control, after))
 
     def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import network_predictor, stepping_kernel

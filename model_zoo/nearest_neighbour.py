@@ -26,25 +26,30 @@ class NearestNeighbour(DynamicsModel):
 
     Distance is Euclidean in the states' own units (paper). A continuous control falls into the
     nearest of ``levels`` steps of its range and joins the state as a further input; a command that
-    was never recorded uses the table of the nearest one that was.
+    was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
+    state in the distance.
     """
 
     knowledge = "dark grey"
 
-    def __init__(self, *, levels: int = 3) -> None:
+    def __init__(self, *, levels: int = 3, state_lags: int = 0, control_lags: int = 0, rest_hold: bool = False) -> None:
         self.levels = levels
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
-        data = dataset.transitions()
+        state_lags, control_lags = self.lags
+        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
         cell = cells.index(data.control)
         order = np.argsort(cell, kind="stable")
         self.cell_ = cell[order]
         self.points_ = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)[order]
-        self.accelerations_ = dataset.system.acceleration(data.carry, data.after)[order]
+        self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
         self.__dict__.pop("_tables", None)
         return self
 
@@ -70,9 +75,9 @@ class NearestNeighbour(DynamicsModel):
             np.array([place[int(number)] for number in serving]),
             cells.midpoints,
             cells.exact,
-            self.system.nx,
+            self.n_carry,
         )
-        return stepping_kernel(predictor, self.system, output="acceleration", rest_band=self.rest_band)
+        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

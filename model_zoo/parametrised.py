@@ -49,7 +49,8 @@ class Parametrised(DynamicsModel):
     units of the data's own scale and evolved with ``generations`` of a 50+50 strategy on the error
     after ``horizon`` steps from ``windows`` random starts.
 
-    ``drive`` and ``steer`` name the controls with these roles.
+    ``drive`` and ``steer`` name the controls with these roles. With ``control_lags`` the equation is
+    driven by the command of that many samples ago, a dead time (none in the paper).
     """
 
     knowledge = "grey"
@@ -63,12 +64,16 @@ class Parametrised(DynamicsModel):
         horizon: int = 10,
         drive: str = "drive",
         steer: str = "steer",
+        control_lags: int = 0,
+        rest_hold: bool = False,
     ) -> None:
         self.generations = generations
         self.windows = windows
         self.horizon = horizon
         self.drive = drive
         self.steer = steer
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
 
     def check_system(self, system: System) -> None:
         require_planar(self, system)
@@ -83,18 +88,20 @@ class Parametrised(DynamicsModel):
         scale = parameter_scale(dataset, self.roles)
         search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
         best = search.run(
-            lambda population, state, control: self._advance(np.abs(population) * scale, state, control),
+            lambda population, carry, control: self._advance(np.abs(population) * scale, carry, control),
             dataset,
             initial=INITIAL,
             spread=0.2,
             rng=rng,
             progress=progress,
             kernel=lambda population: self._kernels(np.abs(population) * scale),
+            start=self.lagged,
+            history=self.n_lags,
         )
         self.parameters_ = np.abs(best) * scale
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
 
     def kernel(self) -> DynamicsKernel:
@@ -106,12 +113,17 @@ class Parametrised(DynamicsModel):
         from sysid_evo.engine.kernels import Predictor, stepping_kernel
 
         roles = [-1 if role is None else role for role in self.roles]
-        flat = np.concatenate([np.tile([*roles, self.system.dt], (len(parameters), 1)), parameters], axis=1)
+        head = [*roles, self.system.dt, self._oldest_command]
+        flat = np.concatenate([np.tile(head, (len(parameters), 1)), parameters], axis=1)
         kernel = stepping_kernel(
-            Predictor(equation_one, flat[0], 0), self.system, output="next_state", rest_band=self.rest_band
+            Predictor(equation_one, flat[0], 0),
+            self.system,
+            output="next_state",
+            lags=self.lags,
+            rest_band=self.rest_band,
         )
-        head = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
-        return kernel, np.concatenate([np.tile(head, (len(flat), 1)), flat], axis=1)
+        shell = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
+        return kernel, np.concatenate([np.tile(shell, (len(flat), 1)), flat], axis=1)
 
     @property
     def roles(self) -> tuple[int, int | None, int, int, int]:
@@ -121,8 +133,22 @@ class Parametrised(DynamicsModel):
         names = system.control_names
         return (*system.motion.indices(system.state_names), names.index(self.drive), names.index(self.steer))
 
-    def _advance(self, parameters: Array, state: Array, control: Array) -> Array:
-        """Step parameter vectors (P, 12) from states (P, B, nx) under controls (B, nu)."""
+    @property
+    def _oldest_command(self) -> int:
+        """Where in the carry the command stands that drives the equation; 0 for the present one."""
+        lag = self.lags[1]
+        return self.system.nx + self.system.nu * (lag - 1) if lag else 0
+
+    def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
+        """Step parameter vectors (P, 12) from carries (P, B, n_carry) under controls (B, nu)."""
+        nx, past = self.system.nx, self._oldest_command
+        state, present = carry[..., :nx], np.broadcast_to(control, (*carry.shape[:-1], control.shape[-1]))
+        driven = carry[..., past : past + self.system.nu] if past else control
+        after = self.held(carry, present, self._equation_one(parameters, state, driven))
+        return self.remember(carry, present, after)
+
+    def _equation_one(self, parameters: Array, state: Array, control: Array) -> Array:
+        """Return the next states (P, B, nx) of parameter vectors (P, 12) under controls (..., B, nu)."""
         forward, _, yaw_rate, drive, steer = self.roles
         dt = self.system.dt
         (u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv, u_min, r_min, u_max, r_max) = parameters.T[:, :, None]

@@ -152,14 +152,17 @@ class DynamicsModel(Dynamics, BaseEstimator):
         return self.remember(carry, control, after)
 
     def remember(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return the lagged carry whose newest state is ``after``: states and controls move one place back."""
+        """Return the lagged carry whose newest state is ``after``: states and controls move one place back.
+
+        Like `held` for (B, n) arrays, or any number of axes before the last.
+        """
         state_lags, control_lags = self.lags
         if not state_lags and not control_lags:
             return after
         nx, nu = self.system.nx, self.system.nu
-        states = carry[:, : nx * state_lags]
-        controls = np.concatenate([control, carry[:, nx * (1 + state_lags) :]], axis=1)
-        return np.concatenate([after, states, controls[:, : nu * control_lags]], axis=1)
+        states = carry[..., : nx * state_lags]
+        controls = np.concatenate([control, carry[..., nx * (1 + state_lags) :]], axis=-1)
+        return np.concatenate([after, states, controls[..., : nu * control_lags]], axis=-1)
 
     @property
     def rest_band(self) -> Array | None:
@@ -174,9 +177,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
         if band is None:
             return after
         neutral = self.system.neutral_state
-        still = (np.abs(carry[:, : self.system.nx] - neutral) <= band).all(axis=1)
-        idle = (control == self.system.neutral_control).all(axis=1)
-        return np.where((still & idle)[:, None], neutral, after)
+        still = (np.abs(carry[..., : self.system.nx] - neutral) <= band).all(axis=-1)
+        idle = (control == self.system.neutral_control).all(axis=-1)
+        return np.where((still & idle)[..., None], neutral, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

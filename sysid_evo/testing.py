@@ -15,9 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from sklearn.base import clone
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.dynamics import DynamicsModel, clip_state
 from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_model, models
@@ -25,6 +25,10 @@ from sysid_evo.store import load_model, save_model
 from sysid_evo.system import Channel, System
 
 Check: TypeAlias = Callable[[DynamicsModel, Dataset], None]
+
+CHAINED_STEPS = 10
+COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
+"""Of a number and of the largest in its column."""
 
 
 @dataclass(frozen=True)
@@ -193,12 +197,57 @@ def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) 
         raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
 
 
+def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset) -> None:
+    """The compiled form steps as step does"""
+    kernel = model.kernel()
+    if kernel is None:
+        return
+    from sysid_evo.engine.compiled.single_step import kernel_step
+
+    carry, control, noise = _some_inputs(model, dataset)
+    resting = _at_rest(model, 1)
+    carry, control = np.concatenate([carry, resting]), np.concatenate([control, dataset.system.neutral_control[None]])
+    noise = None if noise is None else np.concatenate([noise, noise[:1]])
+    stepped = model.step(carry, control, noise)
+    compiled = kernel_step(kernel, carry, control, noise, precision="float64")
+    off = _rows_off(compiled, stepped, COMPILED_TOLERANCE["float64"])
+    if off.any():
+        raise ContractViolation(f"{off.sum()} of {len(off)} rows differ after one step in float64")
+    compiled = stepped = carry
+    for _ in range(CHAINED_STEPS):
+        compiled = kernel_step(kernel, compiled, control, noise, precision=kernel.precision)
+        compiled, _ = clip_state(compiled, model.envelope)
+        stepped, _ = clip_state(model.step(stepped, control, noise), model.envelope)
+    off = _rows_off(compiled, stepped, COMPILED_TOLERANCE[kernel.precision])
+    if off.mean() > 0.1:  # a few may: two neighbours as near as each other
+        raise ContractViolation(
+            f"{off.sum()} of {len(off)} rows differ after {CHAINED_STEPS} steps in {kernel.precision}"
+        )
+
+
+def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> None:
+    """A model at rest with neutral control stays at rest, where rest_hold is on"""
+    band = model.rest_band
+    if band is None:
+        return
+    system = dataset.system
+    carry = _at_rest(model, 2)
+    carry[1, : system.nx] += 0.9 * band
+    idle = np.tile(system.neutral_control, (2, 1))
+    for _ in range(CHAINED_STEPS):
+        carry = model.step(carry, idle, _normal(model.n_noise, 2))
+        if not np.array_equal(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))):
+            raise ContractViolation("it moves off by itself")
+
+
 CHECKS: tuple[Check, ...] = (
     a_step_has_the_right_shape_and_type,
     the_carry_begins_with_the_state,
     rows_are_independent,
     a_step_is_pure,
     free_run_equals_chained_steps,
+    the_compiled_form_steps_as_step_does,
+    a_model_at_rest_stays_at_rest,
     the_same_seed_fits_the_same_model,
     parameters_survive_clone,
     saving_and_loading_keeps_every_step,
@@ -209,6 +258,22 @@ def _some_inputs(model: DynamicsModel, dataset: Dataset) -> tuple[Array, Array, 
     windows = dataset.windows(1, stride=7, history=model.n_lags)
     carry = model.start(windows.past_states, windows.past_controls, _normal(model.n_draws, len(windows)))
     return carry, windows.controls[:, 0], _normal(model.n_noise, len(windows))
+
+
+def _at_rest(model: DynamicsModel, rows: int) -> Array:
+    """Return the carry (rows, n_carry) of a body that has always rested."""
+    system, lags = model.system, model.n_lags
+    states, controls = (
+        np.tile(system.neutral_state, (rows, lags + 1, 1)),
+        np.tile(system.neutral_control, (rows, lags, 1)),
+    )
+    return model.start(states, controls, _normal(model.n_draws, rows))
+
+
+def _rows_off(found: Array, expected: Array, tolerance: float) -> BoolArray:
+    """Return which rows of (B, n) differ by more than ``tolerance`` times the number plus its column's largest."""
+    size = np.abs(expected)
+    return (np.abs(found - expected) > tolerance * (size + size.max(axis=0))).any(axis=1)
 
 
 def _normal(count: int, rows: int, rng: np.random.Generator | None = None) -> Array | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sysid_evo.engine.compiled.lanes import LANES, view
 
-FORWARD, LATERAL, YAW_RATE, DRIVE, STEER, DT, PARAMETERS = range(7)
+FORWARD, LATERAL, YAW_RATE, DRIVE, STEER, DT, OLDEST_COMMAND, PARAMETERS = range(8)
 
 
 def equation_one(x, u, p, y, scratch):
@@ -14,8 +14,12 @@ def equation_one(x, u, p, y, scratch):
         sideways = view(y, int(p[LATERAL]) * LANES)
         for lane in range(LANES):
             sideways[lane] = 0.0
+    drive, steer = view(u, int(p[DRIVE]) * LANES), view(u, int(p[STEER]) * LANES)
+    if p[OLDEST_COMMAND] > 0.0:
+        command = view(x, int(p[OLDEST_COMMAND]) * LANES)
+        drive, steer = view(command, int(p[DRIVE]) * LANES), view(command, int(p[STEER]) * LANES)
     advance(
-        view(x, forward), view(x, yaw_rate), view(u, int(p[DRIVE]) * LANES), view(u, int(p[STEER]) * LANES),
+        view(x, forward), view(x, yaw_rate), drive, steer,
         view(p, PARAMETERS), p[DT], view(y, forward), view(y, yaw_rate),
     )  # fmt: skip
 

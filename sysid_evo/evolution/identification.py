@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
-"""(P, n) parameters, (P, W, nx) states, (W, nu) controls -> (P, W, nx) next states."""
+"""(P, n) parameters, (P, W, n_carry) carries, (W, nu) controls -> (P, W, n_carry) next carries."""
+
+Start: TypeAlias = Callable[[Array, Array], Array]
+"""(W, L + 1, nx) measured states, (W, L, nu) controls before the last -> (W, n_carry) carries, see `Dynamics.start`."""
 
 PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array]"]
 """(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate."""
@@ -54,14 +57,20 @@ class ModelEvolution:
         rng: np.random.Generator,
         progress: Progress | None = None,
         kernel: PopulationKernel | None = None,
+        start: Start | None = None,
+        history: int = 0,
     ) -> Array:
         """Return the best parameters found, (n,), starting around ``initial`` (n,).
 
-        With ``kernel``, the compiled form of ``step``, generations run compiled.
+        With ``kernel``, the compiled form of ``step``, generations run compiled. A simulation starts
+        from what ``start`` makes of ``history`` earlier samples, by default from the measured state.
         """
-        every = dataset.windows(self.horizon)
+        every = dataset.windows(self.horizon, history=history)
         if not len(every):
-            raise InvalidData(f"data set: no episode is longer than {self.horizon} steps, the horizon of the fit")
+            raise InvalidData(
+                f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
+                + (f" and {history} of history" if history else "")
+            )
         seed = int(rng.integers(2**32))
         strategy = MuPlusLambda(
             n_parameters=len(initial),
@@ -76,28 +85,34 @@ class ModelEvolution:
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
             chosen = every[draw.integers(len(every), size=self.windows)]
-            return -(
-                final_error(step, population, chosen) if kernel is None else kernel_error(kernel, population, chosen)
-            )
+            if kernel is None:
+                return -final_error(step, population, chosen, start)
+            return -kernel_error(kernel, population, chosen, start)
 
         for generation in evolve(strategy, objective, self.generations):
             if progress is not None:
                 progress(generation.index + 1, self.generations)
         evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
-        return strategy.elite[int(np.argmin(final_error(step, strategy.elite, every[evenly])))]
+        return strategy.elite[int(np.argmin(final_error(step, strategy.elite, every[evenly], start)))]
 
 
-def final_error(step: PopulationStep, population: Array, windows: Windows) -> Array:
+def starting_carries(windows: Windows, start: Start | None) -> Array:
+    """Return the carries (W, n_carry) from which ``windows`` are simulated."""
+    return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
+
+
+def final_error(step: PopulationStep, population: Array, windows: Windows, start: Start | None = None) -> Array:
     """Return the mean square difference (P,) of the last state of ``windows``; the largest number where it diverges."""
-    state = np.repeat(windows.start_states[None], len(population), axis=0)
+    nx = windows.states.shape[2]
+    carry = np.repeat(starting_carries(windows, start)[None], len(population), axis=0)
     with np.errstate(all="ignore"):
         for k in range(windows.controls.shape[1]):
-            state = step(population, state, windows.controls[:, k])
-        error = np.mean((state - windows.states[:, -1]) ** 2, axis=(1, 2))
+            carry = step(population, carry, windows.controls[:, k])
+        error = np.mean((carry[..., :nx] - windows.states[:, -1]) ** 2, axis=(1, 2))
     return np.where(np.isfinite(error), error, np.finfo(float).max)
 
 
-def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows) -> Array:
+def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows, start: Start | None = None) -> Array:
     """Return what `final_error` does, compiled, on all processors."""
     from sysid_evo.engine import available_processors
     from sysid_evo.engine.compiled.open_loop import final_errors
@@ -107,7 +122,7 @@ def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows) 
         compiled.source,
         compiled.n_scratch,
         parameters,
-        windows.start_states,
+        starting_carries(windows, start),
         windows.controls,
         windows.states[:, -1],
         threads=available_processors(),

@@ -2,10 +2,13 @@
 
     python -m tests.benchmarks.prediction [FAMILY ...] [--preset standard] [--seeds 3] [--logs slippery_20hz free_20hz]
 
-N is the mean over channels of RMSE / standard deviation, after 1, 10, 20 and 60 steps and over the
-whole file, under `evaluation.prediction.PredictionProtocol`. The peer is trained here. Differences
-come from a paired block bootstrap of the errors pooled over the seeds: an interval without zero is
-marked. Coverage is that of 90 % intervals after one second.
+``--logs emulated_car`` records six minutes of the emulated car's excitation instead and holds back the
+last quarter of every episode. N is the mean over channels of RMSE / standard deviation, after 1, 10,
+20 and 60 steps and over the whole file, under `evaluation.prediction.PredictionProtocol`;
+persistence is the first row, and a family that it beats after one second is marked. The peer is
+trained here. Differences come from a paired block bootstrap of the errors pooled over the seeds: an
+interval without zero is marked. Coverage is that of 90 % intervals after one second, over all
+channels and of each.
 """
 
 from __future__ import annotations
@@ -22,12 +25,15 @@ from evaluation.prediction import (
     Interval,
     MeasuredCases,
     ModelPrediction,
+    Persistence,
     PredictionProtocol,
     assess_model,
     measured_cases,
 )
 from evaluation.prediction.bootstrap import interval
+from hardware.recorder import record_dataset
 from model_zoo.spread import coverage
+from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.motion import PlanarBody
@@ -36,7 +42,8 @@ from sysid_evo.system import Channel, System
 from tests.benchmarks.peers import LaggedOneStepEnsemble
 
 TEST_EPISODE = {"slippery_20hz": "2025-04-16-17-36-01", "free_20hz": "car_1_Datarecording_09_16_2024_10_12_05"}
-PEER = "peer: 4 one-step networks"
+EMULATED, RECORDED_TIME, HELD_BACK = "emulated_car", 360.0, 0.25
+PEER, PERSISTENCE = "peer: 4 one-step networks", "persistence"
 SECOND = 20
 CAR = System(
     states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
@@ -48,7 +55,9 @@ CAR = System(
 
 
 def recording(log: str) -> tuple[Dataset, Dataset]:
-    """Return training and test set of one of the two cars."""
+    """Return training and test set of one of the cars."""
+    if log == EMULATED:
+        return record_dataset(EMULATED, seed=0, duration=RECORDED_TIME)[1].split(HELD_BACK)
     root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
     states, controls, names = [], [], []
     for path in sorted((root / "dart" / log).glob("*.csv")):
@@ -61,13 +70,25 @@ def recording(log: str) -> tuple[Dataset, Dataset]:
     return Dataset.from_arrays(CAR, states, controls, names=names).split([TEST_EPISODE[log]])
 
 
-def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> float | None:
-    """Return the share of true states inside 90 % intervals after one second, None without a spread."""
+def new_model(name: str, preset: str) -> DynamicsModel:
+    """Return a family with its preset, the peer, or persistence."""
+    if name == PEER:
+        return LaggedOneStepEnsemble()
+    if name == PERSISTENCE:
+        return Persistence()
+    options = dict(models.get(name).presets.get(preset, {}))  # type: ignore[attr-defined]  # a class
+    if "stochastic" in models.get(name)().get_params():  # type: ignore[attr-defined]  # a class
+        options["stochastic"] = True  # so that its intervals are calibrated; errors are those without noise
+    return make_model(name, **options)
+
+
+def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> Array | None:
+    """Return the share (nx,) of true states inside 90 % intervals after one second, None without a spread."""
     if "stochastic" not in model.get_params():
         return None
     windows = cases.windows
-    noisy = model.set_params(stochastic=True)
-    drawn = noisy.simulate(
+    model.set_params(stochastic=True)
+    drawn = model.simulate(
         windows.past_states,
         windows.past_controls,
         windows.controls[:, :SECOND],
@@ -76,7 +97,7 @@ def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> float | Non
     )
     model.set_params(stochastic=False)
     rows = cases.moving[:, SECOND - 1]
-    return float(coverage(drawn[:, rows, -1], windows.states[rows, SECOND - 1]).mean())
+    return coverage(drawn[:, rows, -1], windows.states[rows, SECOND - 1])
 
 
 def pooled(rows: list[ModelPrediction], horizon: int | None) -> tuple[float, np.ndarray]:
@@ -91,7 +112,7 @@ def main() -> None:
     parser.add_argument("families", nargs="*", help="default: every registered family")
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--logs", nargs="+", default=list(TEST_EPISODE), choices=list(TEST_EPISODE))
+    parser.add_argument("--logs", nargs="+", default=list(TEST_EPISODE), choices=[*TEST_EPISODE, EMULATED])
     arguments = parser.parse_args()
     write = sys.stdout.write
     for log in arguments.logs:
@@ -101,27 +122,31 @@ def main() -> None:
         write(f"\n{log}: N after {', '.join(map(str, cases.horizons))} steps and over the whole file, ")
         write(f"mean of {arguments.seeds} seeds, preset {arguments.preset}\n")
         table: dict[str, list[ModelPrediction]] = {}
-        for name in [PEER, *(arguments.families or models.names())]:
+        for name in [PERSISTENCE, PEER, *(arguments.families or models.names())]:
             rows, seconds, covered = [], [], []
-            for seed in range(arguments.seeds):
-                if name == PEER:
-                    model: DynamicsModel = LaggedOneStepEnsemble()
-                else:
-                    options = dict(models.get(name).presets.get(arguments.preset, {}))  # type: ignore[attr-defined]
-                    model = make_model(name, **options)
+            for seed in range(1 if name == PERSISTENCE else arguments.seeds):
+                model = new_model(name, arguments.preset)
                 began = time.perf_counter()
                 model.fit(training, rng=np.random.default_rng(seed))
                 seconds.append(time.perf_counter() - began)
+                if "stochastic" in model.get_params():
+                    model.set_params(stochastic=False)
                 rows.append(assess_model(f"{name}-{seed}", model, cases, family=name))
                 covered.append(interval_coverage(model, cases))
             table[name] = rows
             figures = "  ".join(f"{pooled(rows, horizon)[0]:.3f}" for horizon in horizons)
             touched = max(row.divergence.share for row in rows if row.divergence is not None)
             known = [value for value in covered if value is not None]
-            extra = f"  90 % intervals hold {100 * float(np.mean(known)):.0f} %" if known else ""
+            extra = ""
+            if known:
+                by_channel = ", ".join(f"{100 * share:.0f}" for share in np.mean(known, axis=0))
+                extra = f"  90 % intervals hold {100 * float(np.mean(known)):.0f} % ({by_channel})"
+            if pooled(rows, SECOND)[0] > pooled(table[PERSISTENCE], SECOND)[0]:
+                extra += "  worse than persistence"
             write(f"  {name:26s} {figures}  fit {np.mean(seconds):6.1f} s  diverged {100 * touched:.1f} %{extra}\n")
             sys.stdout.flush()
-        best = min((name for name in table if name != PEER), key=lambda name: pooled(table[name], SECOND)[0])
+        own_families = [name for name in table if name not in (PEER, PERSISTENCE)]
+        best = min(own_families, key=lambda name: pooled(table[name], SECOND)[0])
         write(f"  {best} against the {PEER}:\n")
         for horizon in horizons:
             own, own_draws = pooled(table[best], horizon)

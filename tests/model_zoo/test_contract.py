@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.registry import make_model, models
-from sysid_evo.testing import run_checks
+from sysid_evo.testing import CHECKS, run_checks
 
 
 @pytest.mark.parametrize("recording", ["switched", "proportional"])
@@ -16,9 +16,34 @@ from sysid_evo.testing import run_checks
 def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
     family: str, recording: str, request: pytest.FixtureRequest
 ) -> None:
+    """Where a family can hold a body at rest, it does so on the car with switches."""
     dataset = request.getfixturevalue(recording)
-    broken = [f"{check.sentence}: {check.failure}" for check in run_checks(family, dataset) if check.failure]
+    can_hold = recording == "switched" and "rest_hold" in make_model(family).get_params()
+    results = list(run_checks(family, dataset, **({"rest_hold": True} if can_hold else {})))
+    assert not [f"{check.sentence}: {check.failure}" for check in results if check.failure]
+    assert len(results) == 2 + len(CHECKS)
+
+
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_can_hold_a_body_at_rest(family: str) -> None:
+    assert "rest_hold" in make_model(family).get_params()
+
+
+@pytest.mark.parametrize(
+    ("family", "options"),
+    [
+        ("backprop27", {"state_lags": 1, "control_lags": 2, "epochs": 5}),
+        ("evolved3", {"state_lags": 1, "control_lags": 2, "generations": 3}),
+        ("linear", {"state_lags": 2, "control_lags": 1}),
+        ("nearest_neighbour", {"state_lags": 1, "control_lags": 2}),
+        ("parametrised", {"control_lags": 2, "generations": 3}),
+    ],
+)
+def test_lags_asked_for_keep_the_contract(family: str, options: dict[str, int], proportional: Dataset) -> None:
+    broken = [check for check in run_checks(family, proportional, rest_hold=True, **options) if check.failure]
     assert not broken
+    lags = make_model(family, **options).lags
+    assert lags == (options.get("state_lags", 0), options["control_lags"])
 
 
 @pytest.mark.parametrize("family", models.names())

@@ -178,3 +178,13 @@ def test_a_system_without_the_roles_is_refused(car: System) -> None:
     still = dataclasses.replace(car, motion=None)
     with pytest.raises(IncompatibleSystem, match="describes a planar body, but the system has no motion"):
         make_model("parametrised").check_system(still)
+
+
+def test_with_control_lags_the_command_of_that_many_samples_ago_drives(known_car: DynamicsModel, car: System) -> None:
+    late = another_car(known_car).set_params(control_lags=2)
+    controls = np.random.default_rng(5).choice([-1.0, 0.0, 1.0], (1, 30, 2))
+    start, none = np.array([[[0.5, 0.0, 0.3]]]), np.zeros((1, 0, 2))
+    past = np.concatenate([start, start, start], axis=1)
+    prompt = known_car.simulate(start, none, controls[:, :28])
+    delayed = late.simulate(past, controls[:, :2], controls[:, 2:])
+    np.testing.assert_array_equal(delayed, prompt)

@@ -12,6 +12,8 @@ import pytest
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel, require_planar
+from sysid_evo.engine.compiled.dialect import Lifted as LiftedStep
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.errors import ContractViolation, IncompatibleSystem
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
@@ -152,6 +154,33 @@ class BlindToFitting(Fading):
         return np.zeros((1, 1, 3)) if not hasattr(self, "system_") else super().simulate(*arguments, **keywords)
 
 
+class Lifted(Fading):
+    """Brings a compiled form of its step; ``faster`` is a factor that step has not."""
+
+    faster: ClassVar[float] = 1.0
+
+    def kernel(self) -> DynamicsKernel:
+        return DynamicsKernel(LiftedStep(fade, n_carry=3, nu=2), self.factor_ * self.faster)
+
+
+class OtherKernel(Lifted):
+    faster: ClassVar[float] = 1.00001
+
+
+class Drifting(Fading):
+    """Says that it holds a body at rest, and has a step of its own that does not."""
+
+    rest_hold = True
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return self.next_state(carry, control) + 0.001
+
+
+def fade(x, u, p):  # type: ignore[no-untyped-def]  # read by Numba
+    push = 0.01 * (u[0] + u[1])
+    return x[0] * p[0] + push, x[1] * p[0] + push, x[2] * p[0] + push
+
+
 GLOBAL = np.random.default_rng(0)
 
 RIGHT_SHAPE = "A step turns a carry (B, n_carry) into a carry of the same shape, in float64"
@@ -165,7 +194,7 @@ def broken(results: Any) -> dict[str, str]:
     return {result.sentence: result.failure for result in results if result.failure is not None}
 
 
-@pytest.mark.parametrize("family", [Fading, Stochastic])
+@pytest.mark.parametrize("family", [Fading, Stochastic, Lifted])
 def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Callable[..., Any]) -> None:
     register(models, "fading", family)
     results = list(run_checks("fading"))
@@ -185,6 +214,8 @@ def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Call
         (NotFinite, RIGHT_SHAPE, "a step from a training state is not finite"),
         (OtherStart, "The carry begins with the state", "is not the last measured state"),
         (OtherSimulation, "A free run equals its steps one after the other", "they differ at step 1"),
+        (OtherKernel, "The compiled form steps as step does", r"\d+ of \d+ rows differ after one step in float64"),
+        (Drifting, "A model at rest with neutral control stays at rest", "it moves off by itself"),
         (ReturningNothing, FIT, "ReturningNothing.fit must return self, got NoneType"),
         (Failing, FIT, "ZeroDivisionError: nothing to learn from"),
         (GloballyRandom, "The same data and seed give the same model", "two fits with the same seed step differently"),

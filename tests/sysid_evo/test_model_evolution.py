@@ -100,3 +100,27 @@ def test_a_candidate_that_diverges_has_the_largest_error_and_no_nan(recorded: Da
 def test_episodes_shorter_than_the_horizon_are_refused(recorded: Dataset) -> None:
     with pytest.raises(InvalidData, match="no episode is longer than 200 steps, the horizon of the fit"):
         ModelEvolution(horizon=200).run(linear, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(1))
+
+
+def delayed(parameters: Array, carry: Array, control: Array) -> Array:
+    """x' = a x + b u[-1]; the carry is the state and the control before."""
+    state = parameters[:, :1, None] * carry[..., :1] + parameters[:, 1:, None] * carry[..., 1:]
+    return np.concatenate([state, np.broadcast_to(control, state.shape)], axis=2)
+
+
+def test_a_model_with_memory_starts_from_measured_history() -> None:
+    rng = np.random.default_rng(4)
+    u, x = rng.uniform(-1, 1, (150, 1)), [np.zeros(1), np.zeros(1)]
+    for k in range(1, 150):
+        x.append(TRUTH[0] * x[-1] + TRUTH[1] * u[k - 1])
+    late = Dataset.from_arrays(SYSTEM, [np.array(x)], [u])
+
+    def start(states: Array, controls: Array) -> Array:
+        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
+
+    error = final_error(delayed, TRUTH[None], late.windows(5, history=1), start)
+    assert error[0] == pytest.approx(0.0, abs=1e-20)
+    search = ModelEvolution(generations=60, windows=40, horizon=5)
+    options = {"initial": np.array([-0.5, -0.5]), "spread": 0.1, "rng": np.random.default_rng(1)}
+    found = search.run(delayed, late, start=start, history=1, **options)
+    np.testing.assert_allclose(found, TRUTH, atol=0.01)

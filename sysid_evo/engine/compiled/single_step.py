@@ -1,0 +1,42 @@
+"""One step of a dynamics kernel by itself: what the contract compares with `Dynamics.step`."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
+from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.run import aligned, compiled
+
+CALL = "types.void(types.FunctionType(types.void(R, R, R, R, R)), R, R, R, R, R)"
+
+
+def kernel_step(
+    kernel: DynamicsKernel, carry: Array, control: Array, noise: Array | None = None, *, precision: Precision
+) -> Array:
+    """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise), compiled."""
+    function, loop = compiled(kernel.source, DYNAMICS, precision), _loop(precision)
+    noise = np.zeros((len(carry), 1)) if noise is None else noise
+    parameters = aligned(np.asarray(kernel.parameters, dtype=precision))
+    after = np.empty_like(carry)
+    for first in range(0, len(carry), LANES):
+        rows = np.minimum(np.arange(first, first + LANES), len(carry) - 1)
+        blocks = [aligned(array[rows].T.astype(precision).ravel()) for array in (carry, control, noise)]
+        loop(function, *blocks, parameters, aligned(np.zeros(kernel.n_scratch * LANES, precision)))
+        after[rows] = blocks[0].reshape(-1, LANES).T
+    return after
+
+
+def call(dynamics, carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # read by Numba
+    """Step one block."""
+    dynamics(carry, control, noise, parameters, scratch)
+
+
+@cache
+def _loop(precision: Precision) -> Any:
+    return compile_kernel(KernelSource(call), CALL, precision, pointer=False)
