@@ -70,7 +70,7 @@ def test_a_step_is_what_the_contract_of_models_says(
     matrix, offset = rng.normal(size=(n_carry + nu, nx)) / 3.0, rng.normal(size=nx)
     carry, control = 3.0 * rng.normal(size=(LANES, n_carry)), rng.uniform(-1, 1, (LANES, nu))
     predictor = network_predictor([[(matrix, offset)]], n_carry, nu)
-    kernel = stepping_kernel(predictor, system, output=output, state_lags=state_lags, control_lags=control_lags)
+    kernel = stepping_kernel(predictor, system, output=output, lags=(state_lags, control_lags))
     said = np.concatenate([carry, control], axis=1) @ matrix + offset
     after = said if output == "next_state" else system.integrate(carry[:, :nx], said)
     states = np.concatenate([after, carry[:, : nx * (1 + state_lags)]], axis=1)[:, : nx * (1 + state_lags)]
@@ -147,7 +147,7 @@ def test_runge_kutta_equals_plain_numpy_around_any_derivative(
 
 def test_runge_kutta_in_a_step_shifts_the_lags_it_held() -> None:
     system = no_motion(2, 1)
-    kernel = stepping_kernel(oscillator(system, n_carry=5), system, output="next_state", state_lags=1, control_lags=1)
+    kernel = stepping_kernel(oscillator(system, n_carry=5), system, output="next_state", lags=(1, 1))
     carry, u = np.random.default_rng(0).normal(size=(LANES, 5)), np.full((LANES, 1), 0.5)
     after = step(kernel, carry, u, "float64")
     np.testing.assert_allclose(after[:, :2], predictions(oscillator(system), carry[:, :2], u, 2, "float64"), rtol=1e-12)
