@@ -225,9 +225,9 @@ def test_a_form_that_cannot_run_says_what_is_missing(climb: System) -> None:
         rollout(dynamics, controller, np.zeros((1, 1)), task, seeds_from(0), **keywords)
 
     compiled = CompiledClimber(climb), CompiledConstant(), CompiledLadder()
-    with pytest.raises(InvalidArgument, match="no kernel of the dynamics, controller$"):
+    with pytest.raises(InvalidArgument, match=r"no kernel of the dynamics, controller$"):
         attempt(Climber(climb), Constant(), compiled[2], engine="float32")
-    with pytest.raises(InvalidArgument, match="no kernel of the task$"):
+    with pytest.raises(InvalidArgument, match=r"no kernel of the task$"):
         attempt(Climber(climb), compiled[1], Ladder(), engine="mixed")
     with pytest.raises(InvalidArgument, match="'mixed' cannot run this: it does not record"):
         attempt(Climber(climb), *compiled[1:], engine="mixed", record=True)

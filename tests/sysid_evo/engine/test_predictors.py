@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,15 @@ from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.kernels import (
     command_network_predictor,
     neighbour_predictor,
+    neighbours,
     network_predictor,
     polynomial_predictor,
 )
-from sysid_evo.engine.kernels import neighbours
 from sysid_evo.errors import InvalidArgument
 
 from .running import PRECISIONS, RTOL, predictions
 
-few = settings(max_examples=12, deadline=None, derandomize=True)
+few = settings(max_examples=8, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -48,8 +49,7 @@ def test_networks_give_their_mean(
     rng = np.random.default_rng(seed)
     sizes = [n_carry + n_control, *hidden, n_out]
     networks = [
-        [(rng.normal(size=(a, b)) / np.sqrt(a), rng.normal(size=b)) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
-        for _ in range(members)
+        [(rng.normal(size=(a, b)) / np.sqrt(a), rng.normal(size=b)) for a, b in pairwise(sizes)] for _ in range(members)
     ]
     x, u = rng.normal(size=(LANES, n_carry)), rng.normal(size=(LANES, n_control))
     outputs = []
@@ -142,7 +142,7 @@ def test_the_networks_of_the_command_in_force_answer(
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(
     seed=seeds,
     n_states=st.integers(1, 4),
