@@ -24,7 +24,7 @@ from sysid_evo.errors import InvalidArgument
 
 from .running import PRECISIONS, RTOL, predictions
 
-few = settings(max_examples=12, deadline=None, derandomize=True)
+few = settings(max_examples=8, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -142,7 +142,7 @@ def test_the_networks_of_the_command_in_force_answer(
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(
     seed=seeds,
     n_states=st.integers(1, 4),

@@ -29,7 +29,7 @@ from sysid_evo.system import Channel, System
 
 from .running import PRECISIONS, RTOL, predictions
 
-few = settings(max_examples=10, deadline=None, derandomize=True)
+few = settings(max_examples=5, deadline=None, derandomize=True)
 
 
 def step(kernel: DynamicsKernel, carry: Array, control: Array, precision: Precision, noise: Array | None = None) -> Any:
