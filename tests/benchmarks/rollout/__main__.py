@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 report = {"model": case.name, **measure_generation(case, task, population, repeats)}
     console.print(speeds(rows))
     console.print(
-        "goals: mean fitness. Processor time, except two threads (clock); "
+        "goals: mean fitness; thr.: threads. Processor time, but 2 thr. and 2/1 by the clock; "
         f"load average at the start {load:.1f} on {os.cpu_count()} processors."
     )
     if report:

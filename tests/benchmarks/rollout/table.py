@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-COLUMNS = ("model", "goals", "1 thread", "2 threads", "NumPy", "JAX", "/NumPy", "2/1", "/JAX")
+COLUMNS = ("model", "goals", "1 thr.", "2 thr.", "NumPy", "JAX", "1/NumPy", "1/JAX", "2/1")
 
 
 def speeds(rows: list[dict[str, Any]]) -> Table:
-    """Return a table of rows with the keys of `sysid_evo`'s JSON report, see `measure`."""
-    table = Table(title="Million environment steps per second", width=80, padding=(0, 1))
+    """Return the table of ``rows``, which are what `measure` returns."""
+    table = Table(title="Million environment steps per second", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
     for column in COLUMNS:
-        table.add_column(column, justify="left" if column == "model" else "right", overflow="fold")
+        table.add_column(column, justify="left" if column == "model" else "right", no_wrap=True)
     for row in rows:
         speed = row["million_steps_per_second"]
         table.add_row(
@@ -21,8 +22,8 @@ def speeds(rows: list[dict[str, Any]]) -> Table:
             f"{row['mean_fitness']:.1f}",
             *(_number(speed.get(form)) for form in ("one_thread", "two_threads", "numpy", "jax")),
             _number(row["ratio_to_numpy"]),
-            f"{row['ratio_of_two_threads']:.2f}",
             _number(row.get("ratio_to_jax")),
+            f"{row['ratio_of_two_threads']:.2f}",
         )
     return table
 
