@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from sklearn.base import clone
 
-from model_zoo.spread import calibrated_scale
+from model_zoo.spread import calibrated_scale, growth_on_unseen_recordings
 from model_zoo.standardise import Standard, positive
 from model_zoo.stepwise import lagged_steps
 from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
+TRIAL_INDUCING = 120
 
 
 @register_model("gaussian_process")
@@ -38,8 +39,10 @@ class GaussianProcess(DynamicsModel):
     Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance
     k_** - k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Lags left at None are
     chosen by the simulation error over one second on held-out blocks of time. With ``stochastic``
-    every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of the
-    training samples after one second.
+    every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of
+    held-out samples after one second. A fit with ``stochastic`` also holds out whole recordings in
+    turn, and widens the intervals by how much more errors there are than on held-out blocks
+    (`growth_on_unseen_recordings`).
     """
 
     knowledge = "dark grey"
@@ -68,27 +71,22 @@ class GaussianProcess(DynamicsModel):
         if self.inducing < 2:
             raise InvalidArgument(f"gaussian_process: expected at least 2 inducing points, got {self.inducing}")
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
-        lags = options[0]
-        if len(options) > 1:
-            learned, held = time_blocks(dataset)
-            errors = []
-            for number, option in enumerate(options):
-                trial = clone(self).set_params(
-                    state_lags=option[0], control_lags=option[1], inducing=min(120, self.inducing), stochastic=False
-                )
-                trial.system_, trial.envelope_ = self.system_, self.envelope_
-                trial._learn(learned, option, rng)
-                errors.append(simulation_error(trial, validation_windows(held, trial.n_lags)))
-                if progress is not None:
-                    progress(number + 1, len(options) + 1)
-            lags = options[int(np.argmin(errors))]
+        learned, held = time_blocks(dataset)
+        trials, errors = [], []
+        for number, option in enumerate(options):
+            trials.append(self._trial(learned, option, rng))
+            errors.append(simulation_error(trials[-1], validation_windows(held, trials[-1].n_lags)))
+            if progress is not None:
+                progress(number + 1, len(options) + 1)
+        chosen = int(np.argmin(errors))
+        lags = options[chosen]
         if self.state_lags is None:
             self.state_lags_ = lags[0]
         if self.control_lags is None:
             self.control_lags_ = lags[1]
         self._learn(dataset, lags, rng)
         self.noise_scale_ = np.ones(self.system.nx)
-        self.noise_scale_ = calibrated_scale(self, validation_windows(dataset, self.n_lags, stride=10), rng)
+        self._calibrate(dataset, trials[chosen], held, rng)
         if progress is not None:
             progress(len(options) + 1, len(options) + 1)
         return self
@@ -136,6 +134,28 @@ class GaussianProcess(DynamicsModel):
         a, b = left / self.lengths_[channel], right / self.lengths_[channel]
         square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
         return self.amplitude_[channel] ** 2 * np.exp(-0.5 * np.maximum(square, 0.0))
+
+    def _trial(self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator) -> GaussianProcess:
+        """Return a smaller model without noise that learned from ``dataset``, with the envelope of this one."""
+        trial = clone(self).set_params(
+            state_lags=lags[0], control_lags=lags[1], inducing=min(TRIAL_INDUCING, self.inducing), stochastic=False
+        )
+        trial.system_, trial.envelope_ = self.system_, self.envelope_
+        trial._learn(dataset, lags, rng)
+        return trial
+
+    def _calibrate(self, dataset: Dataset, trial: GaussianProcess, held: Dataset, rng: np.random.Generator) -> None:
+        """Set the scale of the noise (nx,) with which intervals hold the errors of ``trial`` on ``held``."""
+        together = clone(self).set_params(stochastic=False)
+        together.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        growth = np.ones(self.system.nx)
+        if self.stochastic:
+            growth = growth_on_unseen_recordings(lambda part: self._trial(part, self.lags, rng), dataset)
+        windows = validation_windows(held, self.n_lags)
+        history = windows.past_states, windows.past_controls, windows.controls
+        error = windows.states - trial.simulate(*history)
+        truth = replace(windows, states=together.simulate(*history) + growth * error)
+        self.noise_scale_ = calibrated_scale(self, truth, rng)
 
     def _learn(self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator) -> None:
         from sklearn.gaussian_process import GaussianProcessRegressor

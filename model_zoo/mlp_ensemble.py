@@ -10,7 +10,7 @@ from sklearn.base import clone
 
 from model_zoo.mirror import Mirror
 from model_zoo.network import Network
-from model_zoo.spread import calibrated_scale, joined
+from model_zoo.spread import calibrated_scale, growth_on_unseen_recordings, joined, rough_fits
 from model_zoo.validation import lag_candidates, time_blocks, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -41,7 +41,9 @@ class MlpEnsemble(DynamicsModel):
     differ. The flag is fixed after the fit.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step
-    residual, scaled so that 90 % intervals hold 90 % of held-out samples after one second.
+    residual, scaled so that 90 % intervals hold 90 % of held-out samples after one second. A fit with
+    ``stochastic`` also holds out whole recordings in turn, and widens the intervals by how much
+    more errors there are than on held-out blocks (`growth_on_unseen_recordings`).
     """
 
     knowledge = "dark grey"
@@ -105,15 +107,16 @@ class MlpEnsemble(DynamicsModel):
         )
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
         searched = len(options) if len(options) > 1 else 0
-        total, done = final.total + searched * search.total, 0
+        rough = rough_fits(dataset) if self.stochastic else 0
+        total, done = final.total + (searched + rough) * search.total, 0
 
         def report(updates: int) -> None:
             if progress is not None:
                 progress(done + updates, total)
 
-        def trained(lags: tuple[int, int], members: int, plan: Plan) -> Trained:
+        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> Trained:
             return train_members(
-                dataset,
+                data,
                 lags,
                 hidden=tuple(self.hidden or (48, 48)),
                 members=members,
@@ -128,16 +131,25 @@ class MlpEnsemble(DynamicsModel):
         if searched:
             errors = []
             for option in options:
-                errors.append(float(np.mean(trained(option, min(3, self.members), search).errors)))
+                errors.append(float(np.mean(trained(dataset, option, min(3, self.members), search).errors)))
                 done += search.total
             lags = options[int(np.argmin(errors))]
         if self.state_lags is None:
             self.state_lags_ = lags[0]
         if self.control_lags is None:
             self.control_lags_ = lags[1]
-        network = trained(lags, self.members, final).network
+        network = trained(dataset, lags, self.members, final).network
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
-        self._calibrate(dataset, rng)
+        done += final.total
+
+        def roughly(part: Dataset) -> DynamicsModel:
+            nonlocal done
+            found = trained(part, lags, min(2, self.members), search).network
+            done += search.total
+            return self._deterministic(found)
+
+        growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
+        self._calibrate(dataset, growth, rng)
         return self
 
     @property
@@ -165,25 +177,28 @@ class MlpEnsemble(DynamicsModel):
         predictor = network_predictor(self.network.members(), self.n_carry, self.system.nu)
         return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
 
-    def _calibrate(self, dataset: Dataset, rng: np.random.Generator) -> None:
+    def _deterministic(self, network: Network) -> MlpEnsemble:
+        """Return this model without noise and with the members of ``network``."""
+        other = clone(self).set_params(stochastic=False)
+        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other.weights_, other.biases_ = list(network.weights), list(network.biases)
+        return other
+
+    def _calibrate(self, dataset: Dataset, growth: Array, rng: np.random.Generator) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
 
-        Each member simulates the blocks that it did not learn from; its error there, added to what
-        the whole ensemble simulates, is the truth that the intervals must hold.
+        Each member simulates the blocks that it did not learn from; its error there times ``growth``
+        (nx,), added to what the whole ensemble simulates, is the truth that the intervals must hold.
         """
         parts, residuals = [], []
-        learned = {key: value for key, value in vars(self).items() if key.endswith("_")}
-        together = clone(self).set_params(stochastic=False)
-        together.__dict__.update(learned)
+        together = self._deterministic(self.network)
         for member in range(self.members):
             windows = validation_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
-            alone = clone(together)
-            alone.__dict__.update(learned)
-            alone.weights_ = [weight[member : member + 1] for weight in self.weights_]
-            alone.biases_ = [bias[member : member + 1] for bias in self.biases_]
+            own = slice(member, member + 1)
+            alone = self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
             history = windows.past_states, windows.past_controls, windows.controls
             error = windows.states - alone.simulate(*history)
             residuals.append(error[:, 0])
-            parts.append(replace(windows, states=together.simulate(*history) + error))
+            parts.append(replace(windows, states=together.simulate(*history) + growth * error))
         self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
         self.noise_scale_ = calibrated_scale(self, joined(parts), rng)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 
 import numpy as np
 from sklearn.base import clone
 
+from model_zoo.validation import time_blocks, validation_windows
 from sysid_evo.arrays import Array
-from sysid_evo.data import Windows
+from sysid_evo.data import Dataset, Windows
 from sysid_evo.dynamics import DynamicsModel
 
 SAMPLES = 40
 SHARE = 0.9
 MOST_WINDOWS = 200
+MOST_GROUPS = 4
+BLOCK_FOLDS = 2
 
 
 def calibrated_scale(
@@ -41,6 +44,49 @@ def calibrated_scale(
         wide = coverage(drawn[:, :, -1], few.states[:, -1], share=share) >= share
         low, high = np.where(wide, low, middle), np.where(wide, middle, high)
     return np.exp(0.5 * (low + high))
+
+
+def unseen_recordings(dataset: Dataset) -> list[list[str]]:
+    """Return up to 4 groups of recordings to hold out in turn, pieces of one together; none if it is alone."""
+    recordings = list(dict.fromkeys(name.split("[")[0] for name in dataset.names))
+    if len(recordings) < 2:
+        return []
+    groups = np.array_split(np.array(recordings, dtype=object), min(MOST_GROUPS, len(recordings)))
+    return [list(group) for group in groups]
+
+
+def rough_fits(dataset: Dataset) -> int:
+    """Number of times that `growth_on_unseen_recordings` fits."""
+    groups = len(unseen_recordings(dataset))
+    return groups + BLOCK_FOLDS if groups else 0
+
+
+def growth_on_unseen_recordings(
+    fit: Callable[[Dataset], DynamicsModel], dataset: Dataset, *, share: float = SHARE
+) -> Array:
+    """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
+
+    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest:
+    a recording differs from others by the battery, the tyres or the floor, which blocks of the same
+    recording share. The factor is the median over the recordings held out in turn, at least 1.
+    """
+    groups = unseen_recordings(dataset)
+    if not groups:
+        return np.ones(dataset.system.nx)
+    blocks = [_last_errors(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
+    within = np.quantile(np.concatenate(blocks), share, axis=0)
+    across = []
+    for group in groups:
+        seen, held = dataset.split(group)
+        across.append(np.quantile(_last_errors(fit(seen), held), share, axis=0))
+    return np.maximum(np.median(across, axis=0) / np.where(within > 0, within, np.inf), 1.0)
+
+
+def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
+    """Return the absolute errors (N, nx) after one second."""
+    windows = validation_windows(held, model.n_lags)
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    return np.abs(simulated[:, -1] - windows.states[:, -1])
 
 
 def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
