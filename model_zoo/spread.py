@@ -68,18 +68,28 @@ def growth_on_unseen_recordings(
 
     Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest:
     a recording differs from others by the battery, the tyres or the floor, which blocks of the same
-    recording share. The factor is the median over the recordings held out in turn, at least 1.
+    recording share. The factor is the median over the recordings held out in turn, each weighing as
+    many samples as it has, at least 1.
     """
     groups = unseen_recordings(dataset)
     if not groups:
         return np.ones(dataset.system.nx)
     blocks = [_last_errors(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
     within = np.quantile(np.concatenate(blocks), share, axis=0)
-    across = []
+    across, weights = [], []
     for group in groups:
         seen, held = dataset.split(group)
         across.append(np.quantile(_last_errors(fit(seen), held), share, axis=0))
-    return np.maximum(np.median(across, axis=0) / np.where(within > 0, within, np.inf), 1.0)
+        weights.append(held.n_steps)
+    middle = weighted_median(np.array(across), np.array(weights, dtype=float))
+    return np.maximum(middle / np.where(within > 0, within, np.inf), 1.0)
+
+
+def weighted_median(values: Array, weights: Array) -> Array:
+    """Return for each column of ``values`` (N, n) the lowest that reaches half of the ``weights`` (N,)."""
+    order = np.argsort(values, axis=0)
+    reached = np.cumsum(weights[order], axis=0) >= 0.5 * weights.sum()
+    return np.take_along_axis(np.take_along_axis(values, order, axis=0), reached.argmax(axis=0)[None], axis=0)[0]
 
 
 def _last_errors(model: DynamicsModel, held: Dataset) -> Array:

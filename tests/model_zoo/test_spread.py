@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from model_zoo.spread import growth_on_unseen_recordings, rough_fits, unseen_recordings
+from model_zoo.spread import growth_on_unseen_recordings, rough_fits, unseen_recordings, weighted_median
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -42,9 +42,17 @@ def roughly(part: Dataset) -> DynamicsModel:
 
 
 def test_the_growth_is_the_median_over_unseen_recordings_and_at_least_one() -> None:
-    dataset = resting(["a[0:240]", "b", "c", "a[240:480]"])
+    dataset = resting(["a[0:240]", "b", "c"])
     np.testing.assert_allclose(growth_on_unseen_recordings(roughly, dataset), [3.0, 1.0])
     assert rough_fits(dataset) == 5
+
+
+def test_a_long_recording_weighs_more_than_a_short_one() -> None:
+    dataset = resting(["a[0:240]", "b", "c", "a[240:480]", "a[480:720]"])
+    np.testing.assert_allclose(growth_on_unseen_recordings(roughly, dataset), [2.0, 1.0])
+    values, weights = np.array([[3.0, 1.0], [1.0, 2.0], [2.0, 3.0]]), np.array([1.0, 1.0, 5.0])
+    np.testing.assert_array_equal(weighted_median(values, weights), [2.0, 3.0])
+    np.testing.assert_array_equal(weighted_median(values, np.ones(3)), [2.0, 2.0])
 
 
 def test_a_recording_alone_cannot_be_held_out() -> None:
