@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -66,13 +67,16 @@ if hasattr(os, "register_at_fork"):
 
 
 def spread(work: Callable[[int, int], None], count: int, threads: int) -> None:
-    """Call ``work(first, last)`` for parts of ``range(count)``, at once on up to ``threads`` threads."""
+    """Call ``work(first, last)`` for parts of ``range(count)``, at once on up to ``threads``, this one among them."""
     parts = max(1, min(threads, count))
     if parts == 1:
         work(0, count)
         return
     edges = np.linspace(0, count, parts + 1).astype(int)
-    list(pool(parts).map(work, edges[:-1], edges[1:]))
+    others = [pool(parts - 1).submit(work, *edge) for edge in pairwise(edges[1:])]
+    work(int(edges[0]), int(edges[1]))
+    for other in others:
+        other.result()
 
 
 def aligned(array: Any) -> Any:
