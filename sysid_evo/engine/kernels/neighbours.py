@@ -50,7 +50,7 @@ def neighbour_predictor(
     most = 0
     for points, values in tables:
         buckets = split(points, np.arange(len(points)))
-        boxes, near, value = _pack(points, values, buckets)
+        boxes, near, value = pack(points, values, buckets)
         flat += [boxes.shape[2] // BUCKET, place, place + boxes.size, place + boxes.size + near.size]
         place += boxes.size + near.size + value.size
         most = max(most, boxes.shape[2])
@@ -76,7 +76,7 @@ def split(points: Array, rows: IntArray) -> list[IntArray]:
     return split(points, order[:half]) + split(points, order[half:])
 
 
-def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
+def pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
     """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
 
     There are as many buckets as fill groups of 16; those without points stand far away.
