@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,6 +19,9 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 NEIGHBOURS = (8, 20)
 RIDGE = 0.03
@@ -120,6 +124,22 @@ class KNeighbours(DynamicsModel):
         state = carry[:, : self.system.nx]
         inside = np.clip(state, self.low_, self.high_)
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
+
+    def kernel(self) -> DynamicsKernel:
+        from model_zoo.kernels.plane_through_neighbours import plane_predictor
+        from sysid_evo.engine.kernels import stepping_kernel
+
+        predictor = plane_predictor(
+            self.points_,
+            self.changes_,
+            self.metric_,
+            np.stack([self.low_, self.high_]),
+            count=min(self.neighbours_, len(self.points_)),
+            ridge=RIDGE,
+            n_carry=self.n_carry,
+        )
+        shell = stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        return replace(shell, precision="float64")  # who the neighbours are hangs on the last digits
 
     @cached_property
     def _tree(self) -> Any:

@@ -1,0 +1,283 @@
+"""A plane through the nearest points over lanes, see `KNeighbours`.
+
+The search goes lane by lane through the buckets of a k-d tree, as in `sysid_evo.engine.kernels.neighbours`;
+weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, lowest, splat_quarter, store, view, where_less
+from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, split
+from sysid_evo.engine.kernels.stepping import Predictor
+
+N_CARRY, N_CONTROL, N_OUT, COUNT, GROUPS, RIDGE, HEADER = range(7)
+UNREACHED = FAR**2
+FIRST = 2
+
+
+def plane_predictor(
+    points: Array, values: Array, metric: Array, limits: Array, *, count: int, ridge: float, n_carry: int
+) -> Predictor:
+    """Return a predictor of the state within ``limits`` plus the value of the plane through ``count`` neighbours.
+
+    ``points`` (N, n) are (carry, control) times ``metric`` (n,), ``values`` (N, n_out) what the state
+    changed by, ``limits`` (2, n_out) the range of the state.
+    """
+    n, n_out = len(metric), values.shape[1]
+    boxes, near, value = pack(points, values, split(points, np.arange(len(points))))
+    groups = boxes.shape[2] // BUCKET
+    head = np.array([n_carry, n - n_carry, n_out, count, groups, ridge], dtype=np.float64)
+    flat = np.concatenate([head, metric, limits.ravel(), boxes.ravel(), near.ravel(), value.ravel()])
+    of_one_lane = n + 2 * count + 3 * BUCKET + groups * BUCKET
+    of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
+    return Predictor(plane_through_neighbours, flat, n_scratch=-(-(of_one_lane + of_a_quarter * QUARTER) // LANES))
+
+
+def pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
+    """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
+
+    There are as many buckets as fill groups of 16; those without points stand far away.
+    """
+    sides, count = points.shape[1], -(-len(buckets) // BUCKET) * BUCKET
+    boxes = np.full((sides, 2, count), FAR)
+    near = np.full((count, sides, BUCKET), FAR)
+    value = np.zeros((count, BUCKET, values.shape[1]))
+    for number, rows in enumerate(buckets):
+        boxes[:, 0, number], boxes[:, 1, number] = points[rows].min(axis=0), points[rows].max(axis=0)
+        near[number, :, : len(rows)] = points[rows].T
+        value[number, : len(rows)] = values[rows]
+    return boxes, near, value
+
+
+def plane_through_neighbours(x, u, p, y, scratch):
+    """Write the next state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
+    n_carry, n_control, n_out = int(p[N_CARRY]), int(p[N_CONTROL]), int(p[N_OUT])
+    count, groups = int(p[COUNT]), int(p[GROUPS])
+    n = n_carry + n_control
+    metric, limits = view(p, HEADER), view(p, HEADER + n)
+    boxes = view(limits, 2 * n_out)
+    near = view(boxes, 2 * n * groups * BUCKET)
+    values = view(near, n * groups * BUCKET * BUCKET)
+    query, square, found = scratch, view(scratch, n), view(scratch, n + count)
+    room = view(found, count)
+    bound = view(room, 3 * BUCKET)
+    asked = view(bound, groups * BUCKET)
+    nearness = view(asked, n * QUARTER)
+    offset = view(nearness, count * QUARTER)
+    target = view(offset, count * n * QUARTER)
+    work = view(target, count * n_out * QUARTER)
+    for first in range(0, LANES, QUARTER):
+        for i in range(n_carry):
+            scale(view(x, i * LANES + first), metric[i], view(asked, i * QUARTER))
+        for i in range(n_control):
+            scale(view(u, i * LANES + first), metric[n_carry + i], view(asked, (n_carry + i) * QUARTER))
+        for lane in range(QUARTER):
+            for i in range(n):
+                query[i] = asked[i * QUARTER + lane]
+            nearest_points(query, n, boxes, near, groups, count, bound, room, square, found)
+            for k in range(count):
+                winner = int(found[k])
+                nearness[k * QUARTER + lane] = square[k]
+                there = view(near, (winner // BUCKET) * n * BUCKET + winner % BUCKET)
+                for i in range(n):
+                    offset[(k * n + i) * QUARTER + lane] = there[i * BUCKET] - query[i]
+                for row in range(n_out):
+                    target[(k * n_out + row) * QUARTER + lane] = values[winner * n_out + row]
+        weigh(nearness, count, work)
+        plane(nearness, offset, target, n, n_out, count, p[RIDGE], work)
+        for row in range(n_out):
+            within(view(target, row * QUARTER), count, n_out, view(work, row * QUARTER))
+            add_inside(
+                view(x, row * LANES + first), limits[row], limits[n_out + row], view(work, row * QUARTER),
+                view(y, row * LANES + first),
+            )  # fmt: skip
+
+
+def scale(row, factor, scaled):
+    """Write a quarter of a row, scaled."""
+    store(scaled, 0, load_quarter(row, 0) * splat_quarter(factor))
+
+
+def nearest_points(query, n, boxes, near, groups, count, bound, room, square, found):
+    """Write the squared distances of the ``count`` nearest points, nearest first, and their numbers."""
+    for k in range(count):
+        square[k] = UNREACHED
+        found[k] = 0.0
+    for side in range(n):
+        box_distance(query[side], view(boxes, side * 2 * groups * BUCKET), bound, groups, side)
+    for _ in range(FIRST + count // BUCKET):
+        bucket = nearest_bucket(bound, groups, room)
+        if bound[bucket] < square[count - 1]:
+            look_through(query, n, near, bucket, count, room, square, found)
+        bound[bucket] = UNREACHED
+    for bucket in range(groups * BUCKET):
+        if bound[bucket] < square[count - 1]:
+            look_through(query, n, near, bucket, count, room, square, found)
+
+
+def nearest_bucket(bound, groups, room):
+    """Return the bucket whose box is nearest."""
+    nearest, column_group = view(room, BUCKET), view(room, 2 * BUCKET)
+    least, which = load_quarter(bound, 0), splat_quarter(0.0)
+    for group in range(1, groups):
+        there = load_quarter(bound, group * BUCKET)
+        which = where_less(there, least, splat_quarter(float(group)), which)
+        least = where_less(there, least, there, least)
+    store(nearest, 0, least)
+    store(column_group, 0, which)
+    closest, column = lowest(least), 0
+    while column < BUCKET - 1 and nearest[column] != closest:  # the distance of a nan equals nothing
+        column += 1
+    return int(column_group[column]) * BUCKET + column
+
+
+def look_through(query, n, near, bucket, count, distance, square, found):
+    """Sort those points of a bucket into the list that are nearer than its last."""
+    points = view(near, bucket * n * BUCKET)
+    total = splat_quarter(0.0)
+    for side in range(n):
+        off = load_quarter(points, side * BUCKET) - splat_quarter(query[side])
+        total = total + off * off
+    if lowest(total) < square[count - 1]:
+        store(distance, 0, total)
+        for i in range(BUCKET):
+            here = distance[i]
+            if here < square[count - 1]:
+                place = count - 1
+                while place > 0 and square[place - 1] > here:
+                    square[place] = square[place - 1]
+                    found[place] = found[place - 1]
+                    place -= 1
+                square[place] = here
+                found[place] = float(bucket * BUCKET + i)
+
+
+def weigh(nearness, count, work):
+    """Turn squared distances into the roots of weights whose sum is one."""
+    farthest, total = view(nearness, (count - 1) * QUARTER), view(work, QUARTER)
+    for lane in range(QUARTER):
+        reach = 1.05 * math.sqrt(farthest[lane]) + 1e-12
+        work[lane] = 1.0 / (reach * reach)
+        total[lane] = 0.0
+    for k in range(count):
+        here = view(nearness, k * QUARTER)
+        for lane in range(QUARTER):
+            root = 1.0 - here[lane] * work[lane]
+            here[lane] = root
+            total[lane] += root * root
+    for lane in range(QUARTER):
+        total[lane] = 1.0 / math.sqrt(total[lane])
+    for k in range(count):
+        here = view(nearness, k * QUARTER)
+        for lane in range(QUARTER):
+            here[lane] *= total[lane]
+
+
+def plane(root, offset, target, n, n_out, count, ridge, work):
+    """Write the value at the query of the weighted plane: mean - centre (A' W A + ridge)^-1 A' W (target - mean).
+
+    A are the offsets from their centre; the symmetric system is solved once, for the centre.
+    """
+    mean, centre = work, view(work, n_out * QUARTER)
+    inverse = view(centre, n * QUARTER)
+    gram = view(inverse, n * QUARTER)
+    for row in range(n_out):
+        weighted_mean(root, view(target, row * QUARTER), count, n_out, view(mean, row * QUARTER))
+    for i in range(n):
+        column = view(offset, i * QUARTER)
+        weighted_mean(root, column, count, n, view(centre, i * QUARTER))
+        middle = load_quarter(centre, i * QUARTER)
+        for k in range(count):
+            away = load_quarter(column, k * n * QUARTER) - middle
+            store(column, k * n * QUARTER, away * load_quarter(root, k * QUARTER))
+        own = view(gram, i * (i + 1) // 2 * QUARTER)
+        for j in range(i + 1):
+            other = view(offset, j * QUARTER)
+            total = splat_quarter(ridge if i == j else 0.0)
+            for k in range(count):
+                total = total + load_quarter(column, k * n * QUARTER) * load_quarter(other, k * n * QUARTER)
+            store(own, j * QUARTER, total)
+    solve(gram, centre, inverse, n)
+    for k in range(count):
+        share = splat_quarter(0.0)
+        for i in range(n):
+            share = share + load_quarter(offset, (k * n + i) * QUARTER) * load_quarter(centre, i * QUARTER)
+        store(root, k * QUARTER, share * load_quarter(root, k * QUARTER))
+    for row in range(n_out):
+        middle = load_quarter(mean, row * QUARTER)
+        total = middle
+        for k in range(count):
+            away = load_quarter(target, (k * n_out + row) * QUARTER) - middle
+            total = total - load_quarter(root, k * QUARTER) * away
+        store(mean, row * QUARTER, total)
+
+
+def weighted_mean(root, column, count, stride, mean):
+    """Write the mean of every ``stride``-th row, weighted by the squares of ``root``."""
+    total = splat_quarter(0.0)
+    for k in range(count):
+        weight = load_quarter(root, k * QUARTER)
+        total = total + weight * weight * load_quarter(column, k * stride * QUARTER)
+    store(mean, 0, total)
+
+
+def solve(gram, x, inverse, n):
+    """Solve gram y = x in place by Cholesky's factor L, whose rows replace those of the lower triangle."""
+    for i in range(n):
+        own = view(gram, i * (i + 1) // 2 * QUARTER)
+        total = load_quarter(x, i * QUARTER)
+        for j in range(i + 1):
+            other = view(gram, j * (j + 1) // 2 * QUARTER)
+            rest = load_quarter(own, j * QUARTER)
+            for m in range(j):
+                rest = rest - load_quarter(own, m * QUARTER) * load_quarter(other, m * QUARTER)
+            if j < i:
+                rest = rest * load_quarter(inverse, j * QUARTER)
+                total = total - rest * load_quarter(x, j * QUARTER)
+            store(own, j * QUARTER, rest)
+        pivot, diagonal = view(own, i * QUARTER), view(inverse, i * QUARTER)
+        for lane in range(QUARTER):
+            diagonal[lane] = 1.0 / math.sqrt(pivot[lane])
+        store(x, i * QUARTER, total * load_quarter(inverse, i * QUARTER))
+    for i in range(n - 1, -1, -1):
+        total = load_quarter(x, i * QUARTER)
+        for j in range(i + 1, n):
+            below = view(gram, (j * (j + 1) // 2 + i) * QUARTER)
+            total = total - load_quarter(below, 0) * load_quarter(x, j * QUARTER)
+        store(x, i * QUARTER, total * load_quarter(inverse, i * QUARTER))
+
+
+def within(target, count, stride, value):
+    """Clip a value to what the neighbours did."""
+    low, high = load_quarter(target, 0), load_quarter(target, 0)
+    for k in range(1, count):
+        there = load_quarter(target, k * stride * QUARTER)
+        low = where_less(there, low, there, low)
+        high = where_less(high, there, there, high)
+    here = load_quarter(value, 0)
+    here = where_less(here, low, low, here)
+    store(value, 0, where_less(high, here, high, here))
+
+
+def add_inside(state, low, high, change, after):
+    """Write the state, taken back into the training range, plus its change."""
+    for lane in range(QUARTER):
+        after[lane] = min(max(state[lane], low), high) + change[lane]
+
+
+def box_distance(value, sides, bound, groups, side):
+    """Add the squared distances along one side to the bounds of all boxes."""
+    here, zero = splat_quarter(value), splat_quarter(0.0)
+    for group in range(groups):
+        below = load_quarter(sides, group * BUCKET) - here
+        above = here - load_quarter(sides, (groups + group) * BUCKET)
+        off = where_less(below, above, above, below)
+        off = where_less(off, zero, zero, off)
+        sofar = load_quarter(bound, group * BUCKET) if side > 0 else zero
+        store(bound, group * BUCKET, sofar + off * off)
