@@ -102,6 +102,7 @@ class KNeighbours(DynamicsModel):
         self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)
         self.changes_ = after - carry[:, :nx]
         self.__dict__.pop("_tree", None)
+        self.__dict__.pop("_compiled", None)
         if progress is not None:
             progress(len(settings) + 1, len(settings) + 1)
         return self
@@ -126,6 +127,10 @@ class KNeighbours(DynamicsModel):
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
     def kernel(self) -> DynamicsKernel:
+        return self._compiled
+
+    @cached_property
+    def _compiled(self) -> DynamicsKernel:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
         from sysid_evo.engine.kernels import stepping_kernel
 

@@ -51,6 +51,7 @@ class NearestNeighbour(DynamicsModel):
         self.points_ = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)[order]
         self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
         self.__dict__.pop("_tables", None)
+        self.__dict__.pop("_compiled", None)
         return self
 
     def acceleration(self, carry: Array, control: Array) -> Array:
@@ -66,6 +67,10 @@ class NearestNeighbour(DynamicsModel):
         return result
 
     def kernel(self) -> DynamicsKernel:
+        return self._compiled
+
+    @cached_property
+    def _compiled(self) -> DynamicsKernel:
         from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
 
         cells, tables, serving = self._tables

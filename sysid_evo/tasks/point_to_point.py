@@ -81,11 +81,9 @@ class PointToPoint(Task):
 
     def begin(self, seeds: Seeds) -> PointToPointState:
         trials = len(seeds)
-        waypoints = np.empty((trials, self.horizon + 1, 2))
-        for trial, seed in enumerate(seeds):
-            radius, angle = generator(seed, TASK_STREAM).random((self.horizon + 1, 2)).T
-            radius, angle = self.arena_radius * np.sqrt(radius), 2.0 * np.pi * angle
-            waypoints[trial, :, 0], waypoints[trial, :, 1] = radius * np.cos(angle), radius * np.sin(angle)
+        drawn = np.stack([generator(seed, TASK_STREAM).random((self.horizon + 1, 2)) for seed in seeds])
+        radius, angle = self.arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
+        waypoints = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
         return PointToPointState(
             state=np.tile(self.system.neutral_state, (trials, 1)),
             pose=np.zeros((trials, 3)),

@@ -12,7 +12,7 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned, compiled, spread
+from sysid_evo.engine.compiled.run import Work, aligned, compiled, spread
 
 
 @cache
@@ -54,11 +54,15 @@ def final_errors(
     shared = (sizes, flat(parameters), flat(start), flat(controls), flat(truth))
     kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
 
-    def work(first: int, last: int) -> None:
+    def prepare() -> Work:
         rows = (start.shape[1], nu, 1)
         buffers = [aligned(np.zeros(n * LANES, real)) for n in rows]
         own, scratch = aligned(np.zeros(parameters.shape[1], real)), aligned(np.zeros(n_scratch * LANES, real))
-        loop(kernel, *shared, first, last, *buffers, own, scratch, error)
 
-    spread(work, len(parameters), threads)
+        def work(first: int, last: int) -> None:
+            loop(kernel, *shared, first, last, *buffers, own, scratch, error)
+
+        return work
+
+    spread(prepare, len(parameters), threads)
     return error.astype(np.float64)

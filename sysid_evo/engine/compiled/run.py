@@ -7,8 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -33,6 +32,7 @@ from sysid_evo.system import System, level_boundaries
 from sysid_evo.tasks.task import Task
 
 CACHE_LINE = 64
+SHARES = 4  # parts of the work for each thread
 
 
 @dataclass(frozen=True)
@@ -66,15 +66,29 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=pool.cache_clear)  # a forked process has none of its parent's threads
 
 
-def spread(work: Callable[[int, int], None], count: int, threads: int) -> None:
-    """Call ``work(first, last)`` for parts of ``range(count)``, at once on up to ``threads``, this one among them."""
-    parts = max(1, min(threads, count))
-    if parts == 1:
-        work(0, count)
+Work: TypeAlias = Callable[[int, int], None]
+
+
+def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
+    """Do ``work(first, last)`` for all of ``range(count)``, on up to ``threads`` threads, this one among them.
+
+    Every thread prepares its own work (buffers) and then takes the next few until none are left, so
+    that no thread waits for one with slower rollouts or a busier processor.
+    """
+    threads = max(1, min(threads, count))
+    if threads == 1:
+        prepare()(0, count)
         return
-    edges = np.linspace(0, count, parts + 1).astype(int)
-    others = [pool(parts - 1).submit(work, *edge) for edge in pairwise(edges[1:])]
-    work(int(edges[0]), int(edges[1]))
+    size = max(1, count // (SHARES * threads))
+    begins = iter(range(0, count, size))
+
+    def take() -> None:
+        work = prepare()
+        for first in begins:
+            work(first, min(first + size, count))
+
+    others = [pool(threads - 1).submit(take) for _ in range(threads - 1)]
+    take()
     for other in others:
         other.result()
 
@@ -165,7 +179,7 @@ def run(
     results = (fitness, survived, clipped, diverged, final, *tape)
     loop = closed_loop(precision)
 
-    def work(first: int, last: int) -> None:
+    def prepare() -> Work:
         buffers = [
             aligned(np.zeros(n * LANES, real))
             for n in (
@@ -175,9 +189,13 @@ def run(
             )
         ]  # fmt: skip
         lanes = (np.zeros(LANES, np.int64), np.zeros(LANES, np.int64))
-        loop(*functions, *shared, first, last, *buffers, *lanes, *results)
 
-    spread(work, -(-rollouts // LANES), threads)
+        def work(first: int, last: int) -> None:
+            loop(*functions, *shared, first, last, *buffers, *lanes, *results)
+
+        return work
+
+    spread(prepare, -(-rollouts // LANES), threads)
     score = np.where(diverged > 0, task.worst - 1.0 + survived / task.horizon, fitness.astype(np.float64))
     final_rows = final.reshape(rollouts, len(rows)).T.astype(np.float64)
     grid = (candidates, trials)
