@@ -123,11 +123,11 @@ class System:
         """Number of pose coordinates, 0 without a motion."""
         return 0 if self.motion is None else self.motion.n_pose
 
-    @property
+    @cached_property
     def state_names(self) -> tuple[str, ...]:
         return tuple(channel.name for channel in self.states)
 
-    @property
+    @cached_property
     def control_names(self) -> tuple[str, ...]:
         return tuple(channel.name for channel in self.controls)
 
