@@ -32,7 +32,7 @@ from sysid_evo.system import System, level_boundaries
 from sysid_evo.tasks.task import Task
 
 CACHE_LINE = 64
-SHARES = 4  # parts of the work for each thread
+SHARES = 2  # parts of the work for each thread
 
 
 @dataclass(frozen=True)
