@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from model_zoo.car_roles import CarRoles, car_roles, require_car
 from model_zoo.network_rate import NetworkRate
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import require_planar
-from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
 
@@ -81,21 +79,12 @@ class HybridOde(NetworkRate):
         self.rest_hold = rest_hold
 
     def check_system(self, system: System) -> None:
-        require_planar(self, system)
-        for role, name in (("drive", self.drive), ("steer", self.steer)):
-            if name not in system.control_names:
-                raise IncompatibleSystem(
-                    f"hybrid_ode needs a control for the role {role}: there is no {name!r} among "
-                    f"{', '.join(system.control_names)}; name it with {role}=..."
-                )
+        require_car(self, "hybrid_ode", system, self.drive, self.steer)
 
     @property
-    def roles(self) -> tuple[int, int | None, int, int, int]:
+    def roles(self) -> CarRoles:
         """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
-        system = self.system
-        assert isinstance(system.motion, PlanarBody)
-        names = system.control_names
-        return (*system.motion.indices(system.state_names), names.index(self.drive), names.index(self.steer))
+        return car_roles(self.system, self.drive, self.steer)
 
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report

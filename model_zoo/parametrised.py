@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.car_roles import CarRoles, car_roles, require_car
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel, require_planar
-from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
-from sysid_evo.motion import PlanarBody
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -76,13 +75,7 @@ class Parametrised(DynamicsModel):
         self.rest_hold = rest_hold
 
     def check_system(self, system: System) -> None:
-        require_planar(self, system)
-        for role, name in (("drive", self.drive), ("steer", self.steer)):
-            if name not in system.control_names:
-                raise IncompatibleSystem(
-                    f"parametrised needs a control for the role {role}: there is no {name!r} among "
-                    f"{', '.join(system.control_names)}; name it with {role}=..."
-                )
+        require_car(self, "parametrised", system, self.drive, self.steer)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
@@ -126,12 +119,9 @@ class Parametrised(DynamicsModel):
         return kernel, np.concatenate([np.tile(shell, (len(flat), 1)), flat], axis=1)
 
     @property
-    def roles(self) -> tuple[int, int | None, int, int, int]:
+    def roles(self) -> CarRoles:
         """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
-        system = self.system
-        assert isinstance(system.motion, PlanarBody)
-        names = system.control_names
-        return (*system.motion.indices(system.state_names), names.index(self.drive), names.index(self.steer))
+        return car_roles(self.system, self.drive, self.steer)
 
     @property
     def _oldest_command(self) -> int:
@@ -166,7 +156,7 @@ class Parametrised(DynamicsModel):
 INITIAL = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 1.0, 0.5, 0.5, 0.5, 1.0, 1.0])
 
 
-def parameter_scale(dataset: Dataset, roles: tuple[int, int | None, int, int, int]) -> Array:
+def parameter_scale(dataset: Dataset, roles: CarRoles) -> Array:
     """Return the natural size (12,) of every parameter, from the RMS and the largest values of the data."""
     forward, _, yaw_rate, _, _ = roles
     states = np.concatenate([episode.states for episode in dataset.episodes])
