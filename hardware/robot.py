@@ -3,38 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from hardware.listener import RobotStatus
+from hardware.measurement import Measurement
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.system import System
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One frame of a tracker.
-
-    ``source_time`` is when the frame was taken, ``arrival_time`` when it got here, both in s on the
-    connection's clock. ``pose`` (n_pose,) is in the units of the system's motion; where ``valid``
-    is false the tracker has lost ``body`` and the pose means nothing.
-    """
-
-    source_time: float
-    arrival_time: float
-    frame: int
-    body: str
-    valid: bool
-    pose: Array
 
 
 class Connection(ABC):
     """A session with a robot; use it in a ``with`` statement.
 
     The robot is neutral before the first command, after a command outlives its ``valid_for``, and
-    on every way out of the ``with`` statement.
+    on every way out of the ``with`` statement. One thread uses it.
     """
+
+    @property
+    @abstractmethod
+    def time(self) -> float:
+        """The connection's clock in s: the host's `time.monotonic`, or simulated time."""
+
+    @property
+    def status(self) -> RobotStatus | None:
+        """The newest word of the robot; None from one that says nothing."""
+        return None
 
     @abstractmethod
     def send(self, control: Array, *, valid_for: float) -> None:
@@ -42,7 +36,10 @@ class Connection(ABC):
 
     @abstractmethod
     def measure(self, timeout: float) -> Measurement | None:
-        """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`."""
+        """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`.
+
+        Frames that came in between calls are kept and returned in turn; simulated time moves only here.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import re
 import sys
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -16,7 +17,7 @@ from typing import Any, Generic, TypeVar
 
 from packaging.requirements import Requirement
 
-from sysid_evo.errors import MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
 
 T = TypeVar("T")
 
@@ -170,6 +171,7 @@ tasks: Registry[Any] = Registry("task", "sysid_evo.tasks")
 controllers: Registry[Any] = Registry("controller", "sysid_evo.controllers")
 strategies: Registry[Any] = Registry("strategy", "sysid_evo.strategies")
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
+trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
 
 register_model = models.register
@@ -177,6 +179,7 @@ register_task = tasks.register
 register_controller = controllers.register
 register_strategy = strategies.register
 register_robot = robots.register
+register_tracker = trackers.register
 register_reader = readers.register
 
 make_model = models.make
@@ -186,10 +189,31 @@ make_strategy = strategies.make
 
 
 def make_robot(spec: str) -> Any:
-    """Return the robot that ``spec`` names: ``name``, or ``name:SEED`` for one with drawn parameters."""
+    """Return the robot that ``spec`` names: ``name``, ``name:SEED`` for one with drawn parameters, or a TOML file.
+
+    The file names the registered robot as ``driver``; its other keys are that robot's arguments.
+    """
+    if spec.endswith(".toml"):
+        return _robot_of_file(Path(spec))
     name, separator, seed = spec.partition(":")
     if not separator:
         return robots.make(name)
     if not seed.isdecimal():
         raise UnknownName(f"robot {spec!r}: expected name or name:SEED with a whole number, got {seed!r}")
     return robots.make(name, seed=int(seed))
+
+
+def _robot_of_file(path: Path) -> Any:
+    try:
+        arguments = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InvalidArgument(f"robot file {path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidArgument(f"robot file {path} is not TOML: {error}") from error
+    driver = arguments.pop("driver", None)
+    if not isinstance(driver, str):
+        raise InvalidArgument(f'robot file {path}: expected driver = "NAME", one of {", ".join(robots.names())}')
+    try:
+        return robots.make(driver, **arguments)
+    except TypeError as error:
+        raise InvalidArgument(f"robot file {path}: {error}") from error

@@ -124,7 +124,7 @@ def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple
 
 def record(robot: str, seed: int, bars: Bars) -> Dataset:
     """Record the excitation manoeuvres on an emulated robot."""
-    from hardware.recorder import record_dataset
+    from hardware.recording.recorder import record_dataset
 
     cell = f"record {robot}"
     bars.start(cell)

@@ -73,7 +73,7 @@ def record(
     plugin: Plugins = None,
 ) -> None:
     """Drive a robot through manoeuvres, and store what the tracker saw (`raw/`) and the data set made of it."""
-    from hardware.recorder import record_dataset, save_raw
+    from hardware.recording.recorder import record_dataset, save_raw
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.cli.progress import Bars
 

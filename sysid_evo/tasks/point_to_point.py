@@ -106,9 +106,12 @@ class PointToPoint(Task):
         observation[:, 4] = np.hypot(to[:, 0], to[:, 1])
         return observation
 
-    def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
+    def advance(
+        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+    ) -> tuple[TaskState, Array]:
         here = cast("PointToPointState", task_state)
-        pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
+        if pose is None:
+            pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
         to = here.waypoint - pose[:, :2]
         near = to[:, 0] ** 2 + to[:, 1] ** 2 <= self.waypoint_radius**2
         return replace(here, pose=pose, passed=here.passed + near), after

@@ -78,8 +78,14 @@ class Task(ABC):
         """Return what the controller is given, (B, len(observations)), in state (B, nx)."""
 
     @abstractmethod
-    def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
-        """Return the trials one step on, and the state (B, nx), which a wall may have altered."""
+    def advance(
+        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+    ) -> tuple[TaskState, Array]:
+        """Return the trials one step on, and the state (B, nx), which a wall may have altered.
+
+        ``pose`` (B, n_pose) is where a tracker saw the robots after the step; without one the
+        motion moves them.
+        """
 
     @abstractmethod
     def fitness(self, task_state: TaskState) -> Array:

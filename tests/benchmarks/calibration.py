@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hardware.excitation import excitation
+from hardware.recording.excitation import excitation
 from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.dynamics import Dynamics

@@ -31,7 +31,7 @@ from evaluation.prediction import (
     measured_cases,
 )
 from evaluation.prediction.bootstrap import interval
-from hardware.recorder import record_dataset
+from hardware.recording.recorder import record_dataset
 from model_zoo.spread import coverage
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset

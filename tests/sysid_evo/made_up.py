@@ -132,7 +132,9 @@ class Ladder(Task):
     def observe(self, task_state: TaskState, state: Array) -> Array:
         return state
 
-    def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
+    def advance(
+        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+    ) -> tuple[TaskState, Array]:
         assert isinstance(task_state, LadderState)
         after = np.minimum(after, self.ceiling)
         return replace(task_state, alive=after[:, 0] <= self.top, steps=task_state.steps + 1), after

@@ -109,6 +109,15 @@ def test_the_roles_of_the_motion_say_which_states_are_observed() -> None:
     np.testing.assert_allclose(moved.pose, [[0.1, 0.0, 0.0]])
 
 
+def test_a_measured_pose_takes_the_place_of_the_motion(car: System) -> None:
+    task = PointToPoint(horizon=20).bind(car)
+    trial, rest = task.begin(seeds_of(3)), np.zeros((1, 3))
+    there = np.array([[*trial.waypoint[0], 0.5]])
+    seen, _ = task.advance(trial, rest, rest, pose=there)
+    np.testing.assert_array_equal(seen.pose, there)
+    assert task.fitness(seen)[0] == 1.0
+
+
 def test_a_trial_begins_at_rest_in_the_origin_heading_along_x(car: System) -> None:
     trial = PointToPoint(horizon=20).bind(car).begin(seeds_of(1, 2, 3))
     np.testing.assert_array_equal(trial.state, np.zeros((3, 3)))

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sysid_evo.errors import MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
 from sysid_evo.registry import Registry, load_plugin, make_robot, models, robots
 
 GROUP = "sysid_evo.test_things"
@@ -234,6 +234,33 @@ def test_a_robot_may_be_named_with_a_seed(register: Callable[..., Any]) -> None:
             make_robot(spec)
     with pytest.raises(UnknownName, match=r"no robot is called 'made_down'\. Did you mean 'made_up'"):
         make_robot("made_down:3")
+
+
+def test_a_robot_may_be_described_by_a_file(register: Callable[..., Any], tmp_path: Path) -> None:
+    register(robots, "made_up", lambda *, port, tracker: ("robot", port, tracker))
+    file = tmp_path / "mine.toml"
+    file.write_text('driver = "made_up"\nport = "/dev/x"\n[tracker]\ndriver = "udp"\n')
+    assert make_robot(str(file)) == ("robot", "/dev/x", {"driver": "udp"})
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (None, "no such file"),
+        ("driver = ", "is not TOML"),
+        ("port = 1", "expected driver"),
+        ('driver = "made_up"\ncolour = 1', "unexpected keyword argument 'colour'"),
+    ],
+)
+def test_a_robot_file_that_cannot_be_used_says_why(
+    register: Callable[..., Any], tmp_path: Path, text: str | None, complaint: str
+) -> None:
+    register(robots, "made_up", lambda *, port="": port)
+    file = tmp_path / "mine.toml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(InvalidArgument, match=f"mine.toml.*{complaint}"):
+        make_robot(str(file))
 
 
 def test_everything_this_repository_registers_can_be_loaded() -> None:

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.car_parameters import CarParameters
-from hardware.car_physics import CarPhysics
-from hardware.emulated_robot import EmulatedRobot
-from hardware.excitation import Manoeuvre, excitation
-from hardware.recorder import record, record_dataset, save_raw
-from hardware.robot import Connection, Measurement, Robot
+from hardware.emulation.car_parameters import CarParameters
+from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_robot import EmulatedRobot
+from hardware.measurement import Measurement
+from hardware.recording.excitation import Manoeuvre, excitation
+from hardware.recording.recorder import record, record_dataset, save_raw
+from hardware.robot import Connection, Robot
 from sysid_evo.arrays import Array
 from sysid_evo.data.columns import load_columns
 from sysid_evo.data.preparation import prepare
@@ -27,6 +28,10 @@ class Watched(Connection):
     def __init__(self, link, hidden: range, last_frame: float) -> None:
         self.link, self.hidden, self.last_frame = link, hidden, last_frame
         self.states: list[Array] = []
+
+    @property
+    def time(self) -> float:
+        return self.link.time
 
     def send(self, control: Array, *, valid_for: float) -> None:
         self.link.send(control, valid_for=valid_for)

@@ -1,4 +1,4 @@
-"""The emulated car over lanes: `hardware.car_physics.fine_step` and the commands under way."""
+"""The emulated car over lanes: `hardware.emulation.car_physics.fine_step` and the commands under way."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hardware.car_physics import (
+from hardware.emulation.car_physics import (
     BODY,
     BUFFER,
     CREEP_SPEED,

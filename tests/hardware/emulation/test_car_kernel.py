@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hardware.car_parameters import CarParameters
-from hardware.car_physics import BODY, BUFFER, CarPhysics
-from hardware.held_control import HeldControl
+from hardware.emulation.car_parameters import CarParameters
+from hardware.emulation.car_physics import BODY, BUFFER, CarPhysics
+from hardware.emulation.held_control import HeldControl
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, rollout

@@ -7,9 +7,10 @@ from typing import cast
 
 import numpy as np
 
-from hardware.held_control import HeldControl
-from hardware.robot import Connection, Measurement, Robot
-from hardware.tracker import OpticalTracker
+from hardware.emulation.held_control import HeldControl
+from hardware.emulation.optical_tracker import OpticalTracker
+from hardware.measurement import Measurement
+from hardware.robot import Connection, Robot
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, LinkLost

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.special import ndtr
 
-from hardware.car_parameters import FINE_DT, CarParameters
+from hardware.emulation.car_parameters import FINE_DT, CarParameters
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.motion import PlanarBody
@@ -239,6 +239,6 @@ class CarPhysics(Dynamics):
 
     def held_kernel(self, repeats: int) -> DynamicsKernel:
         """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
-        from hardware.kernels.car import car_kernel
+        from hardware.emulation.kernels.car import car_kernel
 
         return car_kernel(self.coefficients, repeats)

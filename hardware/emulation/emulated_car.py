@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hardware.car_parameters import CarParameters
-from hardware.car_physics import CarPhysics
-from hardware.emulated_robot import EmulatedRobot
+from hardware.emulation.car_parameters import CarParameters
+from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_robot import EmulatedRobot
 from sysid_evo.registry import register_robot
 
 REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms

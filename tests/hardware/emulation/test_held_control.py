@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.car_physics import CarPhysics
-from hardware.held_control import HeldControl
+from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.held_control import HeldControl
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument

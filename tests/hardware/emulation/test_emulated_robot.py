@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulated_robot import EmulatedRobot
-from hardware.held_control import HeldControl
+from hardware.emulation.emulated_robot import EmulatedRobot
+from hardware.emulation.held_control import HeldControl
 from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork

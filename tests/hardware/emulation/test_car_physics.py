@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hardware.car_parameters import FINE_DT, CarParameters
-from hardware.car_physics import BODY, LATENCY, CarPhysics
+from hardware.emulation.car_parameters import FINE_DT, CarParameters
+from hardware.emulation.car_physics import BODY, LATENCY, CarPhysics
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 

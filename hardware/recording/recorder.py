@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.excitation import Manoeuvre, excitation
-from hardware.robot import Connection, Measurement, Robot
+from hardware.measurement import Measurement
+from hardware.recording.excitation import Manoeuvre, excitation
+from hardware.robot import Connection, Robot
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.raw import RawLog

@@ -67,6 +67,6 @@ class HeldControl(Dynamics):
         fine = self.fine.kernel()
         if fine is None:
             return None
-        from hardware.kernels.held import held_kernel
+        from hardware.emulation.kernels.held import held_kernel
 
         return held_kernel(fine, self.repeats, self.fine.n_noise)

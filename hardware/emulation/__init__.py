@@ -1,0 +1,1 @@
+"""Emulated robots: physics, the tracker beside them, and a connection in simulated time."""

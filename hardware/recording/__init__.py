@@ -1,0 +1,1 @@
+"""Manoeuvres that excite a robot, and what writes down how it answers."""

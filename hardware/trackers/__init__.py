@@ -1,0 +1,1 @@
+"""Where a robot is: optical trackers and other sources of poses, each behind one contract."""

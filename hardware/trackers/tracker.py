@@ -1,0 +1,47 @@
+"""The contract of a tracker: frames of one body, as they come."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Self
+
+from hardware.measurement import Measurement
+
+
+class TrackerStream(ABC):
+    """An open tracker; use it in a ``with`` statement. One thread reads it."""
+
+    @abstractmethod
+    def read(self, timeout: float) -> Measurement | None:
+        """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`.
+
+        Frames that came in between calls are kept and returned in turn.
+        """
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while a frame is waiting, for `select`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the stream and whatever feeds it; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Tracker(ABC):
+    """A source of poses of one ``body``, described by its arguments and opened for a session."""
+
+    name: str
+    body: str
+
+    @abstractmethod
+    def open(self) -> TrackerStream:
+        """Start it. Raises `LinkLost` if nothing answers, `MissingExtra` if a package is not installed."""
