@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from types import TracebackType
-from typing import Self
 
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
+from hardware.session import Session
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.system import System
 
 
-class Connection(ABC):
+class Connection(Session):
     """A session with a robot; use it in a ``with`` statement.
 
     The robot is neutral before the first command, after a command outlives its ``valid_for``, and
@@ -44,14 +43,6 @@ class Connection(ABC):
     @abstractmethod
     def close(self) -> None:
         """Put the robot in neutral and end the session; a second call does nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class Robot(ABC):

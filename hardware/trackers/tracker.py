@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from types import TracebackType
-from typing import Self
 
 from hardware.measurement import Measurement
+from hardware.session import Session
 
 
-class TrackerStream(ABC):
+class TrackerStream(Session):
     """An open tracker; use it in a ``with`` statement. One thread reads it."""
 
     @abstractmethod
@@ -26,14 +25,6 @@ class TrackerStream(ABC):
     @abstractmethod
     def close(self) -> None:
         """End the stream and whatever feeds it; a second call does nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class Tracker(ABC):
