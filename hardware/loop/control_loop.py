@@ -25,6 +25,7 @@ STALE = 0.1  # s: an older pose means neutral
 LOST = 0.5  # s: an older pose ends the run
 FIRST_POSE = 1.0  # s within which the first estimate must exist
 POLL = 0.02  # s: the longest the loop waits without looking up
+SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
 CLOCK_TOLERANCE = 1e-9  # s
 
 
@@ -161,22 +162,21 @@ class ControlLoop:
             if self.stops.reason is not None:
                 return self.stops.reason, self.stops.detail
             now = connection.time
-            until_stale = STALE - self._age(now) if started and self._driving else math.inf
-            measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale + 2.0 * CLOCK_TOLERANCE)))
+            until_stale = max(SHORTEST, STALE - self._age(now)) if started and self._driving else math.inf
+            measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
             if self._tripped():
                 return Reason.TRIPPED, ""
+            now = connection.time
             if measurement is not None:
                 self._take(measurement)
-            now = connection.time
-            waiting = measurement is not None and now < enough
-            if waiting and measurement is not None and now - measurement.source_time > STALE:
-                continue  # there are newer ones: what is known is not as new as it gets
+                if now - measurement.source_time > STALE and now < enough:
+                    continue  # newer ones are waiting: what is known is not as new as it gets
             age = self._age(now)
             if started and age > LOST + CLOCK_TOLERANCE:
                 return Reason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
             if started and self._driving and age > STALE + CLOCK_TOLERANCE:
                 self._send(self.system.neutral_control, now)
-            if due - now <= CLOCK_TOLERANCE and not waiting:
+            if due - now <= CLOCK_TOLERANCE and (measurement is None or now >= enough):
                 return None
 
     def _take(self, measurement: Measurement) -> None:
