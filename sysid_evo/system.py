@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, IntArray, check_last
-from sysid_evo.errors import InvalidSystem
+from sysid_evo.arrays import Array, IntArray, check_last, check_shape
+from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
 
 SWITCH_MARGIN = 0.9
@@ -161,6 +161,15 @@ class System:
                     f"control {channel.name!r} has no finite limits, so [-1, 1] cannot be scaled to it: "
                     "give low and high, or levels"
                 )
+        return control
+
+    def check_control(self, control: Array) -> Array:
+        """Return ``control`` (nu,) as float64. Raises `ShapeError`, or `InvalidArgument` if it is not legal."""
+        control = check_shape("control", control, (self.nu,))
+        for value, channel in zip(control, self.controls, strict=True):
+            if not channel.low <= value <= channel.high or (channel.levels and value not in channel.levels):
+                legal = f"one of {channel.levels}" if channel.levels else f"[{channel.low}, {channel.high}]"
+                raise InvalidArgument(f"control {channel.name!r}: expected {legal}, got {value}")
         return control
 
     def acceleration(self, before: Array, after: Array) -> Array:

@@ -11,7 +11,7 @@ from hardware.emulation.held_control import HeldControl
 from hardware.emulation.optical_tracker import OpticalTracker
 from hardware.measurement import Measurement
 from hardware.robot import Connection, Robot
-from sysid_evo.arrays import Array, check_shape
+from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, LinkLost
 from sysid_evo.motion import PlanarBody
@@ -75,11 +75,7 @@ class EmulatedConnection(Connection):
 
     def send(self, control: Array, *, valid_for: float) -> None:
         self._check_open()
-        control = check_shape("control", control, (self._physics.system.nu,)).copy()
-        for value, channel in zip(control, self._physics.system.controls, strict=True):
-            if not channel.low <= value <= channel.high or (channel.levels and value not in channel.levels):
-                legal = f"one of {channel.levels}" if channel.levels else f"[{channel.low}, {channel.high}]"
-                raise InvalidArgument(f"control {channel.name!r}: expected {legal}, got {value}")
+        control = self._physics.system.check_control(control).copy()
         if not valid_for > 0.0:
             raise InvalidArgument(f"send: expected valid_for > 0 s, got {valid_for}")
         self.control, self._expires = control, self.time + valid_for

@@ -1,0 +1,226 @@
+"""The loop that drives a robot: frames in, an estimate, a decision, a command, at a fixed rate."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from hardware.listener import Command, Listener, RobotStatus
+from hardware.loop.estimator import PoseEstimator
+from hardware.loop.pilot import Pilot
+from hardware.loop.report import LoopReport, Reason
+from hardware.loop.stops import Stops
+from hardware.measurement import Measurement
+from hardware.robot import Connection
+from sysid_evo.arrays import Array
+from sysid_evo.errors import LinkLost
+from sysid_evo.system import System
+
+TIME_TO_LIVE = 0.15  # s for which a command is valid
+STALE = 0.1  # s: an older pose means neutral
+LOST = 0.5  # s: an older pose ends the run
+FIRST_POSE = 1.0  # s within which the first estimate must exist
+POLL = 0.02  # s: the longest the loop waits without looking up
+SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
+CLOCK_TOLERANCE = 1e-9  # s
+
+
+class Verdict(Protocol):
+    """What a gate says of a frame; ``broke``: it is no continuation of those before."""
+
+    @property
+    def accepted(self) -> bool: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def broke(self) -> bool: ...
+
+
+class Gate(Protocol):
+    """Decides which frames are believed; ``driving`` says whether the robot is told to move."""
+
+    def accept(self, measurement: Measurement, *, driving: bool) -> Verdict: ...
+
+
+class ControlLoop:
+    """Drives ``connection`` by a pilot, one decision every ``system.dt``, and tells the listeners.
+
+    Deadlines are absolute: tick k is due k dt after the first, and one that is late by dt or more is
+    skipped, so that the loop never drifts or catches up. Time passes only in `Connection.measure`, so
+    it runs unchanged in simulated time. The calling thread does everything. A run starts in neutral
+    until poses give an estimate; a tick whose newest pose is older than 100 ms sends neutral without
+    asking the pilot (and neutral does not wait for the tick), a pose older than 500 ms ends the run.
+    Every command is checked and valid for 150 ms.
+
+    A run that ends as it should leaves the robot in neutral, the connection open, poses and gate as
+    they are; any other way out, exceptions included, closes the connection first.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        system: System,
+        *,
+        listeners: Sequence[Listener] = (),
+        estimator: PoseEstimator | None = None,
+        gate: Gate | None = None,
+        stops: Stops | None = None,
+    ) -> None:
+        self.connection = connection
+        self.system = system
+        self.stops = Stops() if stops is None else stops
+        self._listeners = tuple(listeners)
+        self._estimator = PoseEstimator(system) if estimator is None else estimator
+        self._gate = gate
+        self._control = system.neutral_control
+        self._status: RobotStatus | None = None
+        self._rejected: Counter[str] = Counter()
+        self._ticks: list[tuple[float, float]] = []
+        self._skipped = self._stale = self._tick = 0
+        self._opened = 0.0
+        self._seen: float | None = None
+
+    def run(self, pilot: Pilot, *, samples: int | None = None) -> LoopReport:
+        """Drive until ``samples`` are over or ``pilot`` or a fault ends it, and return how it went.
+
+        Raises what ``pilot`` or a listener raises, and `InvalidArgument` if the pilot decides on an
+        illegal control.
+        """
+        self._rejected.clear()
+        self._ticks, self._skipped, self._stale = [], 0, 0
+        try:
+            try:
+                reason, detail = self._drive(pilot, samples)
+                if not reason.is_fault:
+                    self._send(self.system.neutral_control, self.connection.time)
+            except LinkLost as error:
+                reason, detail = Reason.LINK_LOST, str(error)
+        except BaseException:
+            self.connection.close()
+            raise
+        if reason.is_fault:
+            self.connection.close()
+        sent = np.array(self._ticks).reshape(-1, 2)
+        return LoopReport(
+            reason=reason,
+            detail=detail,
+            lateness=sent[:, 1] - sent[:, 0],
+            gaps=np.diff(sent[:, 1]),
+            skipped=self._skipped,
+            stale=self._stale,
+            rejected=dict(self._rejected),
+        )
+
+    def _drive(self, pilot: Pilot, samples: int | None) -> tuple[Reason, str]:
+        """Send a command for every tick until something ends the run; return what."""
+        neutral, dt = self.system.neutral_control, self.system.dt
+        self._opened = opened = self.connection.time
+        first: int | None = None
+        index = self._tick = -1
+        while True:
+            index += 1
+            ended = self._wait(opened + index * dt, started=first is not None)
+            if ended is not None:
+                return ended
+            now = self.connection.time
+            newest = math.floor((now - opened + CLOCK_TOLERANCE) / dt)
+            if first is not None:
+                self._skipped += max(0, newest - index)
+            index = max(index, newest)
+            estimate = self._estimator.estimate(now) if self._age(now) <= STALE + CLOCK_TOLERANCE else None
+            if first is None and estimate is not None:
+                first = index
+            if first is None:
+                if now - opened > FIRST_POSE:
+                    return Reason.TRACKER_LOST, self._why_no_pose(f"no pose to start from within {FIRST_POSE:.1f} s")
+                self._send(neutral, opened + index * dt)
+                continue
+            self._tick = index - first
+            if samples is not None and self._tick >= samples:
+                return Reason.SAMPLES, ""
+            if estimate is None:
+                self._stale += 1
+                self._send(neutral, opened + index * dt)
+            else:
+                control = pilot.decide(self._tick, estimate)
+                if control is None:
+                    return Reason.PILOT, ""
+                if not np.isfinite(control).all():
+                    return Reason.NOT_FINITE, f"sample {self._tick}: the pilot decided on {np.asarray(control)}"
+                self._send(self.system.check_control(control), opened + index * dt)
+            self._ticks.append((opened + index * dt, self.connection.time))
+
+    def _wait(self, due: float, *, started: bool) -> tuple[Reason, str] | None:
+        """Take in frames until ``due`` and then those that are waiting; return what ends the run, if anything."""
+        connection = self.connection
+        enough = max(due, connection.time) + 0.5 * self.system.dt
+        while True:
+            if self.stops.reason is not None:
+                return self.stops.reason, self.stops.detail
+            now = connection.time
+            until_stale = max(SHORTEST, STALE - self._age(now)) if started and self._driving else math.inf
+            measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
+            if self._tripped():
+                return Reason.TRIPPED, ""
+            now = connection.time
+            if measurement is not None:
+                self._take(measurement)
+                if now - measurement.source_time > STALE and now < enough:
+                    continue  # newer ones are waiting: what is known is not as new as it gets
+            age = self._age(now)
+            if started and age > LOST + CLOCK_TOLERANCE:
+                return Reason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
+            if started and self._driving and age > STALE + CLOCK_TOLERANCE:
+                self._send(self.system.neutral_control, now)
+            if due - now <= CLOCK_TOLERANCE and (measurement is None or now >= enough):
+                return None
+
+    def _take(self, measurement: Measurement) -> None:
+        """Tell the listeners of a frame and use it if it is believed."""
+        for listener in self._listeners:
+            listener.measured(measurement)
+        if self._gate is not None:
+            verdict = self._gate.accept(measurement, driving=self._driving)
+            accepted, why, broke = verdict.accepted, verdict.reason, verdict.broke
+        else:
+            accepted, why, broke = measurement.valid, "not valid", False
+        if broke:
+            self._estimator.restart()
+        if accepted:
+            self._estimator.add(measurement)
+            self._seen = min(measurement.source_time, measurement.arrival_time)
+        else:
+            self._rejected[why] += 1
+
+    def _send(self, control: Array, due: float) -> None:
+        self.connection.send(control, valid_for=TIME_TO_LIVE)
+        self._control = control
+        command = Command(self._tick, due, self.connection.time, control.copy())
+        for listener in self._listeners:
+            listener.commanded(command)
+
+    @property
+    def _driving(self) -> bool:
+        return not np.array_equal(self._control, self.system.neutral_control)
+
+    def _tripped(self) -> bool:
+        """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
+        status = self.connection.status
+        if status is None or status is self._status:
+            return False
+        self._status = status
+        for listener in self._listeners:
+            listener.reported(status)
+        return status.state == "tripped" and status.time >= self._opened
+
+    def _age(self, now: float) -> float:
+        """Return how old the newest believed pose is, in s; infinite without one."""
+        return math.inf if self._seen is None else now - self._seen
+
+    def _why_no_pose(self, what: str) -> str:
+        counts = ", ".join(f"{count} {why}" for why, count in self._rejected.most_common())
+        return f"{what}; frames not used: {counts}" if counts else what
