@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hardware.listener import Listener
 from hardware.loop.control_loop import ControlLoop
-from hardware.loop.report import LoopReport
+from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
-from hardware.loop.trials import TrialSeries
+from hardware.loop.trials import REST_LIMIT, TrialSeries
 from hardware.robot import Robot
 from sysid_evo.arrays import Array, Seeds, check_shape
 from sysid_evo.controllers import Controller
@@ -55,4 +55,6 @@ class RobotRunner:
         with self.robot.connect(seed=self.seed) as connection:
             loop = ControlLoop(connection, self.robot.system, listeners=self.listeners, stops=self.stops)
             report = loop.run(series)
-        return series.rollouts(series.fault or report.sentence), report
+        if series.restless:
+            report = replace(report, reason=Reason.RESTLESS, detail=f"it still moves after {REST_LIMIT:.0f} s")
+        return series.rollouts(report.sentence), report

@@ -37,7 +37,9 @@ class RestWatch:
             self._seen.popleft()
         if self._seen[0][0] > estimate.time - REST_TIME:
             return False
-        spread = np.ptp(np.unwrap([pose for _, pose in self._seen], axis=0), axis=0)
+        poses = np.array([pose for _, pose in self._seen])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        spread = np.ptp(poses, axis=0)
         return bool(max(spread[0], spread[1]) <= REST_DISTANCE and spread[2] <= REST_ANGLE)
 
 
@@ -51,17 +53,16 @@ class Tape:
     controls: list[Array] = field(default_factory=list)
 
     def trajectory(self, dt: float, name: str) -> Trajectory:
-        """Return the trial at every sample: states and poses of a missing one lie on the line between, controls stay."""
+        """Return the trial at every sample; at a missing one states lie on the line between, and the control stays."""
         grid = np.arange(self.ticks[-1] + 1)
 
-        def filled(rows: list[Array]) -> Array:
-            return np.stack([np.interp(grid, self.ticks, column) for column in np.array(rows).T], axis=1)
+        def filled(rows: Array) -> Array:
+            return np.stack([np.interp(grid, self.ticks, column) for column in rows.T], axis=1)
 
         held = np.searchsorted(self.ticks[:-1], grid[:-1], side="right") - 1
-        poses = filled(
-            list(np.concatenate([np.array(self.poses)[:, :2], np.unwrap(self.poses, axis=0)[:, 2:]], axis=1))
-        )
-        return Trajectory(filled(self.states), np.array(self.controls)[held], dt, poses, name)
+        poses = np.array(self.poses)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return Trajectory(filled(np.array(self.states)), np.array(self.controls)[held], dt, filled(poses), name)
 
 
 class TrialSeries(Pilot):
@@ -88,7 +89,7 @@ class TrialSeries(Pilot):
         self.system: System = task.system
         self.seeds = seeds
         self.origin = origin
-        self.fault = ""
+        self.restless = False
         self.finished = 0
         self.tapes: list[Tape] = []
         self._progress = progress
@@ -107,7 +108,7 @@ class TrialSeries(Pilot):
         if self._began is None:
             if not self._rest.at_rest(estimate):
                 if (tick - self._waiting_since) * self.system.dt > REST_LIMIT:
-                    self.fault = f"the robot did not come to rest within {REST_LIMIT:.0f} s"
+                    self.restless = True
                     return None
                 return self.system.neutral_control
             if self.origin is None:

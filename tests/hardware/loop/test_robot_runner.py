@@ -160,8 +160,8 @@ def test_robot_that_never_stands_is_a_fault_with_a_reason(robot: Robot) -> None:
             return connection
 
     ran, report = RobotRunner(Rolling(robot), seed=1).drive(Chaser(), FULL, PointToPoint(horizon=20), trial_seeds(1, 2))
-    assert report.reason is Reason.PILOT
-    assert ran.missing == ("the robot did not come to rest within 10 s",) * 2
+    assert report.reason is Reason.RESTLESS
+    assert ran.missing == ("the robot did not come to rest: it still moves after 10 s",) * 2
 
 
 def test_rest_is_half_a_second_within_a_centimetre() -> None:
