@@ -64,7 +64,6 @@ function connect() {
 }
 
 function banner() {
-  const unit = view.setting.unit || "points";
   if (over) return "The session is over.";
   if (socket?.readyState !== WebSocket.OPEN) return tries > 3 ? "No answer: does sysid-evo drive still run?" : "Connecting";
   if (!reading) return "";
@@ -72,10 +71,14 @@ function banner() {
   switch (reading.phase) {
     case "settling": return "Release all keys; the robot must stand still.";
     case "ready": return "Press an arrow key to start: the clock starts with it.";
-    case "finished": return `Trial over: ${reading.score} ${unit}. R starts the next.`;
+    case "finished": return `Trial over, score ${reading.score}. R starts the next.`;
     case "ended": return reading.message ? `${reading.message}. R starts another trial.` : "R starts a trial.";
     default: return "";
   }
+}
+
+function signed(value) {
+  return `${value > 0 ? "+" : value < 0 ? "−" : ""}${Math.abs(value)}`;
 }
 
 function health(id, state, text) {
@@ -87,14 +90,14 @@ function panel() {
   write("banner", banner());
   const alive = socket?.readyState === WebSocket.OPEN && performance.now() - heard < SILENT;
   const watchers = reading?.watchers ? `, ${reading.watchers} watching` : "";
-  health("page", alive ? "good" : "bad", alive ? (reading?.drives ? "driving" : "watching") + watchers : "not connected");
+  health("page", alive ? "good" : "bad", alive ? (reading?.drives ? "in control" : "watching") + watchers : "not connected");
   if (!reading) return;
   write("trial", `trial ${reading.trial}`);
   write("score", String(reading.score));
   write("time", reading.time_left.toFixed(1));
   write("speed", (reading.speed ?? 0).toFixed(2));
   const names = view.setting.controls ?? [];
-  write("command", reading.control ? names.map((name, i) => `${name} ${reading.control[i]}`).join("   ") : "neutral");
+  write("command", reading.control ? names.map((name, i) => `${name} ${signed(reading.control[i])}`).join(" · ") : "neutral");
   const { tracker, link, scores } = reading;
   if (!tracker || !reading.control) health("tracker", "off", "–");
   else if (tracker.age > STALE) health("tracker", "bad", `silent ${tracker.age.toFixed(1)} s`);

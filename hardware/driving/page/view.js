@@ -5,6 +5,8 @@ const MARGIN = 0.35; // m of floor beyond what must be seen
 const SPACING = 0.01; // m between two points of the trail
 const TRAIL = 4000; // points
 
+const metres = (value) => String(value).replace("-", "−");
+
 export class View {
   constructor(canvas) {
     this.canvas = canvas;
@@ -85,13 +87,13 @@ export class View {
     pen.textBaseline = "bottom";
     for (let i = -columns; i <= columns; i++) {
       const x = this.at([i * step, 0])[0];
-      if (i % 2 === 0 && x > 90 && x < wide - 24) pen.fillText(String(i * step), x, high - 4);
+      if (i % 2 === 0 && x > 90 && x < wide - 24) pen.fillText(metres(i * step), x, high - 4);
     }
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     for (let i = -rows; i <= rows; i++) {
       const y = this.at([0, i * step])[1];
-      if (i % 2 === 0 && y > 12 && y < high - 30) pen.fillText(String(i * step), wide - 6, y);
+      if (i % 2 === 0 && y > 12 && y < high - 30) pen.fillText(metres(i * step), wide - 6, y);
     }
   }
 
@@ -163,10 +165,10 @@ export class View {
   }
 
   ruler(high) {
-    const { pen } = this, metres = this.half > 3 ? 1 : 0.5;
+    const { pen } = this, length = this.half > 3 ? 1 : 0.5;
     pen.strokeStyle = pen.fillStyle = this.colour("--ink");
     pen.lineWidth = 1.5;
-    const [left, bottom, right] = [16, high - 16, 16 + metres * this.scale];
+    const [left, bottom, right] = [16, high - 16, 16 + length * this.scale];
     pen.beginPath();
     pen.moveTo(left, bottom - 5);
     pen.lineTo(left, bottom);
@@ -175,6 +177,6 @@ export class View {
     pen.stroke();
     pen.textAlign = "left";
     pen.textBaseline = "bottom";
-    pen.fillText(`${metres} m`, left + 4, bottom - 4);
+    pen.fillText(`${length} m`, left + 4, bottom - 4);
   }
 }
