@@ -89,7 +89,7 @@ function health(id, state, text) {
 function panel() {
   write("banner", banner());
   const alive = socket?.readyState === WebSocket.OPEN && performance.now() - heard < SILENT;
-  const watchers = reading?.watchers ? `, ${reading.watchers} watching` : "";
+  const watchers = reading?.drives && reading.watchers ? `, ${reading.watchers} watching` : "";
   health("page", alive ? "good" : "bad", alive ? (reading?.drives ? "in control" : "watching") + watchers : "not connected");
   if (!reading) return;
   write("trial", `trial ${reading.trial}`);
