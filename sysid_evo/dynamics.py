@@ -31,11 +31,13 @@ class Dynamics(ABC):
     The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
     is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
     numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
-    never drawn inside.
+    never drawn inside. What controllers and tasks observe of the state stands in the carry from
+    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it.
     """
 
     system: System
     n_carry: int
+    observed_at: int = 0
     n_lags: int = 0
     n_noise: int = 0
     n_draws: int = 0

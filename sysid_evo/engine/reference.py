@@ -41,8 +41,9 @@ def run(
             if not alive.any():
                 break
             state = carry[:, : system.nx]
-            observation = task.observe(task_state, state)
-            view = View(observation.reshape(*grid, -1), state.reshape(*grid, -1), task_state)
+            seen = carry[:, dynamics.observed_at : dynamics.observed_at + system.nx]
+            observation = task.observe(task_state, seen)
+            view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None

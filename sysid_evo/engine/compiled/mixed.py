@@ -92,8 +92,9 @@ def run(
             if not alive.any():
                 break
             state = np.ascontiguousarray(carry[:, :nx], dtype=REAL)
+            seen = np.ascontiguousarray(carry[:, dynamics.observed_at :][:, :nx], dtype=REAL)
             decide(
-                act, observe, sizes, act_parameters, task_parameters, actuation, state.reshape(-1), theta, memory,
+                act, observe, sizes, act_parameters, task_parameters, actuation, seen.reshape(-1), theta, memory,
                 task_rows, control, buffer["carry"], buffer["control"], buffer["observation"], buffer["raw"],
                 buffer["scratch"],
             )  # fmt: skip

@@ -150,9 +150,10 @@ def run(
 
     sizes = np.zeros(16, np.int64)
     n_observations = len(task.observations)
-    sizes[: loops.N_POSE + 1] = (
+    sizes[: loops.SEEN + 1] = (
         trials, task.horizon, carry.shape[1], system.nx, system.nu, controller.n_memory, len(rows),
         dynamics.n_noise, parameters.shape[1], rollouts, int(record), kernels.task.pose_row, kernels.task.n_pose,
+        dynamics.observed_at,
     )  # fmt: skip
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
