@@ -32,7 +32,13 @@ class PointToPointState(TaskState):
     @property
     def waypoint(self) -> Array:
         """The waypoint to pass next, (B, 2) m."""
-        return self.waypoints[self.trial, self.passed]
+        trials, number, _ = self.waypoints.shape
+        return self.waypoints.reshape(trials * number, 2).take(self.trial * number + self.passed, axis=0)
+
+    def to_waypoint(self, pose: Array) -> tuple[Array, Array]:
+        """Return how far (m) the next waypoint lies from ``pose`` (B, 3) in x and in y, (B,) each."""
+        waypoint = self.waypoint
+        return waypoint[:, 0] - pose[:, 0], waypoint[:, 1] - pose[:, 1]
 
 
 @register_task("point_to_point")
@@ -96,21 +102,21 @@ class PointToPoint(Task):
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("PointToPointState", task_state)
         forward, _, yaw_rate = self._planar.indices(self.system.state_names)
-        to = here.waypoint - here.pose[:, :2]
-        angle = np.arctan2(to[:, 1], to[:, 0]) - here.pose[:, 2]
+        dx, dy = here.to_waypoint(here.pose)
+        angle = np.arctan2(dy, dx) - here.pose[:, 2]
         observation = np.empty((len(state), 5))
         observation[:, 0] = 1.0
         observation[:, 1] = state[:, forward]
         observation[:, 2] = state[:, yaw_rate]
-        observation[:, 3] = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-        observation[:, 4] = np.hypot(to[:, 0], to[:, 1])
+        observation[:, 3] = angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+        observation[:, 4] = np.sqrt(dx * dx + dy * dy)
         return observation
 
     def advance(self, task_state: TaskState, before: Array, after: Array) -> tuple[TaskState, Array]:
         here = cast("PointToPointState", task_state)
         pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
-        to = here.waypoint - pose[:, :2]
-        near = to[:, 0] ** 2 + to[:, 1] ** 2 <= self.waypoint_radius**2
+        dx, dy = here.to_waypoint(pose)
+        near = dx * dx + dy * dy <= self.waypoint_radius**2
         return replace(here, pose=pose, passed=here.passed + near), after
 
     def fitness(self, task_state: TaskState) -> Array:
