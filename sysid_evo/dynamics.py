@@ -241,8 +241,9 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
         inside &= (value >= least) & (value <= most)
     if inside.all():
         return carry, ~inside
-    state, clipped = carry[:, : len(low)], carry.copy()
-    clipped[:, : len(low)] = np.where(np.isnan(state), high, np.clip(state, low, high))
+    clipped = carry.copy()
+    for value, least, most in zip(clipped.T, low, high, strict=False):
+        np.maximum(np.fmin(value, most), least, out=value)
     return clipped, ~inside
 
 
