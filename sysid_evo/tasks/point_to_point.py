@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
@@ -87,14 +88,11 @@ class PointToPoint(Task):
 
     def begin(self, seeds: Seeds) -> PointToPointState:
         trials = len(seeds)
-        drawn = np.stack([generator(seed, TASK_STREAM).random((self.horizon + 1, 2)) for seed in seeds])
-        radius, angle = self.arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
-        waypoints = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
         return PointToPointState(
             state=np.tile(self.system.neutral_state, (trials, 1)),
             pose=np.zeros((trials, 3)),
             alive=np.ones(trials, dtype=bool),
-            waypoints=waypoints,
+            waypoints=waypoints(tuple(seeds.tolist()), self.horizon + 1, self.arena_radius),
             trial=np.arange(trials),
             passed=np.zeros(trials, dtype=np.int64),
         )
@@ -130,3 +128,18 @@ class PointToPoint(Task):
     @property
     def _planar(self) -> PlanarBody:
         return cast("PlanarBody", self.system.motion)
+
+
+@lru_cache(maxsize=16)
+def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
+    """Return ``count`` random waypoints for each seed, (E, count, 2) m.
+
+    Read-only, and remembered: all models of an ensemble meet the same trials.
+    """
+    drawn = np.empty((len(seeds), count, 2))
+    for trial, seed in zip(drawn, seeds, strict=True):
+        generator(seed, TASK_STREAM).random(out=trial)
+    radius, angle = arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
+    drawn[..., 0], drawn[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    drawn.flags.writeable = False
+    return drawn
