@@ -238,13 +238,15 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
     if envelope is None:
         return carry, np.zeros(len(carry), dtype=bool)
     low, high = envelope
-    state = carry[:, : len(low)]
-    inside = (state >= low) & (state <= high)
+    inside = np.ones(len(carry), dtype=bool)
+    for value, least, most in zip(carry.T, low, high, strict=False):
+        inside &= (value >= least) & (value <= most)
     if inside.all():
-        return carry, np.zeros(len(carry), dtype=bool)
+        return carry, ~inside
     clipped = carry.copy()
-    clipped[:, : len(low)] = np.where(np.isnan(state), high, np.clip(state, low, high))
-    return clipped, ~inside.all(axis=1)
+    for value, least, most in zip(clipped.T, low, high, strict=False):
+        np.maximum(np.fmin(value, most), least, out=value)
+    return clipped, ~inside
 
 
 def training_envelope(states: Array, multiple: float) -> Array:

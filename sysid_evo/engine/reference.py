@@ -48,8 +48,10 @@ def run(
             control = system.actuate(raw.reshape(batch, system.nu))
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, control, draw)
-            diverged |= alive & ~np.isfinite(stepped).all(axis=1)
-            going = alive & ~diverged
+            going = alive
+            if not np.isfinite(stepped).all():
+                diverged |= alive & ~np.isfinite(stepped).all(axis=1)
+                going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)
             reached = stepped[:, : system.nx]
             advanced, after = task.advance(task_state, state, reached)
