@@ -76,6 +76,7 @@ class PacedConnection(Connection):
 
     def _catch_up(self) -> float:
         """Let the robot move up to now, which is returned."""
+        self.simulated.check_open()
         now = time.monotonic()
         while self._due <= now:
             seen = self.simulated.measure(self.simulated.period)
