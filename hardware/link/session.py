@@ -109,8 +109,7 @@ class HostSession:
         if not valid_for >= TIME_TO_LIVE_UNIT:
             raise InvalidArgument(f"send: expected valid_for >= {TIME_TO_LIVE_UNIT} s, got {valid_for}")
         units = min(valid_for / TIME_TO_LIVE_UNIT + 1e-9, self.acknowledgement.max_time_to_live)
-        if self._last_command is not None:
-            self._longest_pause = max(self._longest_pause, now - self._last_command)
+        self._longest_pause = self._pause(now)
         self._last_command = now
         frames = b""
         if buttons and (self.status is None or self.status.state != State.DRIVING):
@@ -122,6 +121,10 @@ class HostSession:
         session = 0 if self.acknowledgement is None else self.acknowledgement.session
         self._ended = self._ended or "the session is closed"
         return encode(Stop(session, self._sequence).pack()) * STOPS
+
+    def _pause(self, now: float) -> float:
+        """Return the longest time without a command so far."""
+        return max(self._longest_pause, 0.0 if self._last_command is None else now - self._last_command)
 
     def _frame(self, buttons: Buttons, time_to_live: int, now: float) -> bytes:
         assert self.acknowledgement is not None
@@ -155,7 +158,7 @@ class HostSession:
         if self.status is not None and self.status.state == State.TRIPPED:
             return (
                 "the robot has tripped: no command reached it within its time to live "
-                f"(the host's longest pause between two was {self._longest_pause:.3f} s)"
+                f"(the host's longest pause between two was {self._pause(now):.3f} s)"
             )
         if self.is_open and now - self.heard > SILENCE:
             return f"the robot has been silent for {now - self.heard:.3f} s, longer than {SILENCE} s"
