@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -57,7 +59,9 @@ class Robot:
     def hello(self, nonce: int = 1) -> None:
         self.say(Hello(1, 0, nonce))
 
-    def command(self, sequence: int, buttons: Buttons = GO, *, delay: int = 0, life: int = 15, session: int = 0) -> bool:
+    def command(
+        self, sequence: int, buttons: Buttons = GO, *, delay: int = 0, life: int = 15, session: int = 0
+    ) -> bool:
         """Say a CMD that left the host ``delay`` ms ago; return whether it counts."""
         host_ms = (self.now - 500 - delay) % 65536
         before = self.core.accepted
@@ -250,7 +254,7 @@ def test_status_comes_ten_times_a_second_without_commands(robot):
         robot.core.tick(robot.now)
         times += [message.clock_ms for message in robot.hear() if isinstance(message, StatusMessage)]
     assert len(times) == 10
-    assert {after - before for before, after in zip(times, times[1:], strict=False)} == {100}
+    assert {after - before for before, after in pairwise(times)} == {100}
 
 
 def test_robot_drives_while_its_clock_runs_over():
