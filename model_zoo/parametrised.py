@@ -95,7 +95,7 @@ class Parametrised(DynamicsModel):
         return self
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        return self._advance(self.parameters_[None], carry[None], control)[0]
+        return self._advance(self.parameters_, carry, control)
 
     def kernel(self) -> DynamicsKernel:
         return self._kernels(self.parameters_[None])[0]
@@ -130,26 +130,30 @@ class Parametrised(DynamicsModel):
         return self.system.nx + self.system.nu * (lag - 1) if lag else 0
 
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
-        """Step parameter vectors (P, 12) from carries (P, B, n_carry) under controls (B, nu)."""
+        """Step one parameter vector (12,) from carries (B, n_carry), or each of (P, 12) from (P, B, n_carry).
+
+        Controls are (B, nu).
+        """
         nx, past = self.system.nx, self._oldest_command
-        state, present = carry[..., :nx], np.broadcast_to(control, (*carry.shape[:-1], control.shape[-1]))
+        present = control if carry.ndim == 2 else np.broadcast_to(control, (*carry.shape[:-1], control.shape[-1]))
         driven = carry[..., past : past + self.system.nu] if past else control
-        after = self.held(carry, present, self._equation_one(parameters, state, driven))
+        after = self.held(carry, present, self._equation_one(parameters, carry[..., :nx], driven))
         return self.remember(carry, present, after)
 
     def _equation_one(self, parameters: Array, state: Array, control: Array) -> Array:
-        """Return the next states (P, B, nx) of parameter vectors (P, 12) under controls (..., B, nu)."""
+        """Return the next states (..., B, nx) of parameter vectors (..., 12) under controls (..., B, nu)."""
         forward, _, yaw_rate, drive, steer = self.roles
         dt = self.system.dt
-        (u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv, u_min, r_min, u_max, r_max) = parameters.T[:, :, None]
+        (u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv, u_min, r_min, u_max, r_max) = parameters.T[..., None]
         u, r, u1, u2 = state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer]
-        thrust = u_f * np.maximum(u1, 0.0) - u_b * np.maximum(-u1, 0.0)
-        turning = u * (r_l * np.maximum(u2, 0.0) - r_r * np.maximum(-u2, 0.0))
+        thrust = np.where(u1 > 0.0, u_f, u_b) * u1
+        turning = u * (np.where(u2 > 0.0, r_l, r_r) * u2)
         next_u = u + dt * (thrust - u * d_ul - u * np.abs(u) * d_uv)
         next_r = r + dt * (turning - r * d_rl - r * np.abs(r) * d_rv)
         after = np.zeros_like(state)
-        after[..., forward] = np.where((np.abs(next_u) < u_min) & (u1 == 0), 0.0, np.clip(next_u, -u_max, u_max))
-        after[..., yaw_rate] = np.where((np.abs(next_r) < r_min) & (u2 == 0), 0.0, np.clip(next_r, -r_max, r_max))
+        u_still, r_still = (np.abs(next_u) < u_min) & (u1 == 0.0), (np.abs(next_r) < r_min) & (u2 == 0.0)
+        np.clip(next_u, -u_max, u_max, out=after[..., forward], where=~u_still)
+        np.clip(next_r, -r_max, r_max, out=after[..., yaw_rate], where=~r_still)
         return after
 
 

@@ -31,11 +31,13 @@ class Dynamics(ABC):
     The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
     is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
     numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
-    never drawn inside.
+    never drawn inside. What controllers and tasks observe of the state stands in the carry from
+    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it.
     """
 
     system: System
     n_carry: int
+    observed_at: int = 0
     n_lags: int = 0
     n_noise: int = 0
     n_draws: int = 0
@@ -236,13 +238,15 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
     if envelope is None:
         return carry, np.zeros(len(carry), dtype=bool)
     low, high = envelope
-    state = carry[:, : len(low)]
-    inside = (state >= low) & (state <= high)
+    inside = np.ones(len(carry), dtype=bool)
+    for value, least, most in zip(carry.T, low, high, strict=False):
+        inside &= (value >= least) & (value <= most)
     if inside.all():
-        return carry, np.zeros(len(carry), dtype=bool)
+        return carry, ~inside
     clipped = carry.copy()
-    clipped[:, : len(low)] = np.where(np.isnan(state), high, np.clip(state, low, high))
-    return clipped, ~inside.all(axis=1)
+    for value, least, most in zip(clipped.T, low, high, strict=False):
+        np.maximum(np.fmin(value, most), least, out=value)
+    return clipped, ~inside
 
 
 def training_envelope(states: Array, multiple: float) -> Array:

@@ -1,10 +1,16 @@
-"""Writing files so that a crash leaves the old one or the new one, never half of one."""
+"""Where files are kept, and how they are written: a crash leaves the old one or the new one, never half of one."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from pathlib import Path
+
+
+def cache_folder(kind: str) -> Path:
+    """Return where compiled things of this ``kind`` are kept from run to run (``SYSID_EVO_CACHE`` overrides it)."""
+    base = os.environ.get("SYSID_EVO_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "sysid-evo" / kind
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:

@@ -105,17 +105,28 @@ class PlanarBody(Motion):
     def move(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
         """Return the pose after ``dt``: mean body velocity, turned by the heading half-way (second order)."""
         forward, lateral, yaw_rate = self.indices(names)
-        mean = 0.5 * (before + after)
+        mean = before + after
+        mean *= 0.5
         turn = mean[..., yaw_rate] * dt
         along = mean[..., forward]
         across = np.zeros_like(along) if lateral is None else mean[..., lateral]
         dx, dy = rotate(along, across, pose[..., 2] + 0.5 * turn)
-        return np.stack([pose[..., 0] + dx * dt, pose[..., 1] + dy * dt, pose[..., 2] + turn], axis=-1)
+        moved = np.array(pose)
+        moved[..., 0] += dx * dt
+        moved[..., 1] += dy * dt
+        moved[..., 2] += turn
+        return moved
 
 
 def rotate(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
-    """Return the vector (x, y) turned counter-clockwise by ``angle`` in radians."""
-    cos, sin = np.cos(angle), np.sin(angle)
+    """Return the vector (x, y) turned counter-clockwise by ``angle`` in radians.
+
+    Sine and cosine come from the tangent t of half the angle, s = 2 t / (1 + t^2) and
+    c = 2 / (1 + t^2) - 1: NumPy has vector instructions for it, and none for double sines.
+    """
+    half = np.tan(0.5 * angle)
+    share = 2.0 / (1.0 + half * half)
+    cos, sin = share - 1.0, share * half
     return cos * x - sin * y, sin * x + cos * y
 
 

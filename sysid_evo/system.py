@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, IntArray, check_last, check_shape
+from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
 
@@ -152,7 +152,7 @@ class System:
         control = np.empty_like(raw)
         for i, channel in enumerate(self.controls):
             if channel.levels is not None:
-                control[..., i] = np.asarray(channel.levels)[level_index(raw[..., i], len(channel.levels))]
+                switch(raw[..., i], channel.levels, control[..., i])
             elif channel.bounded:
                 share = (np.clip(raw[..., i], -1.0, 1.0) + 1.0) / 2.0
                 control[..., i] = channel.low + share * (channel.high - channel.low)
@@ -215,14 +215,14 @@ class System:
         )
 
 
-def level_boundaries(n_levels: int) -> Array:
+@cache
+def level_boundaries(n_levels: int) -> tuple[float, ...]:
     """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
-    return SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels
+    return tuple(SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels)
 
 
-def level_index(raw: Array, n_levels: int) -> IntArray:
-    """Return the level (from 0) that each output in [-1, 1] selects; a boundary itself is inner."""
-    index = np.zeros(np.shape(raw), dtype=np.int64)
-    for boundary in level_boundaries(n_levels):
-        index += (raw >= boundary) if boundary < 0 else (raw > boundary)
-    return index
+def switch(raw: Array, levels: Sequence[float], control: Array) -> None:
+    """Write the level that each output in [-1, 1] selects to ``control``; a boundary itself is inner."""
+    control[...] = levels[0]
+    for boundary, level in zip(level_boundaries(len(levels)), levels[1:], strict=True):
+        np.copyto(control, level, where=(raw >= boundary) if boundary < 0 else (raw > boundary))

@@ -23,6 +23,7 @@ class Reason(Enum):
     TRACKER_LOST = ("the tracker lost the robot", 11)
     TRIPPED = ("the robot stopped itself", 12)
     NOT_FINITE = ("the control was not a number", 13)
+    RESTLESS = ("the robot did not come to rest", 15)
     THREAD_DIED = ("a thread died", 14)
     SIGHUP = ("hung up", 129)
     SIGINT = ("interrupted", 130)

@@ -51,8 +51,11 @@ class RecurrentNetwork(Controller):
         w_in = parameters[:, : i * h].reshape(candidates, i, h)
         w_hidden = parameters[:, i * h : (i + h) * h].reshape(candidates, h, h)
         w_out = parameters[:, (i + h) * h :].reshape(candidates, h, o)
-        hidden = np.tanh(view.observation @ w_in + memory @ w_hidden)
-        return np.tanh(hidden @ w_out), hidden
+        hidden = view.observation @ w_in
+        hidden += memory @ w_hidden
+        np.tanh(hidden, out=hidden)
+        raw = hidden @ w_out
+        return np.tanh(raw, out=raw), hidden
 
     def kernel(self) -> ControllerKernel:
         from sysid_evo.engine.kernels.recurrent import recurrent_kernel

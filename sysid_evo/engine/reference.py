@@ -41,14 +41,17 @@ def run(
             if not alive.any():
                 break
             state = carry[:, : system.nx]
-            observation = task.observe(task_state, state)
-            view = View(observation.reshape(*grid, -1), state.reshape(*grid, -1), task_state)
+            seen = carry[:, dynamics.observed_at : dynamics.observed_at + system.nx]
+            observation = task.observe(task_state, seen)
+            view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, control, draw)
-            diverged |= alive & ~np.isfinite(stepped).all(axis=1)
-            going = alive & ~diverged
+            going = alive
+            if not np.isfinite(stepped).all():
+                diverged |= alive & ~np.isfinite(stepped).all(axis=1)
+                going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)
             reached = stepped[:, : system.nx]
             advanced, after = task.advance(task_state, state, reached)

@@ -25,7 +25,7 @@ class Rollouts:
     horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
     steps whose state was clipped to the model's envelope. ``trajectories`` (only when recorded)
     stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
-    that ran.
+    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
     """
 
     fitness: Array
@@ -34,6 +34,7 @@ class Rollouts:
     task_state: TaskState
     engine: str
     trajectories: tuple[Trajectory, ...] = ()
+    missing: tuple[str, ...] = ()
 
 
 class Runner(Protocol):

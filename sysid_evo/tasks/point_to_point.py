@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
@@ -32,7 +33,13 @@ class PointToPointState(TaskState):
     @property
     def waypoint(self) -> Array:
         """The waypoint to pass next, (B, 2) m."""
-        return self.waypoints[self.trial, self.passed]
+        trials, number, _ = self.waypoints.shape
+        return self.waypoints.reshape(trials * number, 2).take(self.trial * number + self.passed, axis=0)
+
+    def to_waypoint(self, pose: Array) -> tuple[Array, Array]:
+        """Return how far (m) the next waypoint lies from ``pose`` (B, 3) in x and in y, (B,) each."""
+        waypoint = self.waypoint
+        return waypoint[:, 0] - pose[:, 0], waypoint[:, 1] - pose[:, 1]
 
 
 @register_task("point_to_point")
@@ -81,14 +88,11 @@ class PointToPoint(Task):
 
     def begin(self, seeds: Seeds) -> PointToPointState:
         trials = len(seeds)
-        drawn = np.stack([generator(seed, TASK_STREAM).random((self.horizon + 1, 2)) for seed in seeds])
-        radius, angle = self.arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
-        waypoints = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
         return PointToPointState(
             state=np.tile(self.system.neutral_state, (trials, 1)),
             pose=np.zeros((trials, 3)),
             alive=np.ones(trials, dtype=bool),
-            waypoints=waypoints,
+            waypoints=waypoints(tuple(seeds.tolist()), self.horizon + 1, self.arena_radius),
             trial=np.arange(trials),
             passed=np.zeros(trials, dtype=np.int64),
         )
@@ -96,14 +100,14 @@ class PointToPoint(Task):
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("PointToPointState", task_state)
         forward, _, yaw_rate = self._planar.indices(self.system.state_names)
-        to = here.waypoint - here.pose[:, :2]
-        angle = np.arctan2(to[:, 1], to[:, 0]) - here.pose[:, 2]
+        dx, dy = here.to_waypoint(here.pose)
+        angle = np.arctan2(dy, dx) - here.pose[:, 2]
         observation = np.empty((len(state), 5))
         observation[:, 0] = 1.0
         observation[:, 1] = state[:, forward]
         observation[:, 2] = state[:, yaw_rate]
-        observation[:, 3] = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-        observation[:, 4] = np.hypot(to[:, 0], to[:, 1])
+        observation[:, 3] = angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+        observation[:, 4] = np.sqrt(dx * dx + dy * dy)
         return observation
 
     def advance(
@@ -112,8 +116,8 @@ class PointToPoint(Task):
         here = cast("PointToPointState", task_state)
         if pose is None:
             pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
-        to = here.waypoint - pose[:, :2]
-        near = to[:, 0] ** 2 + to[:, 1] ** 2 <= self.waypoint_radius**2
+        dx, dy = here.to_waypoint(pose)
+        near = dx * dx + dy * dy <= self.waypoint_radius**2
         return replace(here, pose=pose, passed=here.passed + near), after
 
     def fitness(self, task_state: TaskState) -> Array:
@@ -127,3 +131,18 @@ class PointToPoint(Task):
     @property
     def _planar(self) -> PlanarBody:
         return cast("PlanarBody", self.system.motion)
+
+
+@lru_cache(maxsize=16)
+def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
+    """Return ``count`` random waypoints for each seed, (E, count, 2) m.
+
+    Read-only, and remembered: all models of an ensemble meet the same trials.
+    """
+    drawn = np.empty((len(seeds), count, 2))
+    for trial, seed in zip(drawn, seeds, strict=True):
+        generator(seed, TASK_STREAM).random(out=trial)
+    radius, angle = arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
+    drawn[..., 0], drawn[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    drawn.flags.writeable = False
+    return drawn

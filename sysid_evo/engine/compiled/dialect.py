@@ -18,7 +18,6 @@ import hashlib
 import importlib.util
 import inspect
 import numbers
-import os
 import sys
 import textwrap
 import threading
@@ -34,7 +33,7 @@ import numba
 
 from sysid_evo.engine.compiled import elementary, lanes
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.files import write_atomically
+from sysid_evo.files import cache_folder, write_atomically
 
 Precision: TypeAlias = Literal["float32", "float64"]
 
@@ -279,13 +278,6 @@ def _parse(function: FunctionType) -> ast.FunctionDef:
 
 
 @cache
-def cache_folder() -> Path:
-    """Return where generated sources and their compiled form are kept (``SYSID_EVO_CACHE`` overrides it)."""
-    base = os.environ.get("SYSID_EVO_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "sysid-evo" / "kernels"
-
-
-@cache
 def _fingerprint() -> str:
     """Return a digest of everything outside a generated file that its compiled form depends on."""
     parts = [numba.__version__, llvmlite.__version__, sys.version, Path(lanes.__file__).read_text()]
@@ -300,7 +292,7 @@ def _import(text: str) -> Any:
 
 
 def _load(name: str, text: str) -> Any:
-    path = cache_folder() / f"{name}.py"
+    path = cache_folder("kernels") / f"{name}.py"
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     spec = importlib.util.spec_from_file_location(name, path)

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from sysid_evo.engine.compiled.lanes import LANES, view
 
-TRIALS, HORIZON, N_CARRY, NX, NU, N_MEMORY, N_TASK, N_NOISE, N_THETA, ROLLOUTS, RECORD, POSE_ROW, N_POSE = range(13)
+(
+    TRIALS, HORIZON, N_CARRY, NX, NU, N_MEMORY, N_TASK, N_NOISE, N_THETA, ROLLOUTS, RECORD, POSE_ROW, N_POSE, SEEN,
+) = range(14)  # fmt: skip
 
 CLOSED_LOOP = (
     "types.void(types.FunctionType(types.void(R, R, R, R, R)), types.FunctionType(types.void(R, R, R, R, R, R)), "
@@ -53,7 +55,7 @@ def closed_loop(
         for k in range(horizon):
             if n_dead == LANES:
                 break
-            observe(task, carry, observation, task_parameters)
+            observe(task, view(carry, sizes[SEEN] * LANES), observation, task_parameters)
             controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
             actuate(raw, control, actuation, nu)
             if n_noise > 0:

@@ -14,7 +14,7 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, OBSERVE, ControllerKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import actuation_table, aligned, compiled
+from sysid_evo.engine.compiled.run import actuation_table, aligned, compiled, empty_lines
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 
@@ -53,15 +53,15 @@ def run(
     carry = dynamics.start(states, past, np.tile(trial_draws(seeds, dynamics.n_draws), (candidates, 1)))
 
     lane_of = np.minimum(np.arange(blocks * LANES), rollouts - 1)
-    task_rows = aligned(_blocks(rows[:, lane_of % trials]))
-    theta = aligned(_blocks(parameters[lane_of // trials].T))
-    memory = aligned(np.zeros(blocks * controller.n_memory * LANES, REAL))
+    task_rows = _blocks(rows[:, lane_of % trials])
+    theta = _blocks(parameters[lane_of // trials].T)
+    memory = empty_lines(blocks * controller.n_memory * LANES, REAL)
     sizes = np.zeros(16, np.int64)
     sizes[[loops.TRIALS, loops.NX, loops.NU, loops.N_MEMORY, loops.N_TASK, loops.N_THETA, loops.ROLLOUTS]] = (
         trials, nx, nu, controller.n_memory, len(rows), parameters.shape[1], rollouts,
     )  # fmt: skip
     buffer = {
-        name: aligned(np.zeros(n * LANES, REAL))
+        name: empty_lines(n * LANES, REAL)
         for name, n in {
             "carry": nx, "before": nx, "control": nu, "observation": len(task.observations), "raw": nu,
             "scratch": controller_kernel.n_scratch, "kept": len(rows),
@@ -71,7 +71,7 @@ def run(
     observe = compiled(task_kernel.observe, OBSERVE, PRECISION)
     advance = compiled(task_kernel.advance, ADVANCE, PRECISION)
     act_parameters, task_parameters, actuation, trial_data = (
-        aligned(np.ravel(array).astype(REAL))
+        aligned(array, REAL)
         for array in (
             controller_kernel.parameters,
             task_kernel.parameters,
@@ -92,8 +92,9 @@ def run(
             if not alive.any():
                 break
             state = np.ascontiguousarray(carry[:, :nx], dtype=REAL)
+            seen = np.ascontiguousarray(carry[:, dynamics.observed_at :][:, :nx], dtype=REAL)
             decide(
-                act, observe, sizes, act_parameters, task_parameters, actuation, state.reshape(-1), theta, memory,
+                act, observe, sizes, act_parameters, task_parameters, actuation, seen.reshape(-1), theta, memory,
                 task_rows, control, buffer["carry"], buffer["control"], buffer["observation"], buffer["raw"],
                 buffer["scratch"],
             )  # fmt: skip
@@ -128,8 +129,6 @@ def run(
     }
 
 
-def _blocks(rows: Array) -> Array:
-    """Turn (n, blocks * LANES) into blocks of n rows of 64 lanes, flat."""
-    n = len(rows)
-    with np.errstate(over="ignore"):  # a number beyond float32 is infinite
-        return np.ascontiguousarray(rows.reshape(n, -1, LANES).transpose(1, 0, 2), dtype=REAL).reshape(-1)
+def _blocks(rows: Array) -> Any:
+    """Turn (n, blocks * LANES) into blocks of n rows of 64 lanes, flat and aligned."""
+    return aligned(rows.reshape(len(rows), -1, LANES).transpose(1, 0, 2), REAL)

@@ -12,7 +12,7 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import Work, aligned, compiled, spread
+from sysid_evo.engine.compiled.run import Work, aligned, compiled, empty_lines, spread
 
 
 @cache
@@ -42,22 +42,18 @@ def final_errors(
     truth = check_shape("truth", truth, (windows, None))
     real = np.dtype(precision)
 
-    def flat(array: Array) -> Any:
-        with np.errstate(over="ignore"):  # a number beyond float32 is infinite
-            return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
-
     sizes = np.zeros(16, np.int64)
     sizes[: loops.OPEN_PARAMETERS + 1] = (
         len(parameters), windows, steps, start.shape[1], truth.shape[1], nu, parameters.shape[1],
     )  # fmt: skip
     error = np.zeros(len(parameters), real)
-    shared = (sizes, flat(parameters), flat(start), flat(controls), flat(truth))
+    shared = (sizes, *(aligned(array, real) for array in (parameters, start, controls, truth)))
     kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
 
     def prepare() -> Work:
         rows = (start.shape[1], nu, 1)
-        buffers = [aligned(np.zeros(n * LANES, real)) for n in rows]
-        own, scratch = aligned(np.zeros(parameters.shape[1], real)), aligned(np.zeros(n_scratch * LANES, real))
+        buffers = [empty_lines(n * LANES, real) for n in rows]
+        own, scratch = empty_lines(parameters.shape[1], real), empty_lines(n_scratch * LANES, real)
 
         def work(first: int, last: int) -> None:
             loop(kernel, *shared, first, last, *buffers, own, scratch, error)

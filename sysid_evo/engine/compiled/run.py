@@ -93,12 +93,19 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
         other.result()
 
 
-def aligned(array: Any) -> Any:
-    """Return a copy that begins on a cache line (a vector load across two lines costs twice), never empty."""
-    room = np.zeros(array.size + CACHE_LINE // array.itemsize, array.dtype)
-    first = -room.ctypes.data % CACHE_LINE // array.itemsize
-    copied = room[first : first + max(1, array.size)]
-    copied[: array.size] = array
+def empty_lines(count: int, real: Any) -> Any:
+    """Return ``count`` zeros, at least one, that begin on a cache line: a load across two lines costs twice."""
+    count, itemsize = max(1, count), np.dtype(real).itemsize
+    room = np.zeros(count + CACHE_LINE // itemsize, real)
+    first = -room.__array_interface__["data"][0] % CACHE_LINE // itemsize
+    return room[first : first + count]
+
+
+def aligned(array: Any, real: Any = None) -> Any:
+    """Return a flat copy of ``array`` from a cache line on, in another precision if ``real`` is given."""
+    copied = empty_lines(array.size, real or array.dtype)
+    with np.errstate(over="ignore"):  # a number beyond float32 is infinite
+        copied[: array.size].reshape(array.shape)[...] = array
     return copied
 
 
@@ -140,19 +147,22 @@ def run(
     past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
     carry = dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws))
     rows = kernels.task.rows(began)
+    noise = np.empty((trials, task.horizon, dynamics.n_noise))
     envelope = dynamics.envelope
     if envelope is None:
         envelope = np.stack([np.full(system.nx, -np.inf), np.full(system.nx, np.inf)])
 
-    def flat(array: Array) -> Any:
-        with np.errstate(over="ignore"):  # a number beyond float32 is infinite
-            return aligned(np.ascontiguousarray(array, dtype=real).reshape(-1))
+    def draw(first: int, last: int) -> None:
+        noise[first:last] = step_noise(seeds[first:last], task.horizon, dynamics.n_noise)
 
+    if dynamics.n_noise:
+        spread(lambda: draw, trials, threads)
     sizes = np.zeros(16, np.int64)
     n_observations = len(task.observations)
-    sizes[: loops.N_POSE + 1] = (
+    sizes[: loops.SEEN + 1] = (
         trials, task.horizon, carry.shape[1], system.nx, system.nu, controller.n_memory, len(rows),
         dynamics.n_noise, parameters.shape[1], rollouts, int(record), kernels.task.pose_row, kernels.task.n_pose,
+        dynamics.observed_at,
     )  # fmt: skip
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
@@ -172,16 +182,22 @@ def run(
         compiled(kernels.task.advance, ADVANCE, precision),
     )
     shared = (
-        sizes, flat(kernels.dynamics.parameters), flat(kernels.controller.parameters), flat(kernels.task.parameters),
-        flat(parameters), flat(carry), flat(rows.T), flat(kernels.task.trial_data(began)),
-        flat(step_noise(seeds, task.horizon, dynamics.n_noise)), flat(envelope), flat(actuation_table(system)),
+        sizes,
+        *(
+            aligned(array, real)
+            for array in (
+                kernels.dynamics.parameters, kernels.controller.parameters, kernels.task.parameters, parameters, carry,
+                rows.T, kernels.task.trial_data(began), noise, envelope,
+                actuation_table(system),
+            )
+        ),
     )  # fmt: skip
     results = (fitness, survived, clipped, diverged, final, *tape)
     loop = closed_loop(precision)
 
     def prepare() -> Work:
         buffers = [
-            aligned(np.zeros(n * LANES, real))
+            empty_lines(n * LANES, real)
             for n in (
                 carry.shape[1], system.nu, dynamics.n_noise, controller.n_memory, max(1, n_observations), system.nu,
                 system.nx, len(rows), parameters.shape[1], carry.shape[1] + len(rows),

@@ -11,7 +11,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned, compiled
+from sysid_evo.engine.compiled.run import aligned, compiled, empty_lines
 
 CALL = "types.void(types.FunctionType(types.void(R, R, R, R, R)), R, R, R, R, R)"
 
@@ -22,12 +22,12 @@ def kernel_step(
     """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise), compiled."""
     function, loop = compiled(kernel.source, DYNAMICS, precision), _loop(precision)
     noise = np.zeros((len(carry), 1)) if noise is None else noise
-    parameters = aligned(np.asarray(kernel.parameters, dtype=precision))
+    parameters = aligned(kernel.parameters, precision)
     after = np.empty_like(carry)
     for first in range(0, len(carry), LANES):
         rows = np.minimum(np.arange(first, first + LANES), len(carry) - 1)
-        blocks = [aligned(array[rows].T.astype(precision).ravel()) for array in (carry, control, noise)]
-        loop(function, *blocks, parameters, aligned(np.zeros(kernel.n_scratch * LANES, precision)))
+        blocks = [aligned(array[rows].T, precision) for array in (carry, control, noise)]
+        loop(function, *blocks, parameters, empty_lines(kernel.n_scratch * LANES, precision))
         after[rows] = blocks[0].reshape(-1, LANES).T
     return after
 

@@ -1,21 +1,33 @@
 """One small network for each command and each output, over lanes (paper, section 4.1).
 
-Lanes are sorted by their command and evaluated sixteen at a time with the networks of that command.
+Lanes are sorted by their command, so that sixteen at a time are evaluated with the networks of that
+command, all hidden units as one layer. A command's last sixteen run over into the lanes of the next
+command, which writes them again: rows are that much longer than the lanes.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, splat_quarter, store, view
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    QUARTER,
+    first_lane,
+    lanes_less,
+    load_quarter,
+    splat_quarter,
+    store,
+    view,
+)
 from sysid_evo.engine.kernels.commands import command_cells
+from sysid_evo.engine.kernels.networks import squash
 from sysid_evo.engine.kernels.stepping import Predictor
 
 N_STATES, N_EXACT, N_OUT, HIDDEN, N_CONTROLS, CELLS, WEIGHTS, EXACT = range(8)
+WIDE = LANES + QUARTER
 
 
 def command_network_predictor(
@@ -43,74 +55,104 @@ def command_network_predictor(
     weights = cells + len(serving)
     head = [n_states, len(exact), n_out, hidden, len(midpoints), cells, weights, *lookup, *serving]
     body = [
-        np.concatenate([first_bias[c, k], first[c, k].ravel(), [second_bias[c, k]], second[c, k]])
+        np.concatenate([first_bias[c].ravel(), first[c].transpose(1, 0, 2).ravel(), second_bias[c], second[c].ravel()])
         for c in range(commands)
-        for k in range(n_out)
     ]
-    rows = 2 + -(-((n_in + hidden + 1) * QUARTER + len(serving) + 2) // LANES)
+    rows = 2 + -(-((n_in + n_out * hidden + n_out) * WIDE + len(serving)) // LANES)
     return Predictor(command_networks, np.concatenate([np.array(head, dtype=np.float64), *body]), n_scratch=rows)
 
 
 def command_networks(x, u, p, y, scratch):
     """Write every output of the networks of each lane's command (a predictor, see `stepping`)."""
     n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
-    hidden = int(p[HIDDEN])
-    n_in = n_states + n_exact
-    size = hidden * (n_in + 2) + 1
-    cells, order = scratch, view(scratch, LANES)
-    inputs = view(order, LANES)
-    units = view(inputs, n_in * QUARTER)
-    result = view(units, hidden * QUARTER)
-    first = view(result, QUARTER)
-    n_cells = int(p[WEIGHTS]) - int(p[CELLS])
+    hidden, n_in = int(p[HIDDEN]), n_states + n_exact
+    n_units, n_cells = n_out * hidden, int(p[WEIGHTS]) - int(p[CELLS])
+    size = n_units * (n_in + 2) + n_out
+    cells, order, inputs = scratch, view(scratch, LANES), view(scratch, 2 * LANES)
+    units = view(inputs, n_in * WIDE)
+    result = view(units, n_units * WIDE)
+    ends = view(result, n_out * WIDE)
     command_cells(u, view(p, EXACT + n_exact), int(p[N_CONTROLS]), cells)
-    serving = view(p, int(p[CELLS]))
-    sort_lanes(cells, order, first, n_cells)
+    sort_lanes(cells, n_cells, order, ends)
+    for row in range(n_states):
+        sort_row(view(x, row * LANES), order, view(inputs, row * WIDE))
+    for row in range(n_exact):
+        sort_row(view(u, int(p[EXACT + row]) * LANES), order, view(inputs, (n_states + row) * WIDE))
+    serving, weights = view(p, int(p[CELLS])), view(p, int(p[WEIGHTS]))
+    begin = 0
     for cell in range(n_cells):
-        begin, end = int(first[cell]), int(first[cell + 1])
-        command = view(p, int(p[WEIGHTS]) + int(serving[cell]) * n_out * size)
-        while begin < end:
-            used = min(QUARTER, end - begin)
-            lanes = view(order, begin)
-            for i in range(QUARTER):
-                lane = int(lanes[min(i, used - 1)])
-                for row in range(n_states):
-                    inputs[row * QUARTER + i] = x[row * LANES + lane]
-                for row in range(n_exact):
-                    inputs[(n_states + row) * QUARTER + i] = u[int(p[EXACT + row]) * LANES + lane]
-            for k in range(n_out):
-                one_network(inputs, n_in, view(command, k * size), hidden, units, result)
-                for i in range(used):
-                    y[k * LANES + int(lanes[i])] = result[i]
+        command = view(weights, int(serving[cell]) * size)
+        while begin < int(ends[cell]):
+            hidden_layer(view(inputs, begin), n_in, command, view(units, begin), n_units)
             begin += QUARTER
-
-
-def sort_lanes(cells, order, first, n_cells):
-    """Write the lanes in order of their cell, and where each of ``n_cells`` begins (one more is the end)."""
-    for cell in range(n_cells + 2):
-        first[cell] = 0.0
-    for lane in range(LANES):
-        first[int(cells[lane]) + 2] += 1.0
+        begin = int(ends[cell])
+    for unit in range(n_units):
+        squash(view(units, unit * WIDE), LANES)
+    begin = 0
     for cell in range(n_cells):
-        first[cell + 2] += first[cell + 1]
-    place = view(first, 1)
-    for lane in range(LANES):
-        cell = int(cells[lane])
-        order[int(place[cell])] = lane
-        place[cell] += 1.0
+        command = view(weights, int(serving[cell]) * size + n_units * (n_in + 1))
+        while begin < int(ends[cell]):
+            last_layer(view(units, begin), hidden, command, view(result, begin), n_out)
+            begin += QUARTER
+        begin = int(ends[cell])
+    for row in range(n_out):
+        there, here = view(y, row * LANES), view(result, row * WIDE)
+        for i in range(LANES):
+            there[int(order[i])] = here[i]
 
 
-def one_network(x, n_in, p, hidden, units, y):
-    """Write the output of one network for a quarter of the lanes."""
-    for j in range(hidden):
-        total = splat_quarter(p[j])
-        for row in range(n_in):
-            total = total + splat_quarter(p[hidden + row * hidden + j]) * load_quarter(x, row * QUARTER)
-        store(units, j * QUARTER, total)
-    for i in range(hidden * QUARTER):
-        units[i] = math.tanh(units[i])
-    second = hidden * (n_in + 1)
-    total = splat_quarter(p[second])
-    for j in range(hidden):
-        total = total + splat_quarter(p[second + 1 + j]) * load_quarter(units, j * QUARTER)
-    store(y, 0, total)
+def sort_lanes(cells, n_cells, order, ends):
+    """Write the lanes in order of their cell, and where each of ``n_cells`` ends."""
+    place, before = 0, 0
+    for cell in range(n_cells):
+        bound, upto = splat_quarter(float(cell) + 0.5), 0
+        for first in range(0, LANES, QUARTER):
+            upto |= lanes_less(load_quarter(cells, first), bound) << first
+        own = upto & ~before
+        before = upto
+        while own != 0:
+            order[place] = first_lane(own)
+            own &= own - 1
+            place += 1
+        ends[cell] = place
+
+
+def sort_row(row, order, target):
+    """Write a row in the order of the lanes."""
+    for i in range(LANES):
+        target[i] = row[int(order[i])]
+
+
+def hidden_layer(x, n_in, p, y, n_out):
+    """y_j = b_j + sum_i W_ij x_i for sixteen lanes, four units at a time so that a row is read once for all."""
+    j = 0
+    while j + 4 <= n_out:
+        bias = view(p, j)
+        a, b = splat_quarter(bias[0]), splat_quarter(bias[1])
+        c, d = splat_quarter(bias[2]), splat_quarter(bias[3])
+        for i in range(n_in):
+            row, w = load_quarter(x, i * WIDE), view(p, (1 + i) * n_out + j)
+            a = a + splat_quarter(w[0]) * row
+            b = b + splat_quarter(w[1]) * row
+            c = c + splat_quarter(w[2]) * row
+            d = d + splat_quarter(w[3]) * row
+        store(y, j * WIDE, a)
+        store(y, (j + 1) * WIDE, b)
+        store(y, (j + 2) * WIDE, c)
+        store(y, (j + 3) * WIDE, d)
+        j += 4
+    while j < n_out:
+        a = splat_quarter(p[j])
+        for i in range(n_in):
+            a = a + splat_quarter(p[n_out + i * n_out + j]) * load_quarter(x, i * WIDE)
+        store(y, j * WIDE, a)
+        j += 1
+
+
+def last_layer(units, hidden, p, y, n_out):
+    """Write every output for sixteen lanes: its bias, and its own units times their weights."""
+    for k in range(n_out):
+        total, own = splat_quarter(p[k]), k * hidden
+        for j in range(hidden):
+            total = total + splat_quarter(p[n_out + own + j]) * load_quarter(units, (own + j) * WIDE)
+        store(y, k * WIDE, total)

@@ -117,13 +117,14 @@ def dense(x, n_in, p, y, n_out):
     """y_j = b_j + sum_i W_ij x_i for every lane, four outputs at a time so that a row is read once for all."""
     j = 0
     while j + 4 <= n_out:
-        a, b, c, d = splat(p[j]), splat(p[j + 1]), splat(p[j + 2]), splat(p[j + 3])
+        bias = view(p, j)
+        a, b, c, d = splat(bias[0]), splat(bias[1]), splat(bias[2]), splat(bias[3])
         for i in range(n_in):
-            row, w = load(x, i * LANES), n_out + i * n_out + j
-            a = a + splat(p[w]) * row
-            b = b + splat(p[w + 1]) * row
-            c = c + splat(p[w + 2]) * row
-            d = d + splat(p[w + 3]) * row
+            row, w = load(x, i * LANES), view(p, (1 + i) * n_out + j)
+            a = a + splat(w[0]) * row
+            b = b + splat(w[1]) * row
+            c = c + splat(w[2]) * row
+            d = d + splat(w[3]) * row
         store(y, j * LANES, a)
         store(y, (j + 1) * LANES, b)
         store(y, (j + 2) * LANES, c)

@@ -7,6 +7,7 @@ and drives like a trained network. Two families are those of the model zoo.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -76,9 +77,12 @@ class SeparateNetworks(Fitted):
             own = slice(k * HIDDEN, (k + 1) * HIDDEN)
             self.second[own, k], self.second_bias[k] = last_layer(units[:, own], target[:, k])
 
+        self.hidden = with_bias(self.first, self.first_bias)
+        self.outward = with_bias(self.second, self.second_bias)
+
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        units = np.tanh(np.concatenate([carry, control], axis=1) @ self.first + self.first_bias)
-        return self.system.integrate(carry, units @ self.second + self.second_bias)
+        units = hidden_units(self.hidden, columns(carry, control))
+        return self.system.integrate(carry, (self.outward @ units).T)
 
     def kernel(self) -> DynamicsKernel:
         networks = []
@@ -107,16 +111,26 @@ class CommandNetworks(Fitted):
                 own = slice(k * HIDDEN, (k + 1) * HIDDEN)
                 self.second[number, own, k], self.second_bias[number, k] = last_layer(units[:, own], after[rows, k])
 
+        self.hidden = [with_bias(self.first[c], self.first_bias[c]) for c in range(count)]
+        self.outward = [with_bias(self.second[c], self.second_bias[c]) for c in range(count)]
+
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         cell = self.cells.index(control)
-        order = np.argsort(cell, kind="stable")
-        edges = np.searchsorted(cell[order], np.arange(self.cells.count + 1))
-        after, sorted_carry = np.empty_like(carry), carry[order]
-        for number, (begin, end) in enumerate(itertools.pairwise(edges)):
-            if begin < end:
-                units = np.tanh(sorted_carry[begin:end] @ self.first[number] + self.first_bias[number])
-                after[order[begin:end]] = units @ self.second[number] + self.second_bias[number]
-        return after
+        order = np.argsort(cell.astype(np.int16), kind="stable")
+        edges = [0, *np.cumsum(np.bincount(cell, minlength=self.cells.count)).tolist()]
+        groups = [(c, slice(*edge)) for c, edge in enumerate(itertools.pairwise(edges)) if edge[0] < edge[1]]
+        inputs = columns(carry.take(order, axis=0))
+        units = np.empty((len(self.hidden[0]) + 1, len(carry)))
+        for number, group in groups:
+            np.matmul(self.hidden[number], inputs[:, group], out=units[:-1, group])
+        np.tanh(units[:-1], out=units[:-1])
+        units[-1] = 1.0
+        after = np.empty((carry.shape[1], len(carry)))
+        for number, group in groups:
+            np.matmul(self.outward[number], units[:, group], out=after[:, group])
+        unsorted = np.empty_like(carry)
+        unsorted[order] = after.T
+        return unsorted
 
     def kernel(self) -> DynamicsKernel:
         count, nx = self.cells.count, self.system.nx
@@ -139,19 +153,25 @@ class Derivative(Fitted):
 
     substeps = 1
 
-    def derivative(self, state: Array, control: Array) -> Array:
-        """Return dx/dt (B, nx)."""
+    def derivative(self, z: Array) -> Array:
+        """Return dx/dt (nx, B) for state, control and 1, (nx + nu + 1, B)."""
         raise NotImplementedError
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         h = self.system.dt / self.substeps
+        z = columns(carry, control)
+        x = z[: carry.shape[1]]
         for _ in range(self.substeps):
-            k1 = self.derivative(carry, control)
-            k2 = self.derivative(carry + 0.5 * h * k1, control)
-            k3 = self.derivative(carry + 0.5 * h * k2, control)
-            k4 = self.derivative(carry + h * k3, control)
-            carry = carry + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        return carry
+            start = x.copy()
+            k1 = self.derivative(z)
+            np.add(start, 0.5 * h * k1, out=x)
+            k2 = self.derivative(z)
+            np.add(start, 0.5 * h * k2, out=x)
+            k3 = self.derivative(z)
+            np.add(start, h * k3, out=x)
+            k4 = self.derivative(z)
+            np.add(start, h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), out=x)
+        return np.ascontiguousarray(x.T)
 
 
 class CubicPolynomial(Derivative):
@@ -159,16 +179,9 @@ class CubicPolynomial(Derivative):
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
         n = state.shape[1] + control.shape[1]
-        pairs = [(i, j) for i in range(n) for j in range(i, n)]
-        self.pair = np.array(pairs).T
-        triples = [(p, k) for p, (_, j) in enumerate(pairs) for k in range(j, n)]
-        self.triple = np.array(triples).T
-        ones = np.eye(n, dtype=np.int64)
-        squares = ones[self.pair[0]] + ones[self.pair[1]]
-        self.powers = np.concatenate(
-            [np.zeros((1, n), int), ones, squares, squares[self.triple[0]] + ones[self.triple[1]]]
-        )
-        terms, target = self.monomials(state, control).T, (after - state) / self.system.dt
+        chosen = [c for degree in (0, 1, 2, 3) for c in itertools.combinations_with_replacement(range(n), degree)]
+        self.powers = np.array([np.bincount(c, minlength=n) for c in chosen])
+        terms, target = self.monomials(columns(state, control)).T, (after - state) / self.system.dt
         scale = terms.std(axis=0) + (np.arange(len(self.powers)) == 0)
         self.coefficients = np.zeros((len(self.powers), state.shape[1]))
         for k in range(state.shape[1]):
@@ -181,14 +194,24 @@ class CubicPolynomial(Derivative):
                 kept = np.sort(kept[np.argsort(-np.abs(found * scale[kept]))[:size]])
             self.coefficients[kept, k] = found
 
-    def monomials(self, state: Array, control: Array) -> Array:
-        """Return all monomials (terms, B), each an earlier one times a variable."""
-        z = np.concatenate([state.T, control.T])
-        squares = z[self.pair[0]] * z[self.pair[1]]
-        return np.concatenate([np.ones((1, len(state))), z, squares, squares[self.triple[0]] * z[self.triple[1]]])
+    def monomials(self, z: Array) -> Array:
+        """Return all monomials (terms, B): those of a degree are a variable times some last ones of the degree below.
 
-    def derivative(self, state: Array, control: Array) -> Array:
-        return (self.coefficients.T @ self.monomials(state, control)).T
+        In lexicographic order, what variable i multiplies are the monomials of variables i and later.
+        """
+        n, terms = len(z) - 1, np.empty((len(self.powers), z.shape[1]))
+        terms[0], terms[1 : n + 1] = 1.0, z[:n]
+        place = n + 1
+        for degree in (2, 3):
+            below = place
+            for i in range(n):
+                count = math.comb(n - i + degree - 2, degree - 1)
+                np.multiply(z[i], terms[below - count : below], out=terms[place : place + count])
+                place += count
+        return terms
+
+    def derivative(self, z: Array) -> Array:
+        return self.coefficients.T @ self.monomials(z)
 
     def kernel(self) -> DynamicsKernel:
         derivative = polynomial_predictor(self.powers, self.coefficients, self.system.nx, self.system.nu)
@@ -208,17 +231,42 @@ class NeuralODE(Derivative):
             self.layers.append(random_layer(inputs, self.width, seed=seed))
             inputs = np.tanh(inputs @ self.layers[-1][0] + self.layers[-1][1])
         self.layers.append(last_layer(inputs, (after - state) / self.system.dt))
+        self.affine = [with_bias(weights, bias) for weights, bias in self.layers]
 
-    def derivative(self, state: Array, control: Array) -> Array:
-        units = np.concatenate([state, control], axis=1)
-        for weights, bias in self.layers[:-1]:
-            units = np.tanh(units @ weights + bias)
-        return units @ self.layers[-1][0] + self.layers[-1][1]
+    def derivative(self, z: Array) -> Array:
+        for weights in self.affine[:-1]:
+            z = hidden_units(weights, z)
+        return self.affine[-1] @ z
 
     def kernel(self) -> DynamicsKernel:
         derivative = network_predictor([self.layers], self.system.nx, self.system.nu)
         around = runge_kutta_predictor(derivative, self.system, substeps=self.substeps)
         return stepping_kernel(around, self.system, output="next_state")
+
+
+def columns(*rows: Array) -> Array:
+    """Return arrays (B, n) on top of each other, and a last row of ones, (sum of n + 1, B).
+
+    Long rows suit NumPy better than many short ones, and the ones save adding biases.
+    """
+    z = np.empty((sum(array.shape[1] for array in rows) + 1, len(rows[0])))
+    np.concatenate([array.T for array in rows], out=z[:-1])
+    z[-1] = 1.0
+    return z
+
+
+def with_bias(weights: Array, bias: Array) -> Array:
+    """Return weights (n_in, n_out) and bias (n_out,) as one matrix (n_out, n_in + 1)."""
+    return np.column_stack([weights.T, bias])
+
+
+def hidden_units(weights: Array, z: Array) -> Array:
+    """Return tanh(weights @ z) and a last row of ones, (n_out + 1, B)."""
+    units = np.empty((len(weights) + 1, z.shape[1]))
+    np.matmul(weights, z, out=units[:-1])
+    np.tanh(units[:-1], out=units[:-1])
+    units[-1] = 1.0
+    return units
 
 
 def random_layer(inputs: Array, width: int, *, seed: int = 0) -> tuple[Array, Array]:

@@ -1,86 +1,16 @@
 """The control loop in simulated time, on the emulated car."""
 
-import dataclasses
-import math
-
 import numpy as np
 import pytest
 
-from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import ControlLoop
-from hardware.loop.pilot import Pilot
 from hardware.loop.report import Reason
-from hardware.robot import Connection
-from sysid_evo.errors import InvalidArgument, LinkLost
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
 
+from .through import Diary, FaultyRobot, Script
+
 FORWARD = np.array([1.0, 0.0])
-
-
-class Script(Pilot):
-    """Asks a function for the control of a sample, and keeps the estimates."""
-
-    def __init__(self, control):
-        self.control = control
-        self.ticks, self.estimates = [], []
-
-    def decide(self, tick, estimate):
-        self.ticks.append(tick)
-        self.estimates.append(estimate)
-        return self.control(tick)
-
-
-class Diary(Listener):
-    """Writes down what it is told."""
-
-    def __init__(self):
-        self.measurements, self.commands, self.statuses = [], [], []
-
-    def measured(self, measurement):
-        self.measurements.append(measurement)
-
-    def commanded(self, command):
-        self.commands.append(command)
-
-    def reported(self, status):
-        self.statuses.append(status)
-
-
-class Through(Connection):
-    """The emulated car's connection with a fault at a time: frames changed or lost, sends that fail or take long."""
-
-    def __init__(self, connection, *, lost=(math.inf, math.inf), broken_at=math.inf, tripped_at=math.inf, slow=None):
-        self.connection = connection
-        self.lost, self.broken_at, self.tripped_at, self.slow = lost, broken_at, tripped_at, slow or {}
-        self.closed = False
-        self.waiting = []
-
-    @property
-    def time(self):
-        return self.connection.time
-
-    @property
-    def status(self):
-        if self.time < self.tripped_at:
-            return None
-        return RobotStatus(self.time, self.time, "tripped", np.zeros(2))
-
-    def send(self, control, *, valid_for):
-        if self.time >= self.broken_at:
-            raise LinkLost("nothing was heard for 0.25 s")
-        self.connection.send(control, valid_for=valid_for)
-        for _ in range(self.slow.pop(round(self.time, 3), 0)):
-            self.waiting.append(self.connection.measure(1.0))
-
-    def measure(self, timeout):
-        frame = self.waiting.pop(0) if self.waiting else self.connection.measure(timeout)
-        if frame is not None and self.lost[0] < self.time <= self.lost[1]:
-            frame = dataclasses.replace(frame, valid=False)
-        return frame
-
-    def close(self):
-        self.closed = True
-        self.connection.close()
 
 
 @pytest.fixture
@@ -129,7 +59,7 @@ def test_pilot_that_has_enough_leaves_the_connection_open_in_neutral(robot):
 @pytest.mark.parametrize("control", [np.array([np.nan, 0.0]), np.array([1.0, np.inf])])
 def test_control_that_is_not_a_number_ends_in_neutral_before_it_is_sent(robot, control):
     diary = Diary()
-    link = Through(robot.connect(seed=1))
+    link = FaultyRobot(robot).connect(seed=1)
     report = ControlLoop(link, robot.system, listeners=[diary]).run(
         Script(lambda tick: FORWARD if tick < 3 else control), samples=9
     )
@@ -140,14 +70,14 @@ def test_control_that_is_not_a_number_ends_in_neutral_before_it_is_sent(robot, c
 
 
 def test_illegal_control_is_refused_and_the_connection_closed(robot):
-    link = Through(robot.connect(seed=1))
+    link = FaultyRobot(robot).connect(seed=1)
     with pytest.raises(InvalidArgument, match="drive"):
         ControlLoop(link, robot.system).run(Script(lambda tick: np.array([0.5, 0.0])), samples=3)
     assert link.closed
 
 
 def test_exception_of_the_pilot_closes_the_connection_first(robot):
-    link = Through(robot.connect(seed=1))
+    link = FaultyRobot(robot).connect(seed=1)
 
     def fail(tick):
         raise ZeroDivisionError
@@ -158,7 +88,7 @@ def test_exception_of_the_pilot_closes_the_connection_first(robot):
 
 
 def test_lost_link_is_a_reason_and_closes_the_connection(robot):
-    link = Through(robot.connect(seed=1), broken_at=0.5)
+    link = FaultyRobot(robot, broken_at=0.5).connect(seed=1)
     report = ControlLoop(link, robot.system).run(Script(lambda tick: FORWARD), samples=100)
     assert report.reason is Reason.LINK_LOST
     assert "0.25 s" in report.sentence
@@ -166,7 +96,7 @@ def test_lost_link_is_a_reason_and_closes_the_connection(robot):
 
 
 def test_robot_that_tripped_ends_the_run(robot):
-    link = Through(robot.connect(seed=1), tripped_at=0.5)
+    link = FaultyRobot(robot, tripped_at=0.5).connect(seed=1)
     report = ControlLoop(link, robot.system).run(Script(lambda tick: FORWARD), samples=100)
     assert report.reason is Reason.TRIPPED
     assert link.closed
@@ -174,7 +104,7 @@ def test_robot_that_tripped_ends_the_run(robot):
 
 def test_short_dropout_of_the_tracker_does_not_end_the_run(robot):
     diary = Diary()
-    link = Through(robot.connect(seed=1), lost=(1.0, 1.09))
+    link = FaultyRobot(robot, lost=(1.0, 1.09)).connect(seed=1)
     report = ControlLoop(link, robot.system, listeners=[diary]).run(Script(lambda tick: FORWARD), samples=40)
     assert report.reason is Reason.SAMPLES
     assert report.stale == 0
@@ -184,7 +114,7 @@ def test_short_dropout_of_the_tracker_does_not_end_the_run(robot):
 
 def test_longer_dropout_means_neutral_after_100_ms_and_the_run_goes_on(robot):
     diary = Diary()
-    link = Through(robot.connect(seed=1), lost=(1.02, 1.42))
+    link = FaultyRobot(robot, lost=(1.02, 1.42)).connect(seed=1)
     script = Script(lambda tick: FORWARD)
     report = ControlLoop(link, robot.system, listeners=[diary]).run(script, samples=40)
     assert report.reason is Reason.SAMPLES
@@ -198,7 +128,7 @@ def test_longer_dropout_means_neutral_after_100_ms_and_the_run_goes_on(robot):
 
 
 def test_tracker_lost_for_half_a_second_ends_the_run(robot):
-    link = Through(robot.connect(seed=1), lost=(1.0, 9.0))
+    link = FaultyRobot(robot, lost=(1.0, 9.0)).connect(seed=1)
     report = ControlLoop(link, robot.system).run(Script(lambda tick: FORWARD), samples=100)
     assert report.reason is Reason.TRACKER_LOST
     assert "not valid" in report.detail
@@ -207,7 +137,7 @@ def test_tracker_lost_for_half_a_second_ends_the_run(robot):
 
 
 def test_run_without_a_first_pose_is_given_up(robot):
-    link = Through(robot.connect(seed=1), lost=(-1.0, 9.0))
+    link = FaultyRobot(robot, lost=(-1.0, 9.0)).connect(seed=1)
     script = Script(lambda tick: FORWARD)
     report = ControlLoop(link, robot.system).run(script, samples=100)
     assert report.reason is Reason.TRACKER_LOST
@@ -216,7 +146,7 @@ def test_run_without_a_first_pose_is_given_up(robot):
 
 
 def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(robot):
-    link = Through(robot.connect(seed=1), slow={1.0: 26})
+    link = FaultyRobot(robot, slow={1.0: 26}).connect(seed=1)
     script, diary = Script(lambda tick: FORWARD), Diary()
     report = ControlLoop(link, robot.system, listeners=[diary]).run(script, samples=40)
     assert report.reason is Reason.SAMPLES

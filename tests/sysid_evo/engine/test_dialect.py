@@ -14,8 +14,9 @@ import numba
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, cache_folder, compile_kernel, generate
+from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel, generate
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.files import cache_folder
 
 from . import same_name
 from .running import PRECISIONS
@@ -245,5 +246,5 @@ def test_a_second_process_finds_everything_compiled(tmp_path: Path) -> None:
 
 def test_kernels_are_kept_where_the_environment_says() -> None:
     call(with_a_cast, [0.0])
-    assert cache_folder() == Path(os.environ["SYSID_EVO_CACHE"]) / "sysid-evo" / "kernels"
-    assert any(cache_folder().glob("sysid_evo_kernel_*.py"))
+    assert cache_folder("kernels") == Path(os.environ["SYSID_EVO_CACHE"]) / "sysid-evo" / "kernels"
+    assert any(cache_folder("kernels").glob("sysid_evo_kernel_*.py"))

@@ -1,0 +1,162 @@
+"""The messages of RCB/1: what a frame's type and payload say, little-endian."""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC
+from dataclasses import dataclass, fields
+from enum import IntEnum, IntFlag
+from typing import Any, ClassVar, Self
+
+MAJOR, MINOR = 1, 0
+TIME_TO_LIVE_UNIT = 0.01  # s
+BUTTONS = 0x0F
+
+
+class Buttons(IntFlag):
+    """The four buttons of the remote control that the robot's outputs close."""
+
+    NONE = 0
+    FORWARD = 1
+    BACKWARD = 2
+    LEFT = 4
+    RIGHT = 8
+
+
+class State(IntEnum):
+    """What the robot does: no session, a session without a command, under command, stopped by its deadman."""
+
+    WAITING = 0
+    NEUTRAL = 1
+    DRIVING = 2
+    TRIPPED = 3
+
+
+EXCLUSIVE = (Buttons.FORWARD | Buttons.BACKWARD, Buttons.LEFT | Buttons.RIGHT)
+
+
+@dataclass(frozen=True)
+class Message(ABC):
+    """A message; its fields stand in the order of the wire, a field ``buttons`` takes its complement along."""
+
+    type: ClassVar[int]
+    layout: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """Return type and payload."""
+        values = [
+            _guarded(value) if name == "buttons" else value
+            for name, value in ((field.name, getattr(self, field.name)) for field in fields(self))
+        ]
+        return bytes([self.type]) + self.layout.pack(*values)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self | None:
+        """Undo `pack` without the type; None if the length, the buttons or the state are none of this message."""
+        if len(payload) != cls.layout.size:
+            return None
+        names = (field.name for field in fields(cls))
+        values: dict[str, Any] = dict(zip(names, cls.layout.unpack(payload), strict=True))
+        if "buttons" in values:
+            buttons = Buttons(values["buttons"] & BUTTONS)
+            if values["buttons"] != _guarded(buttons) or any(buttons & pair == pair for pair in EXCLUSIVE):
+                return None
+            values["buttons"] = buttons
+        if "state" in values:
+            if values["state"] > max(State):
+                return None
+            values["state"] = State(values["state"])
+        return cls(**values)
+
+
+@dataclass(frozen=True)
+class Hello(Message):
+    """Asks for a new session; ``nonce`` is another for each."""
+
+    type = 0x01
+    layout = struct.Struct("<BBI")
+
+    major: int
+    minor: int
+    nonce: int
+
+
+@dataclass(frozen=True)
+class CommandMessage(Message):
+    """Closes ``buttons`` for ``time_to_live`` (10 ms); ``host_ms`` is the host's clock in ms, modulo 65536."""
+
+    type = 0x02
+    layout = struct.Struct("<HHHBB")
+
+    session: int
+    sequence: int
+    host_ms: int
+    buttons: Buttons
+    time_to_live: int
+
+
+@dataclass(frozen=True)
+class Stop(Message):
+    """Opens all buttons and ends the session, whichever it is."""
+
+    type = 0x03
+    layout = struct.Struct("<HH")
+
+    session: int
+    sequence: int
+
+
+@dataclass(frozen=True)
+class HelloAcknowledgement(Message):
+    """Answers a HELLO with what the robot is and, if the major versions agree, a session other than 0."""
+
+    type = 0x81
+    layout = struct.Struct("<BBHBBHIH")
+
+    major: int
+    minor: int
+    firmware_build: int
+    max_time_to_live: int
+    reset_cause: int
+    boot_count: int
+    nonce: int
+    session: int
+
+
+@dataclass(frozen=True)
+class StatusMessage(Message):
+    """What the robot does, on its own clock in ms, and what it has refused since it started (modulo 65536)."""
+
+    type = 0x82
+    layout = struct.Struct("<HHBBIHHHHH")
+
+    session: int
+    last_sequence: int
+    state: State
+    buttons: Buttons
+    clock_ms: int
+    crc: int
+    length: int
+    duplicate: int
+    late: int
+    trips: int
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """The five counters by name."""
+        return {name: getattr(self, name) for name in ("crc", "length", "duplicate", "late", "trips")}
+
+
+MESSAGES: dict[int, type[Message]] = {
+    message.type: message for message in (Hello, CommandMessage, Stop, HelloAcknowledgement, StatusMessage)
+}
+
+
+def unpack(body: bytes) -> Message | None:
+    """Return the message in ``body`` (type and payload), or None if it is none of RCB/1."""
+    message = MESSAGES.get(body[0]) if body else None
+    return None if message is None else message.unpack(body[1:])
+
+
+def _guarded(buttons: int) -> int:
+    return buttons | (~buttons & BUTTONS) << 4

@@ -1,0 +1,117 @@
+"""A connection around another with a fault at a time, and pilots and listeners that write down what they see."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from hardware.listener import Command, Listener, RobotStatus
+from hardware.loop.pilot import Estimate, Pilot
+from hardware.measurement import Measurement
+from hardware.robot import Connection, Robot
+from sysid_evo.arrays import Array
+from sysid_evo.errors import LinkLost
+from sysid_evo.motion import rotate
+
+
+@dataclasses.dataclass
+class Faults:
+    """When (s) frames lose the body, sending fails, the robot trips; ``slow``: frames that a send at a time takes.
+
+    ``placed`` is the pose of the tracker's origin, as the robot's frame sees it.
+    """
+
+    lost: tuple[float, float] = (math.inf, math.inf)
+    broken_at: float = math.inf
+    tripped_at: float = math.inf
+    slow: dict[float, int] = dataclasses.field(default_factory=dict)
+    placed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Through(Connection):
+    """Another's connection, with faults."""
+
+    def __init__(self, connection: Connection, faults: Faults) -> None:
+        self.connection, self.faults = connection, faults
+        self.closed = False
+        self.waiting: list[Measurement | None] = []
+
+    @property
+    def time(self) -> float:
+        return self.connection.time
+
+    @property
+    def status(self) -> RobotStatus | None:
+        if self.time < self.faults.tripped_at:
+            return None
+        return RobotStatus(self.time, self.time, "tripped", np.zeros(2))
+
+    def send(self, control: Array, *, valid_for: float) -> None:
+        if self.time >= self.faults.broken_at:
+            raise LinkLost("nothing was heard for 0.25 s")
+        self.connection.send(control, valid_for=valid_for)
+        for _ in range(self.faults.slow.pop(round(self.time, 3), 0)):
+            self.waiting.append(self.connection.measure(1.0))
+
+    def measure(self, timeout: float) -> Measurement | None:
+        frame = self.waiting.pop(0) if self.waiting else self.connection.measure(timeout)
+        if frame is None:
+            return None
+        x, y, heading = self.faults.placed
+        dx, dy = rotate(frame.pose[0], frame.pose[1], np.array(heading))
+        valid = not self.faults.lost[0] < self.time <= self.faults.lost[1]
+        return dataclasses.replace(frame, valid=valid, pose=np.array([x + dx, y + dy, frame.pose[2] + heading]))
+
+    def close(self) -> None:
+        self.closed = True
+        self.connection.close()
+
+
+class FaultyRobot(Robot):
+    """Another robot behind such a connection; keeps the last one."""
+
+    dynamics = None
+
+    def __init__(self, robot: Robot, **faults: object) -> None:
+        self.name, self.system, self.robot = f"faulty {robot.name}", robot.system, robot
+        self.faults = Faults(**faults)  # type: ignore[arg-type]  # as the test names them
+        self.connection: Through | None = None
+
+    def connect(self, *, seed: int | None = None) -> Through:
+        self.connection = Through(self.robot.connect(seed=seed), self.faults)
+        return self.connection
+
+
+class Script(Pilot):
+    """Asks a function for the control of a sample, and keeps the estimates."""
+
+    def __init__(self, control: Callable[[int], Array | None]) -> None:
+        self.control = control
+        self.ticks: list[int] = []
+        self.estimates: list[Estimate] = []
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        self.ticks.append(tick)
+        self.estimates.append(estimate)
+        return self.control(tick)
+
+
+class Diary(Listener):
+    """Writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.measurements: list[Measurement] = []
+        self.commands: list[Command] = []
+        self.statuses: list[RobotStatus] = []
+
+    def measured(self, measurement: Measurement) -> None:
+        self.measurements.append(measurement)
+
+    def commanded(self, command: Command) -> None:
+        self.commands.append(command)
+
+    def reported(self, status: RobotStatus) -> None:
+        self.statuses.append(status)
