@@ -20,12 +20,7 @@ CAR = System(
     0.05,
     PlanarBody(),
 )
-SHUFFLED = System(
-    (Channel("r", "rad/s"), Channel("u", "m/s")),
-    (Channel("drive", low=-1.0, high=1.0),),
-    0.05,
-    PlanarBody("u", None, "r"),
-)
+SHUFFLED = System((Channel("r", "rad/s"), Channel("u", "m/s")), CAR.controls, 0.05, PlanarBody("u", None, "r"))
 
 
 def seen(times: Array, poses: Array, system: System = CAR) -> PoseEstimator:
@@ -155,12 +150,11 @@ def test_delay_of_a_shifted_truth_is_the_shift() -> None:
     states, poses = known_drive(CAR, times)
     assert np.abs(poses).max() > 0.3
     asked = 0.3 + 0.05 * np.arange(350)
-    shifted = np.stack(
-        [np.interp(asked - shift, times, states[:, i]) for i, shift in enumerate((0.0, 0.0123, 0.15))], axis=1
-    )
-    found = measure_delays(CAR, times, states, asked, shifted)
+    shifts = (0.0, 0.0123, 0.15)
+    columns = [np.interp(asked - shift, times, states[:, i]) for i, shift in enumerate(shifts)]
+    found = measure_delays(CAR, times, states, asked, np.stack(columns, axis=1))
     assert [d.channel for d in found] == list(CAR.state_names)
-    np.testing.assert_allclose([d.seconds for d in found], [0.0, 0.0123, 0.15], atol=2e-4)
+    np.testing.assert_allclose([d.seconds for d in found], shifts, atol=2e-4)
 
 
 def test_systems_that_poses_do_not_tell_are_refused() -> None:
