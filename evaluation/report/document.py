@@ -123,6 +123,7 @@ def _champion(champion: Champion) -> dict[str, Any]:
         "task_parameters": champion.task_parameters,
         "parameters": champion.parameters,
         "history": champion.history,
+        "estimator_delay": champion.estimator_delay,
     }
 
 

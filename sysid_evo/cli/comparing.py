@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Columns, Plugins, Seed, Test, load_plugins, new_run_folder, split_names
+from sysid_evo.cli.options import (
+    Columns,
+    EstimatorDelay,
+    Plugins,
+    Seed,
+    Test,
+    load_plugins,
+    new_run_folder,
+    split_names,
+)
 
 if TYPE_CHECKING:
     from sysid_evo.cli.progress import Bars
@@ -41,6 +50,7 @@ def compare(
     only: Annotated[str | None, typer.Option(help="'prediction' leaves the controllers out.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")] = None,
     aggregate: Annotated[str, typer.Option(help="Of an ensemble's fitnesses: min, mean, median.")] = "min",
+    estimator_delay: EstimatorDelay = 0.0,
     yardstick: Annotated[bool, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")] = False,
     seed: Seed = 0,
     folder: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
@@ -66,7 +76,7 @@ def compare(
     families = split_names(models) or DEFAULT_FAMILIES.get(preset, OTHER_FAMILIES)
     if families == ("all",):
         families = tuple(name for name, _ in registry.load_all())
-    evolution = replace(controller_preset(preset), aggregate=aggregate)
+    evolution = replace(controller_preset(preset), aggregate=aggregate, estimator_delay=estimator_delay / 1000.0)
     settings = ComparisonSettings(
         models=families,
         ensembles=choose_ensembles(ensembles, families),

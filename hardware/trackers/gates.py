@@ -1,0 +1,179 @@
+"""Which frames of a tracker are believed, and where one track ends and another begins."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.measurement import Measurement
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+
+ACCEPTED = ""
+LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``broke``: a new track begins with it."""
+
+    accepted: bool
+    reason: str = ACCEPTED
+    broke: bool = False
+
+
+@dataclass(frozen=True)
+class GateLimits:
+    """What a body can do between two accepted frames dt s apart, beyond the tracker's own errors.
+
+    It moves at most ``speed`` dt + ``position_error`` and never over ``jump`` m; it turns at most
+    ``yaw_rate`` dt + ``heading_error`` and never over ``turn`` rad. While it is told to drive, no
+    more than ``frozen`` poses in a row are equal to the last bit: a real tracker's noise sees to that
+    (None for one without noise). A body that jumped within reach, as after a dropout, is believed
+    again after ``confirm`` frames that agree with each other; beyond reach, where it can only be another
+    body or a flipped one, after ``recover`` s, which is longer than a run goes on without a pose.
+    """
+
+    speed: float = 5.0
+    yaw_rate: float = 12.0
+    jump: float = 0.25
+    turn: float = 1.0
+    position_error: float = 0.01
+    heading_error: float = 0.1
+    frozen: int | None = 10
+    confirm: int = 10
+    recover: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
+            if not getattr(self, name) > 0.0:
+                raise InvalidArgument(f"gate: expected {name} above 0, got {getattr(self, name)}")
+        if self.confirm < 1 or (self.frozen is not None and self.frozen < 1):
+            raise InvalidArgument("gate: expected confirm and frozen to be at least 1 frame")
+
+
+class PoseGate:
+    """Decides frame by frame on planar poses of ``body``; it has no clock of its own.
+
+    No two accepted frames of one track contradict `GateLimits`; a frame that does is dropped. If the
+    body turns up elsewhere and stays consistent there, a new track begins, and the verdict on its
+    first accepted frame says ``broke``: nothing may be computed across it.
+    """
+
+    def __init__(self, body: str, limits: GateLimits | None = None) -> None:
+        self.body = body
+        self.limits = GateLimits() if limits is None else limits
+        self._last: Measurement | None = None
+        self._rival: list[Measurement] = []
+        self._rivals_reason = ACCEPTED
+        self._seen: Array | None = None
+        self._repeats = 0
+        self._thawed = False
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Frames by the reason of the verdict; "accepted" for those that have none, "tracks" that began."""
+        return dict(self._counts)
+
+    def accept(self, measurement: Measurement, *, driving: bool) -> Verdict:
+        """Return the verdict on the next frame; ``driving``: a command other than neutral is in force."""
+        verdict = self._judge(measurement, driving)
+        self._counts[verdict.reason if not verdict.accepted else "accepted"] += 1
+        if verdict.broke:
+            self._counts["tracks"] += 1
+        return verdict
+
+    def _judge(self, frame: Measurement, driving: bool) -> Verdict:
+        if frame.body != self.body:
+            return Verdict(False, "of another body")
+        if not frame.valid:
+            return Verdict(False, "not valid")
+        if frame.pose.shape != (3,) or not _sound(*frame.pose, frame.source_time, frame.arrival_time):
+            return Verdict(False, "not a number")
+        if self._is_frozen(frame.pose, driving):
+            self._thawed = True
+            return Verdict(False, "frozen")
+        if self._last is None:
+            return self._begin(frame)
+        if frame.source_time <= self._last.source_time:
+            return Verdict(False, "not newer")
+        reason = self._rivals_reason if self._follows_rival(frame) else self._contradiction(self._last, frame)
+        if reason == ACCEPTED:
+            if self._thawed:
+                return self._begin(frame)
+            self._last = frame
+            self._rival.clear()
+            return Verdict(True)
+        self._rivals_reason = reason
+        return self._begin(frame) if self._confirmed(frame) else Verdict(False, reason)
+
+    def _begin(self, frame: Measurement) -> Verdict:
+        self._last, self._thawed = frame, False
+        self._rival.clear()
+        return Verdict(True, broke=True)
+
+    def _is_frozen(self, pose: Array, driving: bool) -> bool:
+        """Count equal poses under a drive command; say whether there are too many."""
+        same = self._seen is not None and np.array_equal(self._seen, pose)
+        self._seen = pose
+        self._repeats = self._repeats + 1 if same and driving else 0
+        return self.limits.frozen is not None and self._repeats >= self.limits.frozen
+
+    def _contradiction(self, before: Measurement, after: Measurement) -> str:
+        """Return why ``after`` cannot follow on ``before``, "" if it can."""
+        limits = self.limits
+        if _distance(before, after) > limits.jump:
+            return "jumped"
+        if _turn(before, after) > limits.turn:
+            return "flipped"
+        return self._out_of_reach(before, after)
+
+    def _out_of_reach(self, before: Measurement, after: Measurement) -> str:
+        """Return what the body would have had to exceed to get from ``before`` to ``after``, "" if nothing."""
+        limits, dt = self.limits, after.source_time - before.source_time
+        if _distance(before, after) > limits.speed * dt + limits.position_error:
+            return "too fast"
+        if _turn(before, after) > limits.yaw_rate * dt + limits.heading_error:
+            return "turned too fast"
+        return ACCEPTED
+
+    def _follows_rival(self, frame: Measurement) -> bool:
+        """Whether a frame continues the dropped ones rather than the track, which time brings within its reach."""
+        if self._last is None or not self._rival or self._contradiction(self._rival[-1], frame) != ACCEPTED:
+            return False
+        return self._effort(self._rival[-1], frame) < self._effort(self._last, frame)
+
+    def _effort(self, before: Measurement, after: Measurement) -> float:
+        """Return the least time in s to get from one pose to the other."""
+        return max(_distance(before, after) / self.limits.speed, _turn(before, after) / self.limits.yaw_rate)
+
+    def _confirmed(self, frame: Measurement) -> bool:
+        """Add a frame to the track that rivals the accepted one; say whether it is believed by now."""
+        rival = self._rival
+        if rival and frame.source_time <= rival[-1].source_time:
+            return False
+        if rival and self._contradiction(rival[-1], frame) != ACCEPTED:
+            rival.clear()
+        rival.append(frame)
+        first = rival[0]
+        if self._last is not None and self._out_of_reach(self._last, first) == ACCEPTED:
+            return len(rival) >= self.limits.confirm
+        del rival[1:-1]
+        return frame.source_time - first.source_time >= self.limits.recover
+
+
+def _sound(*values: float) -> bool:
+    return all(-LARGEST < value < LARGEST for value in values)
+
+
+def _distance(before: Measurement, after: Measurement) -> float:
+    return math.hypot(after.pose[0] - before.pose[0], after.pose[1] - before.pose[1])
+
+
+def _turn(before: Measurement, after: Measurement) -> float:
+    return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))

@@ -1,0 +1,160 @@
+"""The gate: what a tracker's faults do to a track, and what they must not."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hardware.measurement import Measurement
+from hardware.trackers.gates import GateLimits, PoseGate
+from sysid_evo.errors import InvalidArgument
+
+RATE = 200.0  # Hz
+
+
+def frame(time: float, pose, body: str = "car", valid: bool = True) -> Measurement:
+    return Measurement(time, time + 0.004, 0, body, valid, np.asarray(pose, dtype=float))
+
+
+def drive(count: int, start: int = 0, rng: np.random.Generator | None = None) -> list[Measurement]:
+    """Return frames of a car that circles at 1 m/s with the errors of marker tracking."""
+    rng = np.random.default_rng(start) if rng is None else rng
+    times = (start + np.arange(count)) / RATE
+    poses = np.stack([np.sin(times), 1.0 - np.cos(times), times], axis=1)
+    poses += rng.standard_normal(poses.shape) * [0.001, 0.001, 0.005]
+    poses[:, 2] = np.remainder(poses[:, 2] + math.pi, 2 * math.pi) - math.pi
+    return [frame(time, pose) for time, pose in zip(times, poses, strict=True)]
+
+
+def moved(frames: list[Measurement], by) -> list[Measurement]:
+    return [frame(one.source_time, one.pose + by) for one in frames]
+
+
+def verdicts(gate: PoseGate, frames: list[Measurement], *, driving: bool = True):
+    return [gate.accept(one, driving=driving) for one in frames]
+
+
+@pytest.fixture
+def gate() -> PoseGate:
+    return PoseGate("car")
+
+
+def test_driving_is_accepted_as_one_track(gate):
+    assert all(verdict.accepted for verdict in verdicts(gate, drive(3000)))
+    assert gate.counters == {"accepted": 3000, "tracks": 1}
+
+
+def test_dropout_of_100_ms_breaks_no_track(gate):
+    assert all(one.accepted for one in verdicts(gate, drive(100) + drive(100, start=120)))
+    assert gate.counters["tracks"] == 1
+
+
+@pytest.mark.parametrize(
+    "by, reason",
+    [
+        ([0.3, 0, 0], "jumped"),
+        ([0.1, 0, 0], "too fast"),
+        ([0, 0, math.pi], "flipped"),
+        ([0, 0, 0.3], "turned too fast"),
+    ],
+)
+def test_frames_off_the_track_are_dropped_and_the_track_goes_on(gate, by, reason):
+    frames = drive(100)
+    frames[40:60] = moved(frames[40:60], by)
+    seen = verdicts(gate, frames)
+    assert {one.reason for one in seen[40:60]} == {reason}
+    assert all(one.accepted and not one.broke for one in seen[60:])
+
+
+def test_frames_that_mean_nothing_are_dropped(gate):
+    good = drive(10)
+    bad = [
+        frame(0.02, [0, 0, 0], body="other"), frame(0.02, [0, 0, 0], valid=False), frame(0.02, [0, math.nan, 0]),
+        frame(0.02, [0, 0]), frame(math.inf, [0, 0, 0]), good[3],
+    ]  # fmt: skip
+    verdicts(gate, good[:5])
+    reasons = [one.reason for one in verdicts(gate, bad)]
+    assert reasons == ["of another body", "not valid", "not a number", "not a number", "not a number", "not newer"]
+    assert all(one.accepted and not one.broke for one in verdicts(gate, good[5:]))
+
+
+def test_swap_with_another_body_outlasts_a_run_before_it_is_believed(gate):
+    seen = verdicts(gate, drive(100) + moved(drive(200, start=100), [1.5, 0, 0]))
+    dropped = list(itertools.takewhile(lambda one: not one.accepted, seen[100:]))
+    assert len(dropped) == pytest.approx(0.6 * RATE, abs=1)
+    assert [one.broke for one in seen[100 + len(dropped) :]] == [True] + [False] * (199 - len(dropped))
+
+
+def test_body_within_reach_after_a_dropout_is_believed_after_ten_frames_and_told_as_a_break(gate):
+    seen = verdicts(gate, drive(100) + drive(100, start=180))
+    assert [one.accepted for one in seen[100:110]] == [False] * 9 + [True]
+    assert [one.broke for one in seen[100:]] == [False] * 9 + [True] + [False] * 90
+
+
+def test_places_that_do_not_agree_are_never_believed(gate, rng):
+    verdicts(gate, drive(100))
+    wild = [frame(one.source_time, rng.uniform(-9, 9, 3)) for one in drive(2000, start=100)]
+    assert sum(one.accepted for one in verdicts(gate, wild)) < 3
+
+
+def test_frozen_pose_is_seen_while_driving_only_and_ends_the_track(gate):
+    frames = drive(100)
+    frozen = [frame(one.source_time, frames[49].pose) for one in frames[50:80]]
+    assert all(one.accepted for one in verdicts(gate, frames[:50] + frozen, driving=False))
+    gate = PoseGate("car")
+    seen = verdicts(gate, frames[:50] + frozen + frames[80:])
+    assert [one.accepted for one in seen[50:80]] == [True] * 9 + [False] * 21
+    assert seen[79].reason == "frozen"
+    assert [one.broke for one in seen[80:82]] == [True, False]
+    unlimited = PoseGate("car", GateLimits(frozen=None))
+    assert all(one.accepted for one in verdicts(unlimited, frames[:50] + frozen))
+
+
+def test_wrong_limits_are_refused():
+    with pytest.raises(InvalidArgument, match="speed"):
+        GateLimits(speed=0.0)
+    with pytest.raises(InvalidArgument, match="frame"):
+        GateLimits(confirm=0)
+
+
+anything = st.builds(
+    Measurement,
+    source_time=st.one_of(st.floats(), st.floats(0.0, 2.0)),
+    arrival_time=st.floats(0.0, 3.0),
+    frame=st.integers(0, 400),
+    body=st.sampled_from(["car", "car", "car", "other"]),
+    valid=st.sampled_from([True, True, False]),
+    pose=st.one_of(st.lists(st.floats(), max_size=4), st.lists(st.floats(-0.4, 0.4), min_size=3, max_size=3)).map(
+        np.array
+    ),
+)
+
+
+@given(st.lists(st.tuples(anything, st.booleans()), max_size=60))
+def test_whatever_comes_no_two_frames_of_a_track_contradict_the_limits(script):
+    gate, limits = PoseGate("car"), GateLimits()
+    last = None
+    for one, driving in sorted(script, key=lambda step: step[0].source_time):
+        verdict = gate.accept(one, driving=driving)
+        assert verdict.accepted == (verdict.reason == "")
+        assert verdict.accepted or not verdict.broke
+        if not verdict.accepted:
+            continue
+        assert one.valid
+        assert one.body == "car"
+        if last is not None:
+            dt = one.source_time - last.source_time
+            assert dt > 0.0
+            if not verdict.broke:
+                step = math.dist(one.pose[:2], last.pose[:2])
+                turn = abs(math.remainder(one.pose[2] - last.pose[2], 2 * math.pi))
+                assert step <= min(limits.jump, limits.speed * dt + limits.position_error)
+                assert turn <= min(limits.turn, limits.yaw_rate * dt + limits.heading_error)
+        else:
+            assert verdict.broke
+        last = one
