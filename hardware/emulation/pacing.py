@@ -10,6 +10,7 @@ from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRob
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
 from hardware.robot import Connection, Robot
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 
 
@@ -45,6 +46,10 @@ class PacedConnection(Connection):
     @property
     def time(self) -> float:
         return time.monotonic()
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        return self.simulated.gate_limits
 
     @property
     def status(self) -> RobotStatus | None:
