@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from hardware.listener import Command, Listener, RobotStatus
 from hardware.loop.estimator import PoseEstimator
-from hardware.loop.pilot import Pilot
+from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
@@ -27,6 +28,14 @@ FIRST_POSE = 1.0  # s within which the first estimate must exist
 POLL = 0.02  # s: the longest the loop waits without looking up
 SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
 CLOCK_TOLERANCE = 1e-9  # s
+
+
+class Estimator(Protocol):
+    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
+
+    def restart(self) -> None: ...
+    def add(self, measurement: Measurement) -> None: ...
+    def estimate(self, time: float) -> Estimate | None: ...
 
 
 class ControlLoop:
@@ -50,7 +59,7 @@ class ControlLoop:
         system: System,
         *,
         listeners: Sequence[Listener] = (),
-        estimator: PoseEstimator | None = None,
+        estimator: Estimator | None = None,
         gate: PoseGate | None = None,
         stops: Stops | None = None,
     ) -> None:
@@ -58,7 +67,7 @@ class ControlLoop:
         self.system = system
         self.stops = Stops() if stops is None else stops
         self._listeners = tuple(listeners)
-        self._estimator = PoseEstimator(system) if estimator is None else estimator
+        self._estimator: Estimator = PoseEstimator(system) if estimator is None else estimator
         self._gate = gate
         self._control = system.neutral_control
         self._status: RobotStatus | None = None
