@@ -11,7 +11,7 @@ import numpy as np
 
 from hardware.listener import Command, Listener, RobotStatus
 from hardware.loop.estimator import PoseEstimator
-from hardware.loop.pilot import Pilot
+from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
@@ -46,6 +46,14 @@ class Gate(Protocol):
     def accept(self, measurement: Measurement, *, driving: bool) -> Verdict: ...
 
 
+class Estimator(Protocol):
+    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
+
+    def restart(self) -> None: ...
+    def add(self, measurement: Measurement) -> None: ...
+    def estimate(self, time: float) -> Estimate | None: ...
+
+
 class ControlLoop:
     """Drives ``connection`` by a pilot, one decision every ``system.dt``, and tells the listeners.
 
@@ -66,7 +74,7 @@ class ControlLoop:
         system: System,
         *,
         listeners: Sequence[Listener] = (),
-        estimator: PoseEstimator | None = None,
+        estimator: Estimator | None = None,
         gate: Gate | None = None,
         stops: Stops | None = None,
     ) -> None:
@@ -74,7 +82,7 @@ class ControlLoop:
         self.system = system
         self.stops = Stops() if stops is None else stops
         self._listeners = tuple(listeners)
-        self._estimator = PoseEstimator(system) if estimator is None else estimator
+        self._estimator: Estimator = PoseEstimator(system) if estimator is None else estimator
         self._gate = gate
         self._control = system.neutral_control
         self._status: RobotStatus | None = None

@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from hardware.measurement import Measurement
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
@@ -57,20 +55,20 @@ class GateLimits:
 
 
 class PoseGate:
-    """Decides frame by frame on planar poses of ``body``; it has no clock of its own.
+    """Decides frame by frame on planar poses of ``body`` (None: the first seen); it has no clock of its own.
 
     No two accepted frames of one track contradict `GateLimits`; a frame that does is dropped. If the
     body turns up elsewhere and stays consistent there, a new track begins, and the verdict on its
     first accepted frame says ``broke``: nothing may be computed across it.
     """
 
-    def __init__(self, body: str, limits: GateLimits | None = None) -> None:
+    def __init__(self, body: str | None, limits: GateLimits | None = None) -> None:
         self.body = body
         self.limits = GateLimits() if limits is None else limits
         self._last: Measurement | None = None
         self._rival: list[Measurement] = []
         self._rivals_reason = ACCEPTED
-        self._seen: Array | None = None
+        self._seen = b""
         self._repeats = 0
         self._thawed = False
         self._counts: Counter[str] = Counter()
@@ -89,10 +87,12 @@ class PoseGate:
         return verdict
 
     def _judge(self, frame: Measurement, driving: bool) -> Verdict:
-        if frame.body != self.body:
-            return Verdict(False, "of another body")
+        if self.body is None and frame.valid:
+            self.body = frame.body
         if not frame.valid:
             return Verdict(False, "not valid")
+        if frame.body != self.body:
+            return Verdict(False, "of another body")
         if frame.pose.shape != (3,) or not _sound(*frame.pose, frame.source_time, frame.arrival_time):
             return Verdict(False, "not a number")
         if self._is_frozen(frame.pose, driving):
@@ -119,8 +119,8 @@ class PoseGate:
 
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
         """Count equal poses under a drive command; say whether there are too many."""
-        same = self._seen is not None and np.array_equal(self._seen, pose)
-        self._seen = pose
+        bits = pose.tobytes()
+        same, self._seen = bits == self._seen, bits
         self._repeats = self._repeats + 1 if same and driving else 0
         return self.limits.frozen is not None and self._repeats >= self.limits.frozen
 

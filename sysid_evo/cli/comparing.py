@@ -134,18 +134,21 @@ def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple
 
 def record(robot: str, seed: int, bars: Bars) -> Dataset:
     """Record the excitation manoeuvres on an emulated robot."""
-    from hardware.recording.recorder import record_dataset
+    from hardware.recording.scripted import record_dataset
+    from sysid_evo.errors import LinkLost
 
     cell = f"record {robot}"
     bars.start(cell)
-    _, dataset = record_dataset(
+    recorded = record_dataset(
         robot,
         seed=seed,
         duration=60.0 * RECORDED_MINUTES,
         progress=lambda done, total: bars.progress(cell, done, total),
     )
     bars.finish(cell, cached=False, reason=None)
-    return dataset
+    if recorded.report.reason.is_fault:
+        raise LinkLost(f"{robot}: {recorded.report.sentence}")
+    return recorded.dataset
 
 
 def read(data: Path, columns: Path | None) -> Dataset:

@@ -66,31 +66,47 @@ def inspect(
 def record(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
     robot: Annotated[
-        str, typer.Option(help="Registered robot, or NAME:SEED for one drawn at random.")
+        str, typer.Option(help="Registered robot, NAME:SEED for one drawn at random, or a TOML file.")
     ] = "emulated_car",
     seed: Seed = 0,
     minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
     plugin: Plugins = None,
 ) -> None:
-    """Drive a robot through manoeuvres, and store what the tracker saw (`raw/`) and the data set made of it."""
-    from hardware.recording.recorder import record_dataset, save_raw
+    """Drive a robot through manoeuvres; store the journals of the runs (`journal/`), what the tracker saw
+    (`raw/`) and the data set made of it.
+
+    Every frame and command is in the journal as soon as it happens; Ctrl-C, a lost tracker or a lost
+    link end the recording in neutral, and what was recorded until then is kept and prepared.
+    """
+    from hardware.loop.stops import Stops
+    from hardware.recording.scripted import record_dataset, save_raw
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.cli.progress import Bars
 
     load_plugins(plugin)
     cell = f"record {robot}"
-    with Bars() as bars:
+    with Bars() as bars, Stops() as stops:
         bars.start(cell)
-        logs, dataset = record_dataset(
-            robot, seed=seed, duration=60.0 * minutes, progress=lambda done, total: bars.progress(cell, done, total)
+        recorded = record_dataset(
+            robot,
+            seed=seed,
+            duration=60.0 * minutes,
+            folder=folder / "journal",
+            stops=stops,
+            progress=lambda done, total: bars.progress(cell, done, total),
         )
-        bars.finish(cell, cached=False, reason=None)
-    for log in logs:
+        ended = recorded.report.sentence if recorded.report.reason.is_fault else None
+        bars.finish(cell, cached=False, reason=ended)
+    dataset = recorded.dataset
+    for log in recorded.logs:
         save_raw(log, dataset.system, folder / "raw" / f"{log.name}.csv")
     dataset.save(folder)
     _tell(dataset.notes, ())
     out.print(episode_table(dataset))
     out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+    if ended is not None:
+        err.print(f"the recording was cut short: {ended}", highlight=False, markup=False, soft_wrap=True)
+        raise typer.Exit(recorded.report.reason.exit_code)
 
 
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:

@@ -31,7 +31,7 @@ from evaluation.prediction import (
     measured_cases,
 )
 from evaluation.prediction.bootstrap import interval
-from hardware.recording.recorder import record_dataset
+from hardware.recording.scripted import record_dataset
 from model_zoo.spread import coverage
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -57,7 +57,7 @@ CAR = System(
 def recording(log: str) -> tuple[Dataset, Dataset]:
     """Return training and test set of one of the cars."""
     if log == EMULATED:
-        return record_dataset(EMULATED, seed=0, duration=RECORDED_TIME)[1].split(HELD_BACK)
+        return record_dataset(EMULATED, seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
     root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
     states, controls, names = [], [], []
     for path in sorted((root / "dart" / log).glob("*.csv")):

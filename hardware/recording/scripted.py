@@ -1,0 +1,220 @@
+"""Drives a robot through manoeuvres and records how it answers: emulated robots and real ones alike."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hardware.loop.control_loop import ControlLoop
+from hardware.loop.pilot import Estimate, Pilot
+from hardware.loop.report import LoopReport
+from hardware.loop.stops import Stops
+from hardware.measurement import Measurement
+from hardware.recording.excitation import Manoeuvre, excitation
+from hardware.recording.journal import SUFFIX, read_journal
+from hardware.recording.journal_reader import column_names
+from hardware.recording.raw_log import raw_log
+from hardware.recording.recorder import Recorder
+from hardware.robot import Connection, Robot
+from hardware.trackers.gates import GateLimits, PoseGate
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.data.preparation import prepare
+from sysid_evo.data.raw import RawLog
+from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.files import write_atomically
+from sysid_evo.progress import Progress
+from sysid_evo.registry import make_robot
+from sysid_evo.system import System
+
+PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each begins at rest
+
+
+class ManoeuvrePilot(Pilot):
+    """Sends the controls of a manoeuvre one by one, whatever the robot does."""
+
+    def __init__(self, manoeuvre: Manoeuvre, told: Callable[[int], None] | None = None) -> None:
+        self._controls = manoeuvre.controls
+        self._told = told
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        if self._told is not None:
+            self._told(min(tick, len(self._controls)))
+        return self._controls[tick] if tick < len(self._controls) else None
+
+
+class NewestPose:
+    """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
+
+    def __init__(self, system: System) -> None:
+        self._state = system.neutral_state
+        self._newest: Measurement | None = None
+
+    def restart(self) -> None:
+        """Forget the pose."""
+        self._newest = None
+
+    def add(self, measurement: Measurement) -> None:
+        """Take in an accepted pose."""
+        self._newest = measurement
+
+    def estimate(self, time: float) -> Estimate | None:
+        """Return the newest pose, None before the first."""
+        newest = self._newest
+        return None if newest is None else Estimate(time, newest.pose, self._state, time - newest.source_time)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a recording left: its logs and data set, how its last run ended, what is to be said about it."""
+
+    logs: tuple[RawLog, ...]
+    dataset: Dataset
+    report: LoopReport
+
+
+def record(
+    robot: Robot,
+    manoeuvres: Sequence[Manoeuvre],
+    folder: Path,
+    *,
+    seed: int,
+    limits: GateLimits | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> LoopReport:
+    """Drive each manoeuvre through the control loop into a journal of its own, ``folder/NAME.rcj``.
+
+    An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays
+    connected and stands in neutral for 2 s in between. The first fault ends the recording: the
+    report says which, and the journals keep what was recorded. ``progress`` counts control samples.
+    Raises `LinkLost` if the robot cannot be reached, `InvalidArgument` if there is a journal already.
+    """
+    if not manoeuvres:
+        raise InvalidArgument("record: expected at least one manoeuvre, got none")
+    total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
+    done = 0
+    stops = Stops() if stops is None else stops
+    with ExitStack() as stack:
+        connection: Connection | None = None
+        for number, manoeuvre in enumerate(manoeuvres):
+            if connection is None or robot.dynamics is not None:
+                stack.close()
+                connection = stack.enter_context(robot.connect(seed=_session_seed(seed, number)))
+            else:
+                rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
+                report = _run(connection, robot, rest, (), limits, stops)
+                if report.reason.is_fault:
+                    return report
+            told = None if progress is None else _counter(progress, done, total)
+            with Recorder(folder / f"{manoeuvre.name}{SUFFIX}", robot.system, robot=robot.name) as recorder:
+                report = _run(connection, robot, manoeuvre, (recorder,), limits, stops, told)
+            if recorder.problem is not None:
+                raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
+            if report.reason.is_fault:
+                return report
+            done += len(manoeuvre.controls)
+    return report
+
+
+def _run(
+    connection: Connection,
+    robot: Robot,
+    manoeuvre: Manoeuvre,
+    listeners: Sequence[Recorder],
+    limits: GateLimits | None,
+    stops: Stops,
+    told: Callable[[int], None] | None = None,
+) -> LoopReport:
+    loop = ControlLoop(
+        connection,
+        robot.system,
+        listeners=listeners,
+        estimator=NewestPose(robot.system),
+        gate=PoseGate(None, limits),
+        stops=stops,
+    )
+    return loop.run(ManoeuvrePilot(manoeuvre, told))
+
+
+def _session_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0])
+
+
+def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]:
+    return lambda samples: progress(done + samples, total)
+
+
+def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
+    """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run."""
+    logs = []
+    for name in names:
+        path = folder / f"{name}{SUFFIX}"
+        if path.is_file():
+            try:
+                logs.append(raw_log(read_journal(path), limits))
+            except InvalidData:
+                continue
+    return logs
+
+
+def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
+    """Return the data set of ``logs``; a note names each that is too short. Raises `InvalidData` if all are."""
+    episodes: list[Trajectory] = []
+    notes: list[str] = []
+    for log in logs:
+        try:
+            made = prepare(log, system)
+        except InvalidData as error:
+            notes.append(f"left out: {error}")
+            continue
+        episodes.extend(made.episodes)
+        notes.extend(note for note in made.notes if note not in notes)
+    if not episodes:
+        raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
+    return Dataset(system, tuple(episodes), tuple(notes))
+
+
+def record_dataset(
+    robot: str,
+    *,
+    seed: int,
+    duration: float,
+    folder: Path | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record the excitation of ``duration`` s on a robot, and prepare what was recorded, whole or not.
+
+    Journals go to ``folder`` (default: a temporary one). The same seed gives the same manoeuvres and,
+    on an emulated robot, the same recording. Raises `LinkLost` or `InvalidData` if it is too short
+    to make a data set of it.
+    """
+    machine = make_robot(robot)
+    manoeuvres = excitation(machine.system, duration=duration, rng=np.random.default_rng(seed))
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary) if folder is None else folder
+        report = record(machine, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
+    try:
+        return Recorded(tuple(logs), prepared(logs, machine.system), report)
+    except InvalidData as error:
+        if report.reason.is_fault:
+            raise LinkLost(f"{robot}: {report.sentence}; {error}") from error
+        raise
+
+
+def save_raw(log: RawLog, system: System, path: str | Path) -> Path:
+    """Write ``log`` as CSV: ``t`` in s, then the pose and the controls under the names of ``system``."""
+    header = ",".join(column_names(system))
+    table = np.column_stack([log.time, log.pose, log.controls])
+
+    def write(file: Path) -> None:
+        np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")
+
+    return write_atomically(Path(path), write)

@@ -1,0 +1,249 @@
+"""Scripted recording: from manoeuvres to journals, logs and a prepared data set."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware.emulation.car_parameters import CarParameters
+from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_robot import EmulatedRobot
+from hardware.loop.report import Reason
+from hardware.loop.stops import Stops
+from hardware.measurement import Measurement
+from hardware.recording.excitation import Manoeuvre, excitation
+from hardware.recording.journal_reader import JournalReader
+from hardware.recording.scripted import logs_of, prepared, record, record_dataset, save_raw
+from hardware.robot import Connection, Robot
+from sysid_evo.arrays import Array
+from sysid_evo.data.columns import load_columns
+from sysid_evo.data.preparation import prepare
+from sysid_evo.data.reading import read_dataset
+from sysid_evo.data.tables import CsvReader
+from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.registry import make_robot
+
+
+class Watched(Connection):
+    """A connection that notes the true states and loses sight of the body in some frames."""
+
+    def __init__(self, link, hidden: range, last_frame: float) -> None:
+        self.link, self.hidden, self.last_frame = link, hidden, last_frame
+        self.states: list[Array] = []
+
+    @property
+    def time(self) -> float:
+        return self.link.time
+
+    def send(self, control: Array, *, valid_for: float) -> None:
+        self.link.send(control, valid_for=valid_for)
+
+    def measure(self, timeout: float) -> Measurement | None:
+        frame = self.link.measure(timeout)
+        if frame is None or frame.frame > self.last_frame:
+            return None
+        self.states.append(self.link.state)
+        return replace(frame, valid=frame.frame not in self.hidden)
+
+    def close(self) -> None:
+        self.link.close()
+
+
+class WatchedRobot(Robot):
+    def __init__(self, robot: Robot, hidden: range = range(0), last_frame: float = np.inf) -> None:
+        self.robot, self.hidden, self.last_frame = robot, hidden, last_frame
+        self.name, self.system, self.dynamics = robot.name, robot.system, robot.dynamics
+        self.sessions: list[Watched] = []
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        self.sessions.append(Watched(self.robot.connect(seed=seed), self.hidden, self.last_frame))
+        return self.sessions[-1]
+
+
+@pytest.fixture
+def robot() -> WatchedRobot:
+    return WatchedRobot(make_robot("emulated_car"))
+
+
+def short(rng: np.random.Generator, steps: int = 40) -> Manoeuvre:
+    return Manoeuvre("short", np.repeat(rng.integers(-1, 2, (steps // 4, 2)).astype(float), 4, axis=0))
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Record manoeuvres on a robot; give the logs, and leave the report of the last run in ``report``."""
+    count = iter(range(99))
+
+    def run(robot, manoeuvres, **options) -> list:
+        folder = tmp_path / str(next(count))
+        run.report = record(robot, manoeuvres, folder, **{"seed": 1, **options})
+        return logs_of(folder, [one.name for one in manoeuvres])
+
+    return run
+
+
+def test_rows_are_frames_with_the_command_in_force_from_them_on(robot, rng, recorded):
+    manoeuvre = short(rng)
+    (log,) = recorded(robot, [manoeuvre])
+    assert log.time == pytest.approx(np.arange(401) * 0.005)
+    assert np.array_equal(log.controls[:-1], np.repeat(manoeuvre.controls, 10, axis=0))
+    assert log.pose.shape == (401, 3)
+
+
+def test_recording_of_a_car_without_noise_is_its_20_hz_form(rng, recorded):
+    quiet = CarParameters(force_noise=1e-12, yaw_noise=1e-12, battery_spread=1e-12)
+    robot = WatchedRobot(EmulatedRobot("quiet", CarPhysics(quiet), repeats=10))
+    manoeuvre = short(rng, 100)
+    recorded(robot, [manoeuvre])
+    car = robot.dynamics
+    carry = car.start(np.zeros((1, 2, 3)), np.zeros((1, 1, 2)))
+    states = [carry[0, :3]]
+    for control in manoeuvre.controls:
+        carry = car.step(carry, control[None])
+        states.append(carry[0, :3])
+    assert np.array(robot.sessions[0].states)[:1001:10] == pytest.approx(np.array(states), abs=1e-9)
+    assert np.abs(states).max() > 0.3
+
+
+def test_same_seed_gives_the_same_recording(rng, recorded):
+    manoeuvres = [short(rng), replace(short(rng), name="second")]
+    one, same, other = (recorded(make_robot("emulated_car"), manoeuvres, seed=seed) for seed in (4, 4, 5))
+    for a, b, c in zip(one, same, other, strict=True):
+        assert np.array_equal(a.pose, b.pose)
+        assert not np.array_equal(a.pose, c.pose)
+    assert not np.array_equal(one[0].pose[:5], one[1].pose[:5])
+
+
+def test_progress_counts_control_samples(robot, rng, recorded):
+    calls = []
+    recorded(
+        robot,
+        [short(rng), replace(short(rng), name="second")],
+        progress=lambda done, total: calls.append((done, total)),
+    )
+    assert sorted(set(calls)) == [(i, 80) for i in range(81)]
+    assert calls == sorted(calls)
+
+
+def test_frames_that_lost_the_body_are_left_out(rng, recorded):
+    (log,) = recorded(WatchedRobot(make_robot("emulated_car"), hidden=range(90, 101)), [short(rng)])
+    assert len(log.time) == 401 - 11
+    assert np.diff(log.time).max() == pytest.approx(0.06)
+    (late,) = recorded(WatchedRobot(make_robot("emulated_car"), hidden=range(3)), [short(rng)])
+    assert (late.time[0], len(late.time)) == (0.0, 401)
+
+
+@pytest.mark.parametrize(
+    "trouble, rows",
+    [({"hidden": range(200, 9999)}, 200), ({"hidden": range(9999)}, None), ({"last_frame": 199}, 200)],
+)
+def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_there_is(trouble, rows, rng, recorded):
+    robot = WatchedRobot(make_robot("emulated_car"), **trouble)
+    logs = recorded(robot, [short(rng, 80), replace(short(rng), name="never begun")])
+    assert recorded.report.reason is Reason.TRACKER_LOST
+    assert [len(log.time) for log in logs] == ([rows] if rows else [])
+    assert len(robot.sessions) == 1
+    assert np.array_equal(robot.sessions[0].link.control, [0.0, 0.0])
+    with pytest.raises(LinkLost, match="closed"):
+        robot.sessions[0].measure(1.0)
+
+
+def test_interrupted_recording_keeps_what_there_is(robot, rng, recorded):
+    stops = Stops()
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 30:
+            stops.request(Reason.SIGINT)
+
+    (log,) = recorded(robot, [short(rng, 80), replace(short(rng), name="second")], stops=stops, progress=interrupt)
+    assert recorded.report.reason is Reason.SIGINT
+    assert log.time[-1] == pytest.approx(1.5, abs=0.06)
+    assert prepared([log], robot.system).duration > 0.5
+
+
+def test_physical_robot_stays_connected_and_rests_between_manoeuvres(robot, rng, recorded):
+    robot.dynamics = None
+    logs = recorded(robot, [short(rng), replace(short(rng), name="second")])
+    assert [len(log.time) for log in logs] == [401, 401]
+    (session,) = robot.sessions
+    assert session.time == pytest.approx(2.0 + 2.0 + 2.0, abs=0.11)
+    assert np.abs(session.states[600:800]).max() < np.abs(session.states[:400]).max()
+
+
+def test_jump_of_the_tracker_splits_the_recording(rng, recorded):
+    class Jumping(Watched):
+        def measure(self, timeout: float) -> Measurement | None:
+            frame = super().measure(timeout)
+            if frame is None or frame.frame < 400:
+                return frame
+            return replace(frame, pose=np.add(frame.pose, [0.4, 0.0, 0.0]), valid=not 400 <= frame.frame < 418)
+
+    class JumpingRobot(WatchedRobot):
+        def connect(self, *, seed: int | None = None) -> Connection:
+            self.sessions.append(Jumping(self.robot.connect(seed=seed), range(0), np.inf))
+            return self.sessions[-1]
+
+    robot = JumpingRobot(make_robot("emulated_car"))
+    (log,) = recorded(robot, [short(rng, 80)])
+    assert recorded.report.reason is Reason.PILOT
+    dataset = prepared([log], robot.system)
+    assert len(dataset) == 2
+    assert all(np.abs(episode.states[:, :2]).max() < 1.5 for episode in dataset.episodes)
+
+
+def test_prepared_recording_agrees_with_the_true_states(robot, recorded):
+    manoeuvres = excitation(robot.system, duration=120.0, rng=np.random.default_rng(2))[:4]
+    logs = recorded(robot, manoeuvres, seed=2)
+    errors = []
+    for log, session in zip(logs, robot.sessions, strict=True):
+        (episode,) = prepare(log, robot.system).episodes
+        truth = np.array(session.states)[::10]
+        first = (len(truth) - len(episode.states)) // 2
+        errors.append(episode.states - truth[first : first + len(episode.states)])
+        assert np.array_equal(log.controls[::10][first : first + len(episode)], episode.controls)
+    rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+    assert np.all(rms < [0.01, 0.01, 0.07])
+
+
+def test_registered_robot_gives_a_data_set(car):
+    recorded = record_dataset("emulated_car:1", seed=3, duration=24.0)
+    logs, dataset = recorded.logs, recorded.dataset
+    assert len(logs) == len(dataset) == 12
+    assert dataset.system == car
+    assert dataset.names == tuple(log.name for log in logs)
+    assert dataset.duration == pytest.approx(24.0, abs=6.0)
+    assert dataset.fingerprint == record_dataset("emulated_car:1", seed=3, duration=24.0).dataset.fingerprint
+
+
+def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):
+    (log,) = recorded(robot, [short(rng)])
+    path = save_raw(log, robot.system, tmp_path / "log.csv")
+    columns = load_columns("emulated_car")
+    table = CsvReader().read(path, columns.columns)
+    assert CsvReader().header(path) == ("t", "x", "y", "heading", "drive", "steer")
+    assert columns.system({}) == robot.system
+    assert table.columns["t"] == pytest.approx(log.time)
+    pose = np.stack([table.columns[name] for name in ("x", "y", "heading")], axis=1)
+    assert pose == pytest.approx(log.pose, abs=1e-8)
+    assert np.array_equal(np.stack([table.columns[name] for name in ("drive", "steer")], axis=1), log.controls)
+
+
+def test_second_recording_in_the_same_folder_is_refused(robot, rng, tmp_path):
+    record(robot, [short(rng)], tmp_path, seed=1)
+    with pytest.raises(InvalidArgument, match="a recording is there already"):
+        record(robot, [short(rng)], tmp_path, seed=1)
+
+
+def test_journals_are_read_as_logs(robot, rng, tmp_path):
+    manoeuvre = short(rng, 100)
+    record(robot, [manoeuvre], tmp_path / "journal", seed=1)
+    (log,) = logs_of(tmp_path / "journal", ["short"])
+    save_raw(log, robot.system, tmp_path / "raw" / "short.csv")
+    (from_journal,) = read_dataset(tmp_path / "journal").episodes
+    (from_csv,) = read_dataset(tmp_path / "raw").episodes
+    assert from_journal.states == pytest.approx(from_csv.states, abs=1e-6)
+    assert np.array_equal(from_journal.controls, from_csv.controls)
+    with pytest.raises(InvalidData, match="Did you mean 'steer'"):
+        JournalReader().read(tmp_path / "journal" / "short.rcj", ["ster"])
