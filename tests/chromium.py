@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import time
 import urllib.request
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -43,6 +44,7 @@ class Chromium:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
+        self._tabs: list[Tab] = []
         self._port = self._find_port(folder / "DevToolsActivePort")
 
     def __enter__(self) -> Self:
@@ -51,6 +53,8 @@ class Chromium:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for tab in self._tabs:
+            tab.let_go()
         self._process.terminate()
         try:
             self._process.wait(10.0)
@@ -61,6 +65,7 @@ class Chromium:
     def open(self, url: str) -> Tab:
         """Open a new tab and return when its page is loaded."""
         tab = Tab(self._ask("PUT", "new?about:blank")["webSocketDebuggerUrl"])
+        self._tabs.append(tab)
         tab.call("Page.enable")
         tab.call("Page.navigate", url=url)
         tab.wait_for("document.readyState === 'complete'")
@@ -86,7 +91,9 @@ class Tab:
     """One page of the browser."""
 
     def __init__(self, address: str) -> None:
-        self._line: ClientConnection = connect(address, max_size=None, compression=None)
+        self._closing = ExitStack()
+        line = connect(address, max_size=None, compression=None, close_timeout=1.0)
+        self._line: ClientConnection = self._closing.enter_context(line)
         self._numbers = itertools.count(1)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
@@ -132,7 +139,11 @@ class Tab:
     def close(self) -> None:
         """Close the tab as its user would."""
         self.call("Page.close")
-        self._line.close()
+        self.let_go()
+
+    def let_go(self) -> None:
+        """End the conversation with the tab and leave it as it is."""
+        self._closing.close()
 
     def _key(self, kind: str, code: str) -> None:
         self.call("Input.dispatchKeyEvent", type=kind, code=code, key=code, windowsVirtualKeyCode=KEY_CODES[code])

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 
 from hardware.driving.human_pilot import HumanPilot
 from hardware.driving.instruments import Instruments
 from hardware.driving.keyboard import Keyboard
+from hardware.driving.while_driving import WhileDriving
 from hardware.listener import Listener
 from hardware.loop.control_loop import ControlLoop
 from hardware.loop.report import LoopReport
@@ -43,7 +45,8 @@ class HandDriving:
     Between trials nothing is connected, and the robot drives only after the person has asked for a
     trial, released all keys and pressed one. The task's origin is where the robot stands at the first
     trial, or that of the tracker (``origin`` all zero). ``seed_of`` gives the seed of a trial, from 0;
-    it also fixes what an emulated robot draws.
+    it also fixes what an emulated robot draws. ``recorder`` makes the listener that is told of a trial
+    while it is driven, given the trial's name; it is closed after it.
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class HandDriving:
         *,
         seed_of: Callable[[int], int],
         stops: Stops,
-        listeners: Sequence[Listener] = (),
+        recorder: Callable[[str], Listener] | None = None,
         origin: Array | None = None,
     ) -> None:
         self._robot = robot
@@ -64,7 +67,7 @@ class HandDriving:
         self._instruments = instruments
         self._seed_of = seed_of
         self._stops = stops
-        self._listeners = (instruments, *listeners)
+        self._recorder = recorder
         self._origin = origin
 
     def trials(self) -> Iterator[HandTrial]:
@@ -80,15 +83,21 @@ class HandDriving:
                 return
 
     def _drive(self, index: int) -> HandTrial:
-        seed = self._seed_of(index)
+        seed, name = self._seed_of(index), f"trial-{index + 1}"
         pilot = HumanPilot(self._keyboard, self._task, seed=seed, origin=self._origin)
-        with self._robot.connect(seed=seed) as connection:
-            self._instruments.begin(pilot, index + 1)
-            loop = ControlLoop(connection, self._robot.system, listeners=self._listeners, stops=self._stops)
-            report = loop.run(pilot)
-        pilot.end()
+        listeners: list[Listener] = [self._instruments]
+        if self._recorder is not None:
+            listeners.append(WhileDriving(pilot, partial(self._recorder, name)))
+        try:
+            with self._robot.connect(seed=seed) as connection:
+                self._instruments.begin(pilot, index + 1)
+                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stops=self._stops)
+                report = loop.run(pilot)
+        finally:
+            pilot.end()
+            for listener in listeners:
+                listener.close()
         self._origin = pilot.origin
-        name = f"trial-{index + 1}"
         return HandTrial(index + 1, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report)
 
     def _wanted(self) -> bool:

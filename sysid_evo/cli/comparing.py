@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sysid_evo.cli.progress import Bars
     from sysid_evo.data import Dataset
     from sysid_evo.engine import Runner
+    from sysid_evo.store import RunFolder
 
 DEFAULT_ROBOT = "emulated_car"
 RECORDED_MINUTES = 6.0
@@ -34,6 +35,8 @@ OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
 """What is compared when no family is named and the preset has no choice of its own."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+DATA_PARTS = ("training", "test")
+"""Folders in the run's ``data`` folder."""
 HELD_BACK = 0.25
 """Share of every episode held back for the test when no episode is named."""
 
@@ -97,6 +100,7 @@ def compare(
         training, held_back = dataset.split(test if test else HELD_BACK)
         asked = {**settings.to_dict(), "robot": robot, "data": training.fingerprint, "test": held_back.fingerprint}
         run = RunFolder.open(path, asked)
+        keep_data(run, training, held_back)
         report = run_comparison(
             run,
             training,
@@ -111,6 +115,15 @@ def compare(
         out.print(table)
     err.print(where_time_went(report.timings), highlight=False)
     out.print(f"Report: {page}", highlight=False, soft_wrap=True)
+
+
+def keep_data(run: RunFolder, training: Dataset, test: Dataset) -> None:
+    """Store both parts of the data in the run folder, so that its report can be made again."""
+    from sysid_evo.data.reading import is_stored
+
+    for name, part in zip(DATA_PARTS, (training, test), strict=True):
+        if not is_stored(run.path / "data" / name):
+            part.save(run.path / "data" / name)
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:
