@@ -1,7 +1,7 @@
 """The models that are timed: small, quickly fitted, with a NumPy step written for speed and a kernel.
 
-Hidden layers are random and only the last layer is fitted, by least squares: that takes milliseconds
-and drives like a trained network. Two families are those of the model zoo.
+Small networks are trained, the hidden layers of the neural ODE are random: that takes milliseconds, and
+controllers evolve on all of them. Two families are those of the model zoo.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from model_zoo.command_cells import CommandCells
 from model_zoo.nearest_neighbour import NearestNeighbour
 from model_zoo.parametrised import Parametrised
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
+from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.dynamics import Dynamics, training_envelope
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.kernels import (
@@ -30,6 +30,8 @@ from sysid_evo.engine.kernels import (
     stepping_kernel,
 )
 from sysid_evo.registry import make_robot
+from sysid_evo.testing import example_dataset
+from tests.benchmarks.rollout.training import last_layer, random_layer, small_network
 
 HIDDEN = 10
 
@@ -69,13 +71,12 @@ class SeparateNetworks(Fitted):
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
         inputs, nx = np.concatenate([state, control], axis=1), state.shape[1]
-        self.first, self.first_bias = random_layer(inputs, nx * HIDDEN)
-        units = np.tanh(inputs @ self.first + self.first_bias)
+        self.first, self.first_bias = np.zeros((inputs.shape[1], nx * HIDDEN)), np.zeros(nx * HIDDEN)
         self.second, self.second_bias = np.zeros((nx * HIDDEN, nx)), np.zeros(nx)
         target = self.system.acceleration(state, after)
         for k in range(nx):
-            own = slice(k * HIDDEN, (k + 1) * HIDDEN)
-            self.second[own, k], self.second_bias[k] = last_layer(units[:, own], target[:, k])
+            own, network = slice(k * HIDDEN, (k + 1) * HIDDEN), small_network(inputs, target[:, k], HIDDEN, seed=k)
+            self.first[:, own], self.first_bias[own], self.second[own, k], self.second_bias[k : k + 1] = network
 
         self.hidden = with_bias(self.first, self.first_bias)
         self.outward = with_bias(self.second, self.second_bias)
@@ -105,11 +106,11 @@ class CommandNetworks(Fitted):
         self.second, self.second_bias = np.zeros((count, nx * HIDDEN, nx)), np.zeros((count, nx))
         for number in range(count):
             rows = np.flatnonzero(cell == number)
-            self.first[number], self.first_bias[number] = random_layer(state, nx * HIDDEN, seed=number)
-            units = np.tanh(state[rows] @ self.first[number] + self.first_bias[number])
             for k in range(nx):
                 own = slice(k * HIDDEN, (k + 1) * HIDDEN)
-                self.second[number, own, k], self.second_bias[number, k] = last_layer(units[:, own], after[rows, k])
+                first, bias, second, last = small_network(state[rows], after[rows, k], HIDDEN, seed=number)
+                self.first[number][:, own], self.first_bias[number, own] = first, bias
+                self.second[number, own, k], self.second_bias[number, k] = second, last[0]
 
         self.hidden = [with_bias(self.first[c], self.first_bias[c]) for c in range(count)]
         self.outward = [with_bias(self.second[c], self.second_bias[c]) for c in range(count)]
@@ -269,20 +270,16 @@ def hidden_units(weights: Array, z: Array) -> Array:
     return units
 
 
-def random_layer(inputs: Array, width: int, *, seed: int = 0) -> tuple[Array, Array]:
-    """Return weights (n_in, width) and bias (width,) that bring ``inputs`` (N, n_in) to deviation 0.7."""
-    rng = np.random.default_rng(seed)
-    scale = np.maximum(inputs.std(axis=0), 1e-6)
-    weights = rng.standard_normal((inputs.shape[1], width)) * 0.7 / np.sqrt(inputs.shape[1]) / scale[:, None]
-    return weights, 0.3 * rng.standard_normal(width) - inputs.mean(axis=0) @ weights
+def recording(episodes: int, steps: int) -> Dataset:
+    """Return episodes of the made-up car without their first second.
 
-
-def last_layer(units: Array, target: Array) -> tuple[Array, Array]:
-    """Return weights (width, ...) and bias (...) of the ridge regression of ``target`` (N, ...) on ``units``."""
-    columns = np.concatenate([units, np.ones((len(units), 1))], axis=1)
-    ridge = 1e-6 * len(units) * np.eye(columns.shape[1])
-    found = np.linalg.solve(columns.T @ columns + ridge, columns.T @ target)
-    return found[:-1], found[-1]
+    All of them begin at exactly zero: equal points in a table, which a nearest neighbour may tell
+    apart either way.
+    """
+    dataset = example_dataset(episodes=episodes, steps=steps)
+    return dataset.with_episodes(
+        [Trajectory(e.states[20:], e.controls[20:], e.dt, name=e.name) for e in dataset.episodes]
+    )
 
 
 def cases(dataset: Dataset, *, generations: int) -> list[Case]:
