@@ -1,7 +1,6 @@
 """The models that are timed: small, quickly fitted, with a NumPy step written for speed and a kernel.
 
-Small networks are trained, the hidden layers of the neural ODE are random: that takes milliseconds, and
-controllers evolve on all of them. Two families are those of the model zoo.
+Two families are those of the model zoo.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from sysid_evo.engine.kernels import (
 )
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
-from tests.benchmarks.rollout.training import last_layer, random_layer, small_network
+from tests.benchmarks.rollout.training import trained_network
 
 HIDDEN = 10
 
@@ -75,8 +74,10 @@ class SeparateNetworks(Fitted):
         self.second, self.second_bias = np.zeros((nx * HIDDEN, nx)), np.zeros(nx)
         target = self.system.acceleration(state, after)
         for k in range(nx):
-            own, network = slice(k * HIDDEN, (k + 1) * HIDDEN), small_network(inputs, target[:, k], HIDDEN, seed=k)
-            self.first[:, own], self.first_bias[own], self.second[own, k], self.second_bias[k : k + 1] = network
+            own = slice(k * HIDDEN, (k + 1) * HIDDEN)
+            inner, outer = trained_network(inputs, target[:, k : k + 1], (HIDDEN,), seed=k)
+            self.first[:, own], self.first_bias[own] = inner
+            self.second[own, k : k + 1], self.second_bias[k : k + 1] = outer
 
         self.hidden = with_bias(self.first, self.first_bias)
         self.outward = with_bias(self.second, self.second_bias)
@@ -108,9 +109,9 @@ class CommandNetworks(Fitted):
             rows = np.flatnonzero(cell == number)
             for k in range(nx):
                 own = slice(k * HIDDEN, (k + 1) * HIDDEN)
-                first, bias, second, last = small_network(state[rows], after[rows, k], HIDDEN, seed=number)
-                self.first[number][:, own], self.first_bias[number, own] = first, bias
-                self.second[number, own, k], self.second_bias[number, k] = second, last[0]
+                inner, outer = trained_network(state[rows], after[rows, k : k + 1], (HIDDEN,), seed=number)
+                self.first[number][:, own], self.first_bias[number, own] = inner
+                self.second[number, own, k : k + 1], self.second_bias[number, k : k + 1] = outer
 
         self.hidden = [with_bias(self.first[c], self.first_bias[c]) for c in range(count)]
         self.outward = [with_bias(self.second[c], self.second_bias[c]) for c in range(count)]
@@ -227,11 +228,7 @@ class NeuralODE(Derivative):
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
         inputs = np.concatenate([state, control], axis=1)
-        self.layers: list[tuple[Array, Array]] = []
-        for seed in range(2):
-            self.layers.append(random_layer(inputs, self.width, seed=seed))
-            inputs = np.tanh(inputs @ self.layers[-1][0] + self.layers[-1][1])
-        self.layers.append(last_layer(inputs, (after - state) / self.system.dt))
+        self.layers = trained_network(inputs, (after - state) / self.system.dt, (self.width, self.width))
         self.affine = [with_bias(weights, bias) for weights, bias in self.layers]
 
     def derivative(self, z: Array) -> Array:
