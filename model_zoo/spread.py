@@ -36,10 +36,10 @@ def conformal_scale(
     Every case is a fitted model and windows that it did not learn from; the model has the
     hyper-parameter ``stochastic`` and multiplies its noise with ``noise_scale_``. The normalised error
     of a window is by how much its interval would have to grow about its median to hold the truth; the
-    scale grows by the ``share`` quantile of these over all windows, every case weighing alike,
-    (n + 1) / n times ``share`` for n windows (split conformal prediction: Lei et al. 2018, Romano et al. 2019), all channels at once,
-    ``rounds`` times, since the width is not quite proportional to the scale and the channels are
-    coupled. The same noise is drawn each time; ``still`` is called every second or so.
+    scale grows by the ``share`` quantile of these over all windows, every case weighing alike, (n + 1) / n
+    times ``share`` for n windows (split conformal prediction: Lei et al. 2018, Romano et al. 2019), all
+    channels at once, ``rounds`` times, since the width is not quite proportional to the scale and the
+    channels are coupled. The same noise is drawn each time; ``still`` is called every second or so.
     """
     few = [(with_noise(model), _evenly(windows, MOST_WINDOWS // len(cases))) for model, windows in cases]
     noisy = [(model, part[at : at + PIECE]) for model, part in few for at in range(0, len(part), PIECE)]
