@@ -26,6 +26,11 @@ class Connection(Session):
         """The connection's clock in s: the host's `time.monotonic`, or simulated time."""
 
     @property
+    def round_trip(self) -> float | None:
+        """The time in s from the newest answered command to the robot's answer; None from one that gives none."""
+        return None
+
+    @property
     def gate_limits(self) -> GateLimits:
         """What the body can do from one frame to the next: others are not believed."""
         return GateLimits()

@@ -201,7 +201,7 @@ class ControlLoop:
     def _tripped(self) -> bool:
         """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
         status = self.connection.status
-        if status is None or status is self._status:
+        if status is None or (self._status is not None and status.time <= self._status.time):
             return False
         self._status = status
         for listener in self._listeners:

@@ -8,7 +8,7 @@ import warnings
 import typer
 from rich.text import Text
 
-from sysid_evo.cli import comparing, driving, evolving, models, plugins, recordings
+from sysid_evo.cli import comparing, driving, evolving, models, plugins, recordings, robots
 from sysid_evo.cli.console import err
 from sysid_evo.errors import SysidEvoError
 
@@ -29,9 +29,9 @@ app.command("evolve")(evolving.evolve)
 app.command("drive")(driving.drive)
 app.add_typer(models.app, name="models")
 app.add_typer(plugins.app, name="plugin")
+app.add_typer(robots.app, name="robots")
 
 EXIT_ERROR = 2
-EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
@@ -42,9 +42,6 @@ def main() -> None:
     except SysidEvoError as error:
         err.print(Text.assemble(("error: ", "bold red"), str(error)))
         sys.exit(EXIT_ERROR)
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        sys.exit(EXIT_INTERRUPTED)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:

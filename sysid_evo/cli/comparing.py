@@ -94,7 +94,7 @@ def compare(
     if yardstick and data is not None and robot is None:
         raise InvalidArgument("--yardstick: name the emulated robot that it is evolved on with --robot")
     path = new_run_folder(folder)
-    with Bars() as bars:
+    with Bars(path) as bars:
         robot = robot or (DEFAULT_ROBOT if data is None else None)
         dataset = record(robot or DEFAULT_ROBOT, seed, bars) if data is None else read(data, columns)
         training, held_back = dataset.split(test if test else HELD_BACK)
