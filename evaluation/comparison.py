@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from evaluation.exploitability import assess_exploitability
 from evaluation.prediction import assess_prediction
 from evaluation.report import DataSummary, Failure, ModelSummary, Report
-from evaluation.transfer import Cell, TransferMatrix, transfer_seeds
+from evaluation.transfer import NOT_RUN, Cell, TransferMatrix, load_measured, transfer_seeds, with_measured
 from evaluation.transfer import run_cell as run_on
 from sysid_evo.arrays import Seeds
 from sysid_evo.data import Dataset
@@ -66,6 +66,18 @@ class ComparisonSettings:
         """Return the settings as they stand in ``experiment.toml``."""
         return asdict(self)
 
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> ComparisonSettings:
+        """Undo `to_dict`; other keys are left out. Raises `ArtefactError`."""
+        known = {item.name: value[item.name] for item in fields(cls) if item.name in value}
+        try:
+            known["models"] = tuple(known["models"])
+            known["ensembles"] = tuple(tuple(members) for members in known["ensembles"])
+            known["evolution"] = ControllerEvolution(**known["evolution"])
+            return cls(**known)
+        except (KeyError, TypeError) as error:
+            raise ArtefactError(f"these are not the settings of a comparison: {error}") from error
+
 
 def compare(
     run: RunFolder,
@@ -80,7 +92,8 @@ def compare(
     """Fit, evolve, transfer and assess; what ``run`` has done already is read from it.
 
     ``robot`` names the last column of the transfer matrix and says how controllers are run on it. A
-    cell that fails is a row with its reason. Raises `InvalidData` if no model at all could be fitted,
+    cell that fails is a row with its reason. Cells that were measured since the run was made stand in the
+    matrix too, see `evaluation.transfer.save_measured`. Raises `InvalidData` if no model at all could be fitted,
     `InvalidArgument` if there is no robot to evolve the yardstick on.
     """
     if settings.yardstick and robot is None:
@@ -119,6 +132,7 @@ def compare(
         outcomes.update({f"evolve {name}": outcome for name, outcome in champions.items()})
         evolved = [outcome.value for outcome in champions.values() if outcome.value is not None]
         matrix = _transfer(run, evolved, columns, settings, observer, robot[0] if robot else None, families, outcomes)
+    matrix = with_measured(matrix, load_measured(run))
     failures = [Failure(cell, outcome.reason) for cell, outcome in outcomes.items() if outcome.reason]
     return Report(
         title=title,
@@ -154,7 +168,7 @@ def _transfer(
             if outcome.value is not None:
                 cells.append(outcome.value)
             else:
-                cells.append(Cell(champion.name, column, reason=outcome.reason or "not run"))
+                cells.append(Cell(champion.name, column, reason=outcome.reason or NOT_RUN))
             outcomes[name] = Outcome(outcome.value, None, outcome.seconds)
     return TransferMatrix.of(champions, tuple(columns), cells, families=families, robot=robot)
 

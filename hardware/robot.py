@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
 from hardware.session import Session
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.system import System
@@ -23,6 +24,16 @@ class Connection(Session):
     @abstractmethod
     def time(self) -> float:
         """The connection's clock in s: the host's `time.monotonic`, or simulated time."""
+
+    @property
+    def round_trip(self) -> float | None:
+        """The time in s from the newest answered command to the robot's answer; None from one that gives none."""
+        return None
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        """What the body can do from one frame to the next: others are not believed."""
+        return GateLimits()
 
     @property
     def status(self) -> RobotStatus | None:

@@ -14,11 +14,14 @@ from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+TOLD_EVERY = 50
+"""Epochs between two reports of progress."""
 
 
 @register_model("backprop27")
@@ -78,11 +81,10 @@ class Backprop27(DynamicsModel):
         target_centre, target_scale = data.after.mean(axis=0), positive(data.after.std(axis=0))
         standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
         trained = []
-        for number, command in enumerate(self.filled_):
+        counter = Counter(progress, len(self.filled_) * self.epochs)
+        for command in self.filled_:
             rows = np.flatnonzero(cell == command)
-            trained.append(self._trained(standard[rows], targets[rows], rng))
-            if progress is not None:
-                progress(number + 1, len(self.filled_))
+            trained.append(self._trained(standard[rows], targets[rows], rng, counter))
         first, first_bias, last, last_bias = (np.stack(part) for part in zip(*trained, strict=True))
         self.first_ = first / scale[:, None]
         self.first_bias_ = first_bias - np.einsum("i,cih->ch", centre / scale, first)
@@ -127,7 +129,9 @@ class Backprop27(DynamicsModel):
         cells = CommandCells.of(self.system, self.levels)
         return cells, np.searchsorted(self.filled_, cells.fallback(self.filled_))
 
-    def _trained(self, inputs: Array, targets: Array, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    def _trained(
+        self, inputs: Array, targets: Array, rng: np.random.Generator, counter: Counter
+    ) -> tuple[Array, Array, Array, Array]:
         """Train the nx networks of one command side by side, (N, n) -> (N, nx)."""
         n, nx = len(inputs), targets.shape[1]
         start = random_network([inputs.shape[1], nx * self.hidden], 1, rng, last=1.0)
@@ -139,6 +143,8 @@ class Backprop27(DynamicsModel):
         ]
         mean, square = [np.zeros_like(v) for v in values], [np.zeros_like(v) for v in values]
         for epoch in range(1, self.epochs + 1):
+            if epoch % TOLD_EVERY == 0 or epoch == self.epochs:
+                counter.advance(TOLD_EVERY if epoch % TOLD_EVERY == 0 else epoch % TOLD_EVERY)
             first, first_bias, last, last_bias = values
             hidden = np.tanh(inputs @ first + first_bias).reshape(n, nx, self.hidden)
             error = 2.0 / n * (np.einsum("nsh,sh->ns", hidden, last) + last_bias - targets)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
+from scipy.optimize import minimize
 from sklearn.base import clone
 
-from model_zoo.spread import calibrated_scale, growth_on_unseen_recordings
+from model_zoo.spread import conformal_scale, unseen_parts
 from model_zoo.standardise import Standard, positive
 from model_zoo.stepwise import lagged_steps
 from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
@@ -18,7 +20,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
 TRIAL_INDUCING = 120
+Objective: TypeAlias = Callable[[Array], tuple[float, Array]]
+"""Logarithms of hyper-parameters -> the negative marginal likelihood and its gradient."""
 
 
 @register_model("gaussian_process")
@@ -39,10 +43,8 @@ class GaussianProcess(DynamicsModel):
     Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance
     k_** - k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Lags left at None are
     chosen by the simulation error over one second on held-out blocks of time. With ``stochastic``
-    every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of
-    held-out samples after one second. A fit with ``stochastic`` also holds out whole recordings in
-    turn, and widens the intervals by how much more errors there are than on held-out blocks
-    (`growth_on_unseen_recordings`).
+    every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of samples
+    one second ahead in recordings held out in turn (blocks of time, if there is one recording only).
     """
 
     knowledge = "dark grey"
@@ -72,23 +74,25 @@ class GaussianProcess(DynamicsModel):
             raise InvalidArgument(f"gaussian_process: expected at least 2 inducing points, got {self.inducing}")
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         learned, held = time_blocks(dataset)
-        trials, errors = [], []
-        for number, option in enumerate(options):
-            trials.append(self._trial(learned, option, rng))
-            errors.append(simulation_error(trials[-1], validation_windows(held, trials[-1].n_lags)))
-            if progress is not None:
-                progress(number + 1, len(options) + 1)
-        chosen = int(np.argmin(errors))
-        lags = options[chosen]
+        searched = len(options) if len(options) > 1 else 0
+        counter = Counter(progress, (searched + 1) * dataset.system.nx + 1)
+        lags = options[0]
+        if searched:
+            errors = []
+            for option in options:
+                trial = self._trial(learned, option, rng, counter)
+                errors.append(simulation_error(trial, validation_windows(held, trial.n_lags)))
+            lags = options[int(np.argmin(errors))]
         if self.state_lags is None:
             self.state_lags_ = lags[0]
         if self.control_lags is None:
             self.control_lags_ = lags[1]
-        self._learn(dataset, lags, rng)
+        self._learn(dataset, rng, counter)
         self.noise_scale_ = np.ones(self.system.nx)
-        self._calibrate(dataset, trials[chosen], held, rng)
-        if progress is not None:
-            progress(len(options) + 1, len(options) + 1)
+        cases = [
+            (self._without(seen), validation_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)
+        ]
+        self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
         return self
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
@@ -135,50 +139,47 @@ class GaussianProcess(DynamicsModel):
         square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
         return self.amplitude_[channel] ** 2 * np.exp(-0.5 * np.maximum(square, 0.0))
 
-    def _trial(self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator) -> GaussianProcess:
-        """Return a smaller model without noise that learned from ``dataset``, with the envelope of this one."""
+    def _without(self, seen: Dataset) -> GaussianProcess:
+        """Return this model with its hyper-parameters and inducing points, that learned from ``seen`` only."""
+        other = clone(self).set_params(stochastic=False)
+        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other._condition(seen)
+        return other
+
+    def _trial(
+        self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter
+    ) -> GaussianProcess:
+        """Return a smaller model that learned from ``dataset``, with the envelope of this one."""
         trial = clone(self).set_params(
             state_lags=lags[0], control_lags=lags[1], inducing=min(TRIAL_INDUCING, self.inducing), stochastic=False
         )
         trial.system_, trial.envelope_ = self.system_, self.envelope_
-        trial._learn(dataset, lags, rng)
+        trial._learn(dataset, rng, counter)
         return trial
 
-    def _calibrate(self, dataset: Dataset, trial: GaussianProcess, held: Dataset, rng: np.random.Generator) -> None:
-        """Set the scale of the noise (nx,) with which intervals hold the errors of ``trial`` on ``held``."""
-        together = clone(self).set_params(stochastic=False)
-        together.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
-        growth = np.ones(self.system.nx)
-        if self.stochastic:
-            growth = growth_on_unseen_recordings(lambda part: self._trial(part, self.lags, rng), dataset)
-        windows = validation_windows(held, self.n_lags)
-        history = windows.past_states, windows.past_controls, windows.controls
-        error = windows.states - trial.simulate(*history)
-        truth = replace(windows, states=together.simulate(*history) + growth * error)
-        self.noise_scale_ = calibrated_scale(self, truth, rng)
-
-    def _learn(self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator) -> None:
+    def _learn(self, dataset: Dataset, rng: np.random.Generator, counter: Counter) -> None:
+        """Choose inducing points and hyper-parameters, then learn from all data."""
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-        carry, control, after = lagged_steps(dataset, lags)
-        inputs = np.concatenate([carry, control], axis=1)
-        targets = dataset.system.acceleration(carry[:, : dataset.system.nx], after)
-        _, scale = Standard.of(dataset).of_inputs(lags)
+        def maximised(objective: Objective, start: Array, bounds: Array) -> tuple[Array, float]:
+            def told(theta: Array) -> tuple[float, Array]:
+                counter.advance(0)
+                return objective(theta)
+
+            found: Any = minimize(told, start, method="L-BFGS-B", jac=True, bounds=bounds)  # type: ignore[call-overload]
+            return found.x, found.fun
+
+        inputs, targets = self._residuals(dataset)
+        _, scale = Standard.of(dataset).of_inputs(self.lags)
         rows = np.sort(rng.choice(len(inputs), size=min(self.inducing, len(inputs)), replace=False))
-        centre = inputs.mean(axis=0)
-        gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
-        self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))
-        self.intercept_ = targets.mean(axis=0) - centre @ self.slope_
-        targets = targets - inputs @ self.slope_ - self.intercept_
         size = positive(targets.std(axis=0))
         nx, n = targets.shape[1], inputs.shape[1]
         self.points_ = inputs[rows]
         self.lengths_, self.amplitude_, self.noise_ = np.empty((nx, n)), np.empty(nx), np.empty(nx)
-        self.weights_, self.reduction_ = np.empty((nx, len(rows))), np.empty((nx, len(rows), len(rows)))
         for channel in range(nx):
             kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF(np.full(n, 3.0), (0.3, 100.0))
-            search = GaussianProcessRegressor(kernel + WhiteKernel(0.1, (1e-4, 1.0)))
+            search = GaussianProcessRegressor(kernel + WhiteKernel(0.1, (1e-4, 1.0)), optimizer=maximised)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # a length at its bound says that the input does not matter
                 search.fit(inputs[rows] / scale, targets[rows, channel] / size[channel])
@@ -186,15 +187,32 @@ class GaussianProcess(DynamicsModel):
             self.amplitude_[channel] = np.sqrt(found.k1.k1.constant_value) * size[channel]
             self.lengths_[channel] = found.k1.k2.length_scale * scale
             self.noise_[channel] = np.sqrt(found.k2.noise_level) * size[channel]
-            self._condition(channel, inputs, targets[:, channel])
+            counter.advance()
+        self._condition(dataset)
 
-    def _condition(self, channel: int, inputs: Array, targets: Array) -> None:
-        """Set weights and variance reduction of one channel from all data."""
-        points, square = self.points_, self.noise_[channel] ** 2
+    def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
+        """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
+        carry, control, after = lagged_steps(dataset, self.lags)
+        inputs = np.concatenate([carry, control], axis=1)
+        targets = dataset.system.acceleration(carry[:, : dataset.system.nx], after)
+        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        centre = inputs.mean(axis=0)
+        gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
+        self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))
+        self.intercept_ = targets.mean(axis=0) - centre @ self.slope_
+        return inputs, targets - inputs @ self.slope_ - self.intercept_
+
+    def _condition(self, dataset: Dataset) -> None:
+        """Set the linear part, weights and variance reduction from all of ``dataset``."""
+        inputs, targets = self._residuals(dataset)
+        points, nx = self.points_, targets.shape[1]
         identity = np.eye(len(points))
-        own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
-        cross = self._kernel(points, inputs, channel)
-        posterior = cholesky(own + cross @ cross.T / square, lower=True)
-        self.weights_[channel] = cho_solve((posterior, True), cross @ targets) / square
-        prior = cho_solve((cholesky(own, lower=True), True), identity)
-        self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
+        self.weights_, self.reduction_ = np.empty((nx, len(points))), np.empty((nx, len(points), len(points)))
+        for channel in range(nx):
+            square = self.noise_[channel] ** 2
+            own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
+            cross = self._kernel(points, inputs, channel)
+            posterior = cholesky(own + cross @ cross.T / square, lower=True)
+            self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
+            prior = cho_solve((cholesky(own, lower=True), True), identity)
+            self.reduction_[channel] = prior - cho_solve((posterior, True), identity)

@@ -17,7 +17,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
@@ -72,19 +72,20 @@ class KNeighbours(DynamicsModel):
         counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
         settings = [(count, pair) for pair in lags for count in counts]
         chosen = settings[0]
-        if len(settings) > 1:
+        searched = len(settings) if len(settings) > 1 else 0
+        counter = Counter(progress, searched * SEARCH_FOLDS + 1)
+        if searched:
             folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
             errors = []
-            for number, (count, pair) in enumerate(settings):
+            for count, pair in settings:
                 trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
                 error = 0.0
                 for learned, held in folds:
                     trial.fit(learned, rng=rng)
                     windows = validation_windows(held, trial.n_lags, stride=8)
                     error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
+                    counter.advance()
                 errors.append(error)
-                if progress is not None:
-                    progress(number + 1, len(settings) + 1)
             chosen = settings[int(np.argmin(errors))]
         self.neighbours_ = chosen[0]
         if self.state_lags is None:
@@ -103,8 +104,7 @@ class KNeighbours(DynamicsModel):
         self.changes_ = after - carry[:, :nx]
         self.__dict__.pop("_tree", None)
         self.__dict__.pop("_compiled", None)
-        if progress is not None:
-            progress(len(settings) + 1, len(settings) + 1)
+        counter.advance()
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -10,7 +11,7 @@ from sklearn.base import clone
 
 from model_zoo.mirror import Mirror
 from model_zoo.network import Network
-from model_zoo.spread import calibrated_scale, growth_on_unseen_recordings, joined, rough_fits
+from model_zoo.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from model_zoo.validation import lag_candidates, time_blocks, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -108,7 +109,7 @@ class MlpEnsemble(DynamicsModel):
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
         searched = len(options) if len(options) > 1 else 0
         rough = rough_fits(dataset) if self.stochastic else 0
-        total, done = final.total + (searched + rough) * search.total, 0
+        total, done = final.total + (searched + rough) * search.total + 1, 0  # 1: the calibration
 
         def report(updates: int) -> None:
             if progress is not None:
@@ -149,7 +150,7 @@ class MlpEnsemble(DynamicsModel):
             return self._deterministic(found)
 
         growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
-        self._calibrate(dataset, growth, rng)
+        self._calibrate(dataset, growth, rng, lambda: report(0))
         return self
 
     @property
@@ -184,7 +185,7 @@ class MlpEnsemble(DynamicsModel):
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
-    def _calibrate(self, dataset: Dataset, growth: Array, rng: np.random.Generator) -> None:
+    def _calibrate(self, dataset: Dataset, growth: Array, rng: np.random.Generator, still: Callable[[], None]) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
 
         Each member simulates the blocks that it did not learn from; its error there times ``growth``
@@ -193,6 +194,7 @@ class MlpEnsemble(DynamicsModel):
         parts, residuals = [], []
         together = self._deterministic(self.network)
         for member in range(self.members):
+            still()
             windows = validation_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
             own = slice(member, member + 1)
             alone = self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
@@ -201,4 +203,4 @@ class MlpEnsemble(DynamicsModel):
             residuals.append(error[:, 0])
             parts.append(replace(windows, states=together.simulate(*history) + growth * error))
         self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-        self.noise_scale_ = calibrated_scale(self, joined(parts), rng)
+        self.noise_scale_ = conformal_scale([(self, part) for part in parts], rng, still=still)

@@ -28,6 +28,9 @@ Report: TypeAlias = Callable[[int], None]
 SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
 
+TOLD_EVERY = 10
+"""Updates between two reports of progress."""
+
 FLOOR = 0.002
 """Square of a relative error below which a step gains no more weight (the noise of the measurement)."""
 
@@ -153,7 +156,7 @@ def train(
                 lowest[member] = errors[member]
                 for kept, average in zip(best, mean, strict=True):
                     kept[member] = average[member]
-        if report is not None and (last or update % 20 == 0):
+        if report is not None and (last or update % TOLD_EVERY == 0):
             report(update + 1)
     return mean if judge is None else best
 

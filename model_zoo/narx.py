@@ -14,7 +14,7 @@ from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
@@ -59,10 +59,12 @@ class Narx(DynamicsModel):
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
         counts = COUNTS if self.terms is None else (self.terms,)
         chosen = (counts[0], pairs[0])
-        if len(pairs) * len(counts) > 1:
+        searched = len(pairs) * SEARCH_FOLDS if len(pairs) * len(counts) > 1 else 0
+        counter = Counter(progress, searched + 1)
+        if searched:
             folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
             lowest = np.inf
-            for number, lags in enumerate(pairs):
+            for lags in pairs:
                 errors = np.zeros(len(counts))
                 for learned, held in folds:
                     windows = validation_windows(held, max(lags))
@@ -73,10 +75,9 @@ class Narx(DynamicsModel):
                         trial._learn(learned, lags, count, order)
                         errors[index] += simulation_error(trial, windows)
                         errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0
+                    counter.advance()
                 if errors.min() < lowest:
                     lowest, chosen = float(errors.min()), (counts[int(np.argmin(errors))], lags)
-                if progress is not None:
-                    progress(number + 1, len(pairs) + 1)
         count, lags = chosen
         if self.state_lags is None:
             self.state_lags_ = lags[0]
@@ -84,8 +85,7 @@ class Narx(DynamicsModel):
             self.control_lags_ = lags[1]
         self.terms_ = count
         self._learn(dataset, lags, count, self._selection(dataset, lags, count))
-        if progress is not None:
-            progress(len(pairs) + 1, len(pairs) + 1)
+        counter.advance()
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

@@ -17,7 +17,7 @@ from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -106,10 +106,12 @@ class SparsePolynomial(DynamicsModel):
             )
         settings = self._settings(dataset)
         chosen = settings[0]
-        if len(settings) > 1:
+        searched = len(settings) if len(settings) > 1 else 0
+        counter = Counter(progress, searched * self.search_folds + 1)
+        if searched:
             folds = [time_blocks(dataset, fold) for fold in range(self.search_folds)]
             errors = []
-            for number, (degree, threshold, lags) in enumerate(settings):
+            for degree, threshold, lags in settings:
                 trial = clone(self).set_params(
                     degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1]
                 )
@@ -119,9 +121,8 @@ class SparsePolynomial(DynamicsModel):
                     trial._learn(learned, degree, threshold, lags, rng)
                     windows = validation_windows(held, trial.n_lags)
                     error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
+                    counter.advance()
                 errors.append(error)
-                if progress is not None:
-                    progress(number + 1, len(settings) + 1)
             chosen = settings[int(np.argmin(errors))]
         degree, threshold, lags = chosen
         if self.state_lags is None:
@@ -130,8 +131,7 @@ class SparsePolynomial(DynamicsModel):
             self.control_lags_ = lags[1]
         self.degree_, self.threshold_ = degree, threshold
         self._learn(dataset, degree, threshold, lags, rng)
-        if progress is not None:
-            progress(len(settings) + 1, len(settings) + 1)
+        counter.advance()
         return self
 
     def polynomial(self, inputs: Array) -> Array:

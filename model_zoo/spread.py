@@ -1,9 +1,8 @@
-"""How far a prediction may be off: the noise of every step, scaled on measured free runs."""
+"""How far a prediction may be off: the noise of every step, scaled on measured free runs (conformal calibration)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 
 import numpy as np
 from sklearn.base import clone
@@ -13,46 +12,95 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.dynamics import DynamicsModel
 
-SAMPLES = 40
+SAMPLES = 30
 SHARE = 0.9
-MOST_WINDOWS = 200
+MOST_WINDOWS = 240
 MOST_GROUPS = 4
 BLOCK_FOLDS = 2
+LONE_FOLDS = 3
+ROUNDS = 3
+PIECE = 40
+SMALLEST, LARGEST = 0.1, 10.0
 
 
-def calibrated_scale(
-    model: DynamicsModel, windows: Windows, rng: np.random.Generator, *, share: float = SHARE, rounds: int = 6
+def conformal_scale(
+    cases: Sequence[tuple[DynamicsModel, Windows]],
+    rng: np.random.Generator,
+    *,
+    share: float = SHARE,
+    rounds: int = ROUNDS,
+    still: Callable[[], None] = lambda: None,
 ) -> Array:
-    """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of ``windows`` lie inside.
+    """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of all windows lie inside.
 
-    ``model`` is fitted, has the hyper-parameter ``stochastic`` and multiplies its noise with
-    ``noise_scale_``. Every channel is found by bisection in the logarithm, between 0.1 and 30; the
-    same noise is drawn each time.
+    Every case is a fitted model and windows that it did not learn from; the model has the
+    hyper-parameter ``stochastic`` and multiplies its noise with ``noise_scale_``. The normalised error
+    of a window is by how much its interval would have to grow about its median to hold the truth; the
+    scale grows by the ``share`` quantile of these over all windows, every case weighing alike, (n + 1) / n
+    times ``share`` for n windows (split conformal prediction: Lei et al. 2018, Romano et al. 2019), all
+    channels at once, ``rounds`` times, since the width is not quite proportional to the scale and the
+    channels are coupled. The same noise is drawn each time; ``still`` is called every second or so.
     """
-    few = windows[:: max(1, len(windows) // MOST_WINDOWS)]
-    noisy = clone(model).set_params(stochastic=True)
-    noisy.__dict__.update({name: value for name, value in vars(model).items() if name.endswith("_")})
-    seed = int(rng.integers(2**32))
-    nx = windows.states.shape[2]
-    low, high = np.full(nx, np.log(0.1)), np.full(nx, np.log(30.0))
+    few = [(with_noise(model), _evenly(windows, MOST_WINDOWS // len(cases))) for model, windows in cases]
+    noisy = [(model, part[at : at + PIECE]) for model, part in few for at in range(0, len(part), PIECE)]
+    nx = cases[0][1].states.shape[2]
+    seed, scale = int(rng.integers(2**32)), np.ones(nx)
     for _ in range(rounds):
-        middle = 0.5 * (low + high)
-        noisy.noise_scale_ = np.exp(middle)
-        drawn = noisy.simulate(
-            few.past_states, few.past_controls, few.controls, samples=SAMPLES, rng=np.random.default_rng(seed)
-        )
-        wide = coverage(drawn[:, :, -1], few.states[:, -1], share=share) >= share
-        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
-    return np.exp(0.5 * (low + high))
+        parts = []
+        for number, (model, windows) in enumerate(noisy):
+            still()
+            model.noise_scale_ = scale
+            drawn = model.simulate(
+                windows.past_states,
+                windows.past_controls,
+                windows.controls,
+                samples=SAMPLES,
+                rng=np.random.default_rng([seed, number]),
+            )
+            parts.append(normalised_errors(drawn[:, :, -1], windows.states[:, -1], share=share))
+        errors = np.concatenate(parts)
+        level = min(1.0, share * (len(errors) + 1) / len(errors))
+        scale = np.clip(scale * np.quantile(errors, level, axis=0, method="higher"), SMALLEST, LARGEST)
+    return scale
 
 
-def unseen_recordings(dataset: Dataset) -> list[list[str]]:
-    """Return up to 4 groups of recordings to hold out in turn, pieces of one together; none if it is alone."""
+def _evenly(windows: Windows, most: int) -> Windows:
+    """Return up to ``most`` windows, evenly spread."""
+    if len(windows) <= most:
+        return windows
+    return windows[np.linspace(0, len(windows) - 1, most).astype(np.int64)]
+
+
+def with_noise(model: DynamicsModel) -> DynamicsModel:
+    """Return a copy of the fitted ``model`` with ``stochastic`` on."""
+    noisy: DynamicsModel = clone(model).set_params(stochastic=True)
+    noisy.__dict__.update({name: value for name, value in vars(model).items() if name.endswith("_")})
+    return noisy
+
+
+def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
+    """Return by how much (N, nx) the central ``share`` of ``samples`` (S, N, nx) must grow to hold ``truth`` (N, nx).
+
+    It grows about the median, each side in proportion to its own length: 1 is a truth on its edge.
+    """
+    low, middle, high = np.quantile(samples, [0.5 - share / 2, 0.5, 0.5 + share / 2], axis=0, method="weibull")
+    off = truth - middle
+    side = np.where(off > 0, high - middle, middle - low)
+    return np.divide(np.abs(off), side, out=np.where(off == 0, 0.0, np.inf), where=side > 0)
+
+
+def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+    """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
     recordings = list(dict.fromkeys(name.split("[")[0] for name in dataset.names))
     if len(recordings) < 2:
         return []
     groups = np.array_split(np.array(recordings, dtype=object), min(MOST_GROUPS, len(recordings)))
-    return [list(group) for group in groups]
+    return [dataset.split(list(group)) for group in groups]
+
+
+def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+    """Return what `unseen_recordings` does, or for one recording alone its held-out blocks of time in turn."""
+    return unseen_recordings(dataset) or [time_blocks(dataset, fold) for fold in range(LONE_FOLDS)]
 
 
 def rough_fits(dataset: Dataset) -> int:
@@ -66,56 +114,33 @@ def growth_on_unseen_recordings(
 ) -> Array:
     """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
 
-    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest:
-    a recording differs from others by the battery, the tyres or the floor, which blocks of the same
-    recording share. The factor is the median over the recordings held out in turn, each weighing as
-    many samples as it has, at least 1.
+    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest,
+    over windows of all that is held out in turn, every group weighing alike: a recording differs from
+    others by the battery, the tyres or the floor, which blocks of the same recording share. At least 1.
     """
     groups = unseen_recordings(dataset)
     if not groups:
         return np.ones(dataset.system.nx)
-    blocks = [_last_errors(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
-    within = np.quantile(np.concatenate(blocks), share, axis=0)
-    across, weights = [], []
-    for group in groups:
-        seen, held = dataset.split(group)
-        across.append(np.quantile(_last_errors(fit(seen), held), share, axis=0))
-        weights.append(held.n_steps)
-    middle = weighted_median(np.array(across), np.array(weights, dtype=float))
-    return np.maximum(middle / np.where(within > 0, within, np.inf), 1.0)
+    blocks = [time_blocks(dataset, fold) for fold in range(BLOCK_FOLDS)]
+    within, across = (
+        np.quantile(
+            np.concatenate([_last_errors(fit(seen), held, MOST_WINDOWS // len(parts)) for seen, held in parts]),
+            share,
+            axis=0,
+        )
+        for parts in (blocks, groups)
+    )
+    return np.maximum(across / np.where(within > 0, within, np.inf), 1.0)
 
 
-def weighted_median(values: Array, weights: Array) -> Array:
-    """Return for each column of ``values`` (N, n) the lowest that reaches half of the ``weights`` (N,)."""
-    order = np.argsort(values, axis=0)
-    reached = np.cumsum(weights[order], axis=0) >= 0.5 * weights.sum()
-    return np.take_along_axis(np.take_along_axis(values, order, axis=0), reached.argmax(axis=0)[None], axis=0)[0]
-
-
-def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
-    """Return the absolute errors (N, nx) after one second."""
-    windows = validation_windows(held, model.n_lags)
+def _last_errors(model: DynamicsModel, held: Dataset, most: int) -> Array:
+    """Return the absolute errors (N, nx) after one second of up to ``most`` windows."""
+    windows = _evenly(validation_windows(held, model.n_lags), most)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])
 
 
 def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
     """Return how much of ``truth`` (N, nx) lies in the central ``share`` of ``samples`` (S, N, nx), (nx,)."""
-    low, high = np.quantile(samples, [0.5 - share / 2, 0.5 + share / 2], axis=0)
+    low, high = np.quantile(samples, [0.5 - share / 2, 0.5 + share / 2], axis=0, method="weibull")
     return ((truth >= low) & (truth <= high)).mean(axis=0)
-
-
-def joined(parts: Sequence[Windows]) -> Windows:
-    """Return windows of equal length from several sources, those of the shortest horizon deciding."""
-    horizon = min(part.controls.shape[1] for part in parts)
-    cut = {"controls", "states"}
-    columns = {
-        field.name: np.concatenate(
-            [
-                getattr(part, field.name)[:, :horizon] if field.name in cut else getattr(part, field.name)
-                for part in parts
-            ]
-        )
-        for field in fields(Windows)
-    }
-    return Windows(**columns)

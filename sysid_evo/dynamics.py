@@ -80,7 +80,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     that many earlier states (newest first) and that many earlier controls (newest first). None leaves
     the number to `fit`, which then records it as ``state_lags_`` or ``control_lags_``. With
     ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
-    the control is neutral.
+    the control is neutral, and so are the earlier controls in the carry, which may still act.
 
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper).
@@ -134,7 +134,12 @@ class DynamicsModel(Dynamics, BaseEstimator):
 
     @abstractmethod
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        """Learn from ``dataset`` and return self; ``progress(done, total)`` is called now and then."""
+        """Learn from ``dataset`` and return self.
+
+        ``progress(done, total)`` is called at the beginning, now and then (about every second, if a
+        family takes longer), and at the end; what it raises, as Ctrl-C does, stops the fit, and the model
+        is as it was before.
+        """
 
     def check_system(self, system: System) -> None:
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
@@ -174,13 +179,20 @@ class DynamicsModel(Dynamics, BaseEstimator):
         return REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and the control is neutral."""
+        """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and all controls are neutral.
+
+        Earlier controls in the carry count too: with dead time, a short pulse acts after it has ended.
+        """
         band = self.rest_band
         if band is None:
             return after
-        neutral = self.system.neutral_state
-        still = (np.abs(carry[..., : self.system.nx] - neutral) <= band).all(axis=-1)
+        neutral, (state_lags, control_lags) = self.system.neutral_state, self.lags
+        nx, nu = self.system.nx, self.system.nu
+        still = (np.abs(carry[..., :nx] - neutral) <= band).all(axis=-1)
         idle = (control == self.system.neutral_control).all(axis=-1)
+        if control_lags:
+            past = carry[..., nx * (1 + state_lags) : nx * (1 + state_lags) + nu * control_lags]
+            idle = idle & (past == np.tile(self.system.neutral_control, control_lags)).all(axis=-1)
         return np.where((still & idle)[..., None], neutral, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
@@ -257,23 +269,35 @@ def training_envelope(states: Array, multiple: float) -> Array:
 
 
 def _recorded(fit: Any) -> Any:
-    """Wrap a family's `fit`: check the system before it, record system and envelope."""
+    """Wrap a family's `fit`: check the system before it, record system and envelope, undo what is interrupted."""
 
     @functools.wraps(fit)
     def wrapped(
         self: DynamicsModel, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None
     ) -> DynamicsModel:
         self.check_system(dataset.system)
-        self.system_ = dataset.system
-        states = np.concatenate([episode.states for episode in dataset.episodes])
-        self.envelope_ = training_envelope(states, self.envelope_multiple)
-        began = time.perf_counter()
+        before = dict(vars(self))
+        began, told = time.perf_counter(), (0, 1)
+
+        def report(done: int, total: int) -> None:
+            nonlocal told
+            told = done, total
+            if progress is not None:
+                progress(done, total)
+
         try:
-            fitted: object = fit(self, dataset, rng=rng, progress=progress)
+            report(0, 1)
+            self.system_ = dataset.system
+            states = np.concatenate([episode.states for episode in dataset.episodes])
+            self.envelope_ = training_envelope(states, self.envelope_multiple)
+            fitted: object = fit(self, dataset, rng=rng, progress=report)
             if fitted is not self:
                 raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
-        except BaseException:
-            del self.system_, self.envelope_
+            if told[0] != told[1]:
+                report(told[1], told[1])
+        except BaseException:  # an interruption too leaves what was there before
+            self.__dict__.clear()
+            self.__dict__.update(before)
             raise
         self.fit_seconds = time.perf_counter() - began
         return self

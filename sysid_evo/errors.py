@@ -58,6 +58,10 @@ class LinkLost(SysidEvoError, ConnectionError):
     """A robot or its tracker is silent, or the connection is closed."""
 
 
+class IncompatibleRobot(SysidEvoError, ConnectionError):
+    """A robot speaks another version of the link's protocol."""
+
+
 class ContractViolation(SysidEvoError, AssertionError):
     """An implementation does not keep the contract of its base class."""
 

@@ -130,6 +130,12 @@ def rotate(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
     return cos * x - sin * y, sin * x + cos * y
 
 
+def seen_from(origin: Array, pose: Array) -> Array:
+    """Return a planar ``pose`` (..., 3) in the frame of ``origin`` (3,); headings are not wrapped."""
+    x, y = rotate(pose[..., 0] - origin[0], pose[..., 1] - origin[1], -origin[2])
+    return np.stack([x, y, pose[..., 2] - origin[2]], axis=-1)
+
+
 MOTIONS: dict[str, Callable[..., Motion]] = {PlanarBody.kind: PlanarBody}
 
 

@@ -75,7 +75,7 @@ class Registry(Generic[T]):
                 )
         return self._entries[name]
 
-    def make(self, name: str, **parameters: Any) -> T:
+    def make(self, name: str, /, **parameters: Any) -> T:
         """Return a new instance of ``name`` built with these parameters."""
         return self.get(name)(**parameters)
 

@@ -6,6 +6,7 @@ sentence that must hold. A broken one raises `ContractViolation`.
 
 from __future__ import annotations
 
+import copy
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel, clip_state
 from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.motion import PlanarBody
+from sysid_evo.progress import Progress
 from sysid_evo.registry import make_model, models
 from sysid_evo.store import load_model, save_model
 from sysid_evo.system import Channel, System
@@ -106,6 +108,43 @@ def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None
         raise ContractViolation("fit must return self")
     if dataset.with_episodes(dataset.episodes).fingerprint != fingerprint:
         raise ContractViolation("fit overwrites the recording")
+
+
+def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit says how far it is, and what progress raises stops it and leaves the model as it was"""
+    told: list[tuple[int, int]] = []
+    rng = np.random.default_rng
+
+    def stopping(after: int) -> Progress:
+        calls = iter(range(after + 1))
+
+        def progress(*_: int, **__: int) -> None:
+            if next(calls, None) == after:
+                raise _Stopped
+
+        return progress
+
+    clone(model).fit(dataset, rng=rng(1), progress=lambda done, total: told.append((done, total)))
+    if len(told) < 2 or told[-1][0] != told[-1][1] or any(not 0 <= done <= total for done, total in told):
+        raise ContractViolation(f"expected progress from 0 to all of the steps, got {told[:3]} ... {told[-3:]}")
+    unfitted, fitted = clone(model), copy.copy(model)
+    carry, control, noise = _some_inputs(model, dataset)
+    expected = model.step(carry, control, noise)
+    for start, after in ((unfitted, 0), (unfitted, len(told) // 2), (fitted, len(told) // 2)):
+        before = set(vars(start))
+        try:
+            start.fit(dataset, rng=rng(2), progress=stopping(after))
+        except _Stopped:
+            if set(vars(start)) != before:
+                raise ContractViolation(f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind") from None
+        else:
+            raise ContractViolation("an exception from progress does not stop the fit")
+    if not np.array_equal(fitted.step(carry, control, noise), expected):
+        raise ContractViolation("a fitted model steps differently after a second fit was stopped")
+
+
+class _Stopped(Exception):
+    """What the check of interruption raises from progress."""
 
 
 def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) -> None:
@@ -205,9 +244,10 @@ def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset)
     from sysid_evo.engine.compiled.single_step import kernel_step
 
     carry, control, noise = _some_inputs(model, dataset)
-    resting = _at_rest(model, 1)
-    carry, control = np.concatenate([carry, resting]), np.concatenate([control, dataset.system.neutral_control[None]])
-    noise = None if noise is None else np.concatenate([noise, noise[:1]])
+    resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
+    idle = np.tile(dataset.system.neutral_control, (2, 1))
+    carry, control = np.concatenate([carry, resting]), np.concatenate([control, idle])
+    noise = None if noise is None else np.concatenate([noise, noise[:2]])
     stepped = model.step(carry, control, noise)
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")
     off = _rows_off(compiled, stepped, COMPILED_TOLERANCE["float64"])
@@ -240,7 +280,19 @@ def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> Non
             raise ContractViolation("it moves off by itself")
 
 
+def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: Dataset) -> None:
+    """A body at rest answers to a pulse that ended before it acts, where rest_hold is on"""
+    carry, noise = _after_a_pulse(model), _normal(model.n_noise, 1)
+    if not model.rest_hold or np.array_equal(carry, _at_rest(model, 1)):
+        return
+    idle = dataset.system.neutral_control[None]
+    free = copy.copy(model).set_params(rest_hold=False)
+    if not np.array_equal(model.step(carry, idle, noise), free.step(carry, idle, noise)):
+        raise ContractViolation("it is held although an earlier control in its carry is not neutral")
+
+
 CHECKS: tuple[Check, ...] = (
+    fit_tells_and_can_be_stopped,
     a_step_has_the_right_shape_and_type,
     the_carry_begins_with_the_state,
     rows_are_independent,
@@ -248,6 +300,7 @@ CHECKS: tuple[Check, ...] = (
     free_run_equals_chained_steps,
     the_compiled_form_steps_as_step_does,
     a_model_at_rest_stays_at_rest,
+    a_pulse_that_has_yet_to_act_is_not_swallowed,
     the_same_seed_fits_the_same_model,
     parameters_survive_clone,
     saving_and_loading_keeps_every_step,
@@ -268,6 +321,13 @@ def _at_rest(model: DynamicsModel, rows: int) -> Array:
         np.tile(system.neutral_control, (rows, lags, 1)),
     )
     return model.start(states, controls, _normal(model.n_draws, rows))
+
+
+def _after_a_pulse(model: DynamicsModel) -> Array:
+    """Return the carry (1, n_carry) of a body at rest whose commands until now were not neutral."""
+    system, lags = model.system, model.n_lags
+    controls = np.tile(system.neutral_control + 1.0, (1, lags, 1))
+    return model.start(np.tile(system.neutral_state, (1, lags + 1, 1)), controls, _normal(model.n_draws, 1))
 
 
 def _rows_off(found: Array, expected: Array, tolerance: float) -> BoolArray:

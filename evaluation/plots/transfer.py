@@ -8,7 +8,7 @@ from matplotlib.patches import Rectangle
 
 from evaluation.labels import folded
 from evaluation.plots.canvas import COLOURS, REFERENCE, axes_or_new
-from evaluation.transfer import TransferMatrix, TransferSummary
+from evaluation.transfer import NOT_RUN, TransferMatrix, TransferSummary
 
 MARKS = (
     ("claimed", "claimed (where evolved)", "o", "none", COLOURS[0]),
@@ -35,7 +35,9 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
                 ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor="black", linewidth=1.6))
             dark = np.isfinite(means[i, j]) and (means[i, j] - low) > 0.6 * (top - low)
             spread = f"\n({stds[i, j]:.1f})" if np.isfinite(stds[i, j]) else ""
-            text = f"{means[i, j]:.1f}{spread}" if np.isfinite(means[i, j]) else "failed"
+            text = f"{means[i, j]:.1f}{spread}"
+            if not np.isfinite(means[i, j]):
+                text = "–" if matrix.cell(champion.name, column).reason == NOT_RUN else "failed"
             ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
     if matrix.robot is not None and columns > 1:
         ax.axvline(columns - 1.5, color="black", linewidth=2.0)

@@ -123,6 +123,7 @@ def _champion(champion: Champion) -> dict[str, Any]:
         "task_parameters": champion.task_parameters,
         "parameters": champion.parameters,
         "history": champion.history,
+        "estimator_delay": champion.estimator_delay,
     }
 
 
@@ -133,6 +134,7 @@ def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
         "rows": matrix.rows,
         "columns": matrix.columns,
         "robot": matrix.robot,
+        "other_robots": matrix.other_robots,
         "families": matrix.families,
         "cells": [_cell(matrix.cell(row, column)) for row in matrix.rows for column in matrix.columns],
     }
@@ -151,6 +153,7 @@ def _cell(cell: Cell) -> dict[str, Any]:
         "engine": cell.engine,
         "fitness": cell.fitness,
         "reason": cell.reason or None,
+        "missing": cell.missing,
     }
 
 

@@ -12,7 +12,7 @@ from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
 from evaluation.report.contents import EpisodeSummary, Report
 from evaluation.report.sheets import Sheet, lines, listed, number, percent, three_digits
 from evaluation.report.verdict import horizon_name
-from evaluation.transfer import Cell, ControllerSummary, Estimate, TransferMatrix, TransferSummary
+from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, Estimate, TransferMatrix, TransferSummary
 
 
 def prediction_sheet(prediction: Prediction) -> Sheet:
@@ -81,7 +81,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         columns=("controller", *columns),
         rows=tuple(rows),
         note=(
-            f"{matrix.trials} fresh trials, the same in every cell. = evolved against this model. "
+            f"{_trials(matrix)} = evolved against this model. "
             "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
         ),
     )
@@ -245,13 +245,22 @@ def _channel_cells(score: ErrorScore) -> list[str]:
     ]
 
 
+def _trials(matrix: TransferMatrix) -> str:
+    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
+    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
+    if len(counts) > 1:
+        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
+    return f"{matrix.trials} fresh trials, the same in every cell."
+
+
 def _fitness_cell(cell: Cell, own: bool) -> str:
     if cell.failed:
-        return "failed"
+        return "–" if cell.reason == NOT_RUN else "failed"
     return lines(
         f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
         f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
         f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
+        f"{len(cell.missing)} missing" if cell.missing else "",
     )
 
 

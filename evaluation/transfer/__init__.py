@@ -1,7 +1,8 @@
 """Which controllers work elsewhere than where they were evolved."""
 
-from evaluation.transfer.cell import Cell, Trace, run_cell, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, Trace, run_cell, transfer_seeds
 from evaluation.transfer.matrix import TransferMatrix, transfer
+from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.summary import (
     ControllerSummary,
     Estimate,
@@ -12,14 +13,20 @@ from evaluation.transfer.summary import (
 
 __all__ = [
     "Cell",
+    "NOT_RUN",
     "ControllerSummary",
     "Estimate",
+    "Measured",
     "RankCorrelation",
     "Trace",
     "TransferMatrix",
     "TransferSummary",
+    "load_measured",
+    "person",
     "run_cell",
+    "save_measured",
     "summarise",
     "transfer",
     "transfer_seeds",
+    "with_measured",
 ]

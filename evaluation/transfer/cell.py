@@ -20,6 +20,10 @@ TRANSFER = 2**31 + 1
 """The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
 
 
+NOT_RUN = "not run"
+"""The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
+
+
 @dataclass(frozen=True)
 class Trace:
     """One recorded trial. ``waypoints`` (k, 2) in m are those passed, in order, and the next one.
@@ -62,7 +66,7 @@ class Cell:
 
     ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
     model's envelope; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
-    form of the rollout that ran.
+    form of the rollout that ran. ``missing`` gives a reason for each trial that a robot did not finish.
     """
 
     champion: str
@@ -74,6 +78,7 @@ class Cell:
     engine: str = ""
     traces: tuple[Trace, ...] = field(default=(), repr=False)
     reason: str = ""
+    missing: tuple[str, ...] = ()
 
     @property
     def failed(self) -> bool:
@@ -110,6 +115,7 @@ class Cell:
             "engine": self.engine,
             "traces": [trace.to_dict() for trace in self.traces],
             "reason": self.reason,
+            "missing": list(self.missing),
         }
 
     @classmethod
@@ -118,6 +124,7 @@ class Cell:
         fields = dict(value)
         fields["fitness"] = np.asarray(fields["fitness"], dtype=np.float64)
         fields["traces"] = tuple(Trace.from_dict(trace) for trace in fields["traces"])
+        fields["missing"] = tuple(fields.get("missing", ()))
         return cls(**fields)
 
 
@@ -136,7 +143,7 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
         task = make_task(champion.task, **champion.task_parameters)
         rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
         if rollouts.fitness.size == 0:
-            raise InvalidData("no trial was finished")
+            raise InvalidData("; ".join(("no trial was finished", *rollouts.missing[:1])))
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
         return Cell(champion.name, column, reason=f"{type(error).__name__}: {error}")
     fitness = rollouts.fitness[0]
@@ -149,6 +156,7 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
         unit=task.fitness_unit,
         engine=rollouts.engine,
         traces=_traces(rollouts, traces, float(getattr(task, "waypoint_radius", 0.0))),
+        missing=rollouts.missing,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.transfer.cell import Cell, run_cell, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, run_cell, transfer_seeds
 from sysid_evo.arrays import Array
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
@@ -19,7 +19,8 @@ from sysid_evo.progress import Progress
 class TransferMatrix:
     """Cells by row and column; the ``robot``, if there is one, is the last column.
 
-    ``families`` names the family of each model column.
+    ``families`` names the family of each model column. ``other_robots`` are columns that are neither
+    models nor the robot whose fitness counts as achieved.
     """
 
     champions: tuple[Champion, ...]
@@ -27,6 +28,7 @@ class TransferMatrix:
     cells: Mapping[tuple[str, str], Cell]
     families: Mapping[str, str]
     robot: str | None = None
+    other_robots: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -37,22 +39,26 @@ class TransferMatrix:
         *,
         families: Mapping[str, str] | None = None,
         robot: str | None = None,
+        other_robots: Sequence[str] = (),
     ) -> TransferMatrix:
-        """Put ``cells`` in their places; a missing one is a failed cell. Raises `InvalidArgument`."""
+        """Put ``cells`` in their places; a missing one was not run. Raises `InvalidArgument`."""
         names = [champion.name for champion in champions]
         for what, listed in (("controllers", names), ("columns", list(columns))):
             repeated = sorted({name for name in listed if listed.count(name) > 1})
             if repeated:
                 raise InvalidArgument(f"transfer: names of {what} must differ, repeated: {', '.join(repeated)}")
-        if robot is not None and robot not in columns:
-            raise InvalidArgument(f"transfer: the robot {robot!r} is not among the columns {', '.join(columns)}")
-        ordered = (*(c for c in columns if c != robot), *((robot,) if robot is not None else ()))
+        last = (*other_robots, *((robot,) if robot is not None else ()))
+        for name in last:
+            if name not in columns:
+                raise InvalidArgument(f"transfer: the robot {name!r} is not among the columns {', '.join(columns)}")
+        ordered = (*(c for c in columns if c not in last), *last)
         placed = {(cell.champion, cell.column): cell for cell in cells}
         for name in names:
             for column in ordered:
-                placed.setdefault((name, column), Cell(name, column, reason="not run"))
+                placed.setdefault((name, column), Cell(name, column, reason=NOT_RUN))
         given = families or {}
-        return cls(tuple(champions), ordered, placed, {column: given.get(column, column) for column in ordered}, robot)
+        named = {column: given.get(column, column) for column in ordered}
+        return cls(tuple(champions), ordered, placed, named, robot, tuple(other_robots))
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -60,8 +66,8 @@ class TransferMatrix:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The columns that are not the robot."""
-        return tuple(column for column in self.columns if column != self.robot)
+        """The columns that are not robots."""
+        return tuple(column for column in self.columns if column not in (self.robot, *self.other_robots))
 
     @property
     def unit(self) -> str:
@@ -89,15 +95,15 @@ class TransferMatrix:
         )
 
     def best(self, column: str) -> str | None:
-        """Return the controller with the highest mean fitness on ``column``."""
-        known = [row for row in self.rows if not self.cell(row, column).failed]
+        """Return the evolved controller with the highest mean fitness on ``column``."""
+        evolved = [champion.name for champion in self.champions if champion.against]
+        known = [row for row in evolved if not self.cell(row, column).failed]
         return max(known, key=lambda row: self.cell(row, column).mean, default=None)
 
     def failures(self) -> tuple[Cell, ...]:
-        """Return the failed cells, row by row."""
-        return tuple(
-            self.cell(row, column) for row in self.rows for column in self.columns if self.cell(row, column).failed
-        )
+        """Return the cells that were tried and failed, row by row."""
+        cells = (self.cell(row, column) for row in self.rows for column in self.columns)
+        return tuple(cell for cell in cells if cell.failed and cell.reason != NOT_RUN)
 
 
 def transfer(

@@ -68,8 +68,8 @@ class TransferSummary:
     """All controllers, the one to pick without the robot, and what would have predicted success.
 
     ``pick`` has the highest median fitness on models of other families; controllers evolved on the
-    robot itself, and those that no other family can judge, are left out; the former also of the
-    correlations, since what they claim is what they achieve.
+    robot itself, people, and those that no other family can judge, are left out; all but the last also of
+    the correlations: what the first claim is what they achieve, and people claim nothing.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -84,9 +84,9 @@ class TransferSummary:
 def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     """Condense the matrix; ``seed`` is that of the bootstrap over trials."""
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
-    judged = [c for c in controllers if c.other_families is not None and not c.on_robot]
+    elsewhere = [c for c in controllers if c.against and not c.on_robot]
+    judged = [c for c in elsewhere if c.other_families is not None]
     pick = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
-    elsewhere = [c for c in controllers if not c.on_robot]
     correlations = tuple(
         _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])
         for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))

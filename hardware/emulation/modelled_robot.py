@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from hardware.measurement import Measurement
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem
@@ -57,6 +60,11 @@ class ModelledConnection(SimulatedConnection):
         self._before = self._after = system.neutral_state
         self._phase = -LEAD
         self._resting = True
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        """None: a model may go as it likes, and its poses have no noise."""
+        return GateLimits(speed=math.inf, yaw_rate=math.inf, jump=math.inf, turn=math.inf, frozen=None)
 
     def send(self, control: Array, *, valid_for: float) -> None:
         super().send(control, valid_for=valid_for)

@@ -10,6 +10,7 @@ from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRob
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
 from hardware.robot import Connection, Robot
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 
 
@@ -47,6 +48,10 @@ class PacedConnection(Connection):
         return time.monotonic()
 
     @property
+    def gate_limits(self) -> GateLimits:
+        return self.simulated.gate_limits
+
+    @property
     def status(self) -> RobotStatus | None:
         said = self.simulated.status
         return None if said is None else replace(said, time=said.time + self._began)
@@ -76,6 +81,7 @@ class PacedConnection(Connection):
 
     def _catch_up(self) -> float:
         """Let the robot move up to now, which is returned."""
+        self.simulated.check_open()
         now = time.monotonic()
         while self._due <= now:
             seen = self.simulated.measure(self.simulated.period)

@@ -50,14 +50,14 @@ class SimulatedConnection(Connection):
         return max(self.frame, 0) * self.period
 
     def send(self, control: Array, *, valid_for: float) -> None:
-        self._check_open()
+        self.check_open()
         control = self._system.check_control(control).copy()
         if not valid_for > 0.0:
             raise InvalidArgument(f"send: expected valid_for > 0 s, got {valid_for}")
         self.control, self._expires = control, self.time + valid_for
 
     def measure(self, timeout: float) -> Measurement | None:
-        self._check_open()
+        self.check_open()
         if self.frame >= 0:
             self._waited += timeout
             if self._waited + CLOCK_TOLERANCE < self.period:
@@ -80,6 +80,7 @@ class SimulatedConnection(Connection):
     def _look(self, time: float) -> Measurement:
         """Return the frame that is taken at ``time``."""
 
-    def _check_open(self) -> None:
+    def check_open(self) -> None:
+        """Raise `LinkLost` if the session is closed."""
         if not self._open:
             raise LinkLost(f"the connection to {self.name!r} is closed: open another with connect()")

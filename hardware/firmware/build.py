@@ -13,7 +13,7 @@ from sysid_evo.files import cache_folder, write_atomically
 
 FOLDER = Path(__file__).parent
 SOURCES = (FOLDER / "rcb.h", FOLDER / "rcb.c")
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
 
 
 def compiler() -> str:
@@ -29,22 +29,26 @@ def compiler() -> str:
 
 
 def build_core() -> Path:
-    """Return the compiled core, from the cache if the same sources were compiled before.
+    """Return the core as a shared library. Raises `InvalidArgument` if there is no compiler or it fails."""
+    return build_c("rcb.so", (), ("-O2", "-shared", "-fPIC"))
 
-    Raises `InvalidArgument` if there is no compiler or it fails.
+
+def build_c(name: str, sources: tuple[Path, ...], flags: tuple[str, ...]) -> Path:
+    """Return the core and further C ``sources`` compiled into one file called ``name`` in the cache.
+
+    Nothing is compiled twice from equal sources. Raises `InvalidArgument`.
     """
-    digest = hashlib.sha256("\0".join(FLAGS).encode())
-    for source in SOURCES:
+    command = [compiler(), *WARNINGS, *flags, f"-I{FOLDER}"]
+    digest = hashlib.sha256("\0".join(command).encode())
+    for source in (*SOURCES, *sources):
         digest.update(source.read_bytes())
-    library = cache_folder("firmware") / f"librcb-{digest.hexdigest()[:24]}.so"
-    if not library.is_file():
-        write_atomically(library, lambda path: compile_c([SOURCES[1]], path, (*FLAGS, "-shared", "-fPIC")))
-    return library
+    out = cache_folder("firmware") / digest.hexdigest()[:24] / name
+    if not out.is_file():
+        write_atomically(out, lambda path: _run([*command, "-o", str(path), str(SOURCES[1]), *map(str, sources)]))
+    return out
 
 
-def compile_c(sources: list[Path], out: Path, flags: tuple[str, ...]) -> None:
-    """Compile C ``sources``, which may include ``rcb.h``, into the file ``out``. Raises `InvalidArgument`."""
-    command = [compiler(), *flags, f"-I{FOLDER}", "-o", str(out), *map(str, sources)]
+def _run(command: list[str]) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise InvalidArgument(f"{' '.join(command)} failed:\n{done.stderr.strip()}")

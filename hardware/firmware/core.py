@@ -38,6 +38,11 @@ class FirmwareCore:
         """The buttons that are closed, as the bits of `hardware.link.messages.Buttons`."""
         return self._library.rcb_buttons(self._core)
 
+    @property
+    def accepted(self) -> int:
+        """How many commands have been accepted since the start."""
+        return self._library.rcb_accepted(self._core)
+
     def transmit(self) -> bytes:
         """Return the bytes for the host that have not been taken yet."""
         taken = self._library.rcb_transmit(self._core, self._out, TRANSMIT_SIZE)
@@ -54,6 +59,7 @@ def _library() -> ctypes.CDLL:
         "rcb_receive": ((core, u8, u32), None),
         "rcb_tick": ((core, u32), None),
         "rcb_buttons": ((core,), u8),
+        "rcb_accepted": ((core,), u32),
         "rcb_transmit": ((core, bytes_out, ctypes.c_size_t), ctypes.c_size_t),
         "rcb_size": ((), ctypes.c_size_t),
     }

@@ -257,6 +257,8 @@ void rcb_tick(rcb_core *core, uint32_t now_ms) {
 
 uint8_t rcb_buttons(const rcb_core *core) { return core->buttons; }
 
+uint32_t rcb_accepted(const rcb_core *core) { return core->accepted; }
+
 size_t rcb_transmit(rcb_core *core, uint8_t *out, size_t capacity) {
     size_t const waiting = (size_t)(core->out_end - core->out_begin);
     size_t const moved = waiting < capacity ? waiting : capacity;

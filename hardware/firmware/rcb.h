@@ -61,6 +61,9 @@ void rcb_tick(rcb_core *core, uint32_t now_ms);
 /* The buttons to close: never forward and backward, never left and right together. */
 uint8_t rcb_buttons(const rcb_core *core);
 
+/* How many commands have been accepted since the start. */
+uint32_t rcb_accepted(const rcb_core *core);
+
 /* Move up to capacity bytes for the wire to out and return how many. */
 size_t rcb_transmit(rcb_core *core, uint8_t *out, size_t capacity);
 

@@ -16,6 +16,7 @@ from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
 from hardware.robot import Connection
+from hardware.trackers.gates import PoseGate
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System
@@ -27,23 +28,6 @@ FIRST_POSE = 1.0  # s within which the first estimate must exist
 POLL = 0.02  # s: the longest the loop waits without looking up
 SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
 CLOCK_TOLERANCE = 1e-9  # s
-
-
-class Verdict(Protocol):
-    """What a gate says of a frame; ``broke``: it is no continuation of those before."""
-
-    @property
-    def accepted(self) -> bool: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def broke(self) -> bool: ...
-
-
-class Gate(Protocol):
-    """Decides which frames are believed; ``driving`` says whether the robot is told to move."""
-
-    def accept(self, measurement: Measurement, *, driving: bool) -> Verdict: ...
 
 
 class Estimator(Protocol):
@@ -62,7 +46,8 @@ class ControlLoop:
     it runs unchanged in simulated time. The calling thread does everything. A run starts in neutral
     until poses give an estimate; a tick whose newest pose is older than 100 ms sends neutral without
     asking the pilot (and neutral does not wait for the tick), a pose older than 500 ms ends the run.
-    Every command is checked and valid for 150 ms.
+    Every command is checked and valid for 150 ms. Without a ``gate`` of its own the body of the first
+    frame is followed, within the connection's ``gate_limits``.
 
     A run that ends as it should leaves the robot in neutral, the connection open, poses and gate as
     they are; any other way out, exceptions included, closes the connection first.
@@ -75,7 +60,7 @@ class ControlLoop:
         *,
         listeners: Sequence[Listener] = (),
         estimator: Estimator | None = None,
-        gate: Gate | None = None,
+        gate: PoseGate | None = None,
         stops: Stops | None = None,
     ) -> None:
         self.connection = connection
@@ -191,18 +176,16 @@ class ControlLoop:
         """Tell the listeners of a frame and use it if it is believed."""
         for listener in self._listeners:
             listener.measured(measurement)
-        if self._gate is not None:
-            verdict = self._gate.accept(measurement, driving=self._driving)
-            accepted, why, broke = verdict.accepted, verdict.reason, verdict.broke
-        else:
-            accepted, why, broke = measurement.valid, "not valid", False
-        if broke:
+        if self._gate is None:
+            self._gate = PoseGate(measurement.body, self.connection.gate_limits)
+        verdict = self._gate.accept(measurement, driving=self._driving)
+        if verdict.broke:
             self._estimator.restart()
-        if accepted:
+        if verdict.accepted:
             self._estimator.add(measurement)
             self._seen = min(measurement.source_time, measurement.arrival_time)
         else:
-            self._rejected[why] += 1
+            self._rejected[verdict.reason] += 1
 
     def _send(self, control: Array, due: float) -> None:
         self.connection.send(control, valid_for=TIME_TO_LIVE)
@@ -218,7 +201,7 @@ class ControlLoop:
     def _tripped(self) -> bool:
         """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
         status = self.connection.status
-        if status is None or status is self._status:
+        if status is None or (self._status is not None and status.time <= self._status.time):
             return False
         self._status = status
         for listener in self._listeners:

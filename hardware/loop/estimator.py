@@ -14,7 +14,9 @@ from sysid_evo.motion import PlanarBody, rotate
 from sysid_evo.system import System
 
 WINDOW = 0.1  # s
-LAG = 0.02  # s
+LAG = 0.02
+"""s; with this window, where the error of the yaw rate as it is used is least on the emulated car
+(``python -m tests.benchmarks.robot.estimator``)."""
 READY = 0.6
 """Share of the window that poses must cover, so that a curvature can be told from noise,"""
 MIN_POSES = 6

@@ -118,11 +118,20 @@ class PoseGate:
         return Verdict(True, broke=True)
 
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
-        """Count equal poses under a drive command; say whether there are too many."""
+        """Count equal poses under a drive command; say whether there are too many.
+
+        A frozen pose stays frozen when the robot is stopped for it, or it would be believed and driven on.
+        """
+        limit = self.limits.frozen
         bits = pose.tobytes()
         same, self._seen = bits == self._seen, bits
-        self._repeats = self._repeats + 1 if same and driving else 0
-        return self.limits.frozen is not None and self._repeats >= self.limits.frozen
+        if not same:
+            self._repeats = 0
+        elif driving:
+            self._repeats += 1
+        elif limit is None or self._repeats < limit:
+            self._repeats = 0
+        return limit is not None and self._repeats >= limit
 
     def _contradiction(self, before: Measurement, after: Measurement) -> str:
         """Return why ``after`` cannot follow on ``before``, "" if it can."""

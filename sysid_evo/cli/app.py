@@ -30,7 +30,6 @@ app.add_typer(models.app, name="models")
 app.add_typer(plugins.app, name="plugin")
 
 EXIT_ERROR = 2
-EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
@@ -41,9 +40,6 @@ def main() -> None:
     except SysidEvoError as error:
         err.print(Text.assemble(("error: ", "bold red"), str(error)))
         sys.exit(EXIT_ERROR)
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        sys.exit(EXIT_INTERRUPTED)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:

@@ -10,12 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Columns, Plugins, Seed, Test, load_plugins, new_run_folder, split_names
+from sysid_evo.cli.options import (
+    Columns,
+    EstimatorDelay,
+    Plugins,
+    Seed,
+    Test,
+    load_plugins,
+    new_run_folder,
+    split_names,
+)
 
 if TYPE_CHECKING:
     from sysid_evo.cli.progress import Bars
     from sysid_evo.data import Dataset
     from sysid_evo.engine import Runner
+    from sysid_evo.store import RunFolder
 
 DEFAULT_ROBOT = "emulated_car"
 RECORDED_MINUTES = 6.0
@@ -25,6 +35,8 @@ OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
 """What is compared when no family is named and the preset has no choice of its own."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+DATA_PARTS = ("training", "test")
+"""Folders in the run's ``data`` folder."""
 HELD_BACK = 0.25
 """Share of every episode held back for the test when no episode is named."""
 
@@ -41,6 +53,7 @@ def compare(
     only: Annotated[str | None, typer.Option(help="'prediction' leaves the controllers out.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")] = None,
     aggregate: Annotated[str, typer.Option(help="Of an ensemble's fitnesses: min, mean, median.")] = "min",
+    estimator_delay: EstimatorDelay = 0.0,
     yardstick: Annotated[bool, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")] = False,
     seed: Seed = 0,
     folder: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
@@ -66,7 +79,7 @@ def compare(
     families = split_names(models) or DEFAULT_FAMILIES.get(preset, OTHER_FAMILIES)
     if families == ("all",):
         families = tuple(name for name, _ in registry.load_all())
-    evolution = replace(controller_preset(preset), aggregate=aggregate)
+    evolution = replace(controller_preset(preset), aggregate=aggregate, estimator_delay=estimator_delay / 1000.0)
     settings = ComparisonSettings(
         models=families,
         ensembles=choose_ensembles(ensembles, families),
@@ -81,12 +94,13 @@ def compare(
     if yardstick and data is not None and robot is None:
         raise InvalidArgument("--yardstick: name the emulated robot that it is evolved on with --robot")
     path = new_run_folder(folder)
-    with Bars() as bars:
+    with Bars(path) as bars:
         robot = robot or (DEFAULT_ROBOT if data is None else None)
         dataset = record(robot or DEFAULT_ROBOT, seed, bars) if data is None else read(data, columns)
         training, held_back = dataset.split(test if test else HELD_BACK)
         asked = {**settings.to_dict(), "robot": robot, "data": training.fingerprint, "test": held_back.fingerprint}
         run = RunFolder.open(path, asked)
+        keep_data(run, training, held_back)
         report = run_comparison(
             run,
             training,
@@ -101,6 +115,15 @@ def compare(
         out.print(table)
     err.print(where_time_went(report.timings), highlight=False)
     out.print(f"Report: {page}", highlight=False, soft_wrap=True)
+
+
+def keep_data(run: RunFolder, training: Dataset, test: Dataset) -> None:
+    """Store both parts of the data in the run folder, so that its report can be made again."""
+    from sysid_evo.data.reading import is_stored
+
+    for name, part in zip(DATA_PARTS, (training, test), strict=True):
+        if not is_stored(run.path / "data" / name):
+            part.save(run.path / "data" / name)
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:

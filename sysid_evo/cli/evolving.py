@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, Preset, Seed, latest_run_folder, load_plugins, new_run_folder, split_names
+from sysid_evo.cli.options import (
+    EstimatorDelay,
+    Plugins,
+    Preset,
+    Seed,
+    latest_run_folder,
+    load_plugins,
+    new_run_folder,
+    split_names,
+)
 
 if TYPE_CHECKING:
     from sysid_evo.dynamics import Dynamics
@@ -23,6 +32,7 @@ def evolve(
     generations: Annotated[int | None, typer.Option(min=1, help="Instead of the preset's.")] = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")] = None,
     runs: Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")] = None,
+    estimator_delay: EstimatorDelay = 0.0,
     seed: Seed = 0,
     plugin: Plugins = None,
 ) -> None:
@@ -30,7 +40,8 @@ def evolve(
 
     A model is named by its family, as it stands in the run folder (or family-seed), by the path of
     its file, or by the name of an emulated robot. Against robots alone, the controller is stored in a
-    new run folder unless --run names one.
+    new run folder unless --run names one. For a real robot give the delay that `sysid-evo robots
+    check` tells, so that controllers meet it in the models.
     """
     from sysid_evo.cli.progress import Bars
     from sysid_evo.engine import DynamicsRunner
@@ -38,6 +49,7 @@ def evolve(
     from sysid_evo.experiment import controller_preset, ensemble_name, evolve_champions
     from sysid_evo.randomness import trial_seeds
     from sysid_evo.store import RunFolder
+    from sysid_evo.wrappers import DelayedEstimate
 
     load_plugins(plugin)
     members = split_names(against)
@@ -53,6 +65,7 @@ def evolve(
         generations=generations or settings.generations,
         trials=trials or settings.trials,
         runs=runs or settings.runs,
+        estimator_delay=estimator_delay / 1000.0,
     )
     system = next(iter(dynamics.values())).system
     name = ensemble_name(members, aggregate)
@@ -64,7 +77,8 @@ def evolve(
         raise typer.Exit(1)
     task = settings.make_task(system)
     seeds = trial_seeds(seed, 100, generation=2**32)
-    for member, runner in runners.items():
+    for member, found in dynamics.items():
+        runner = DynamicsRunner(DelayedEstimate(found, settings.estimator_delay))
         fitness = runner.run(settings.make_controller(task), outcome.value.parameters[None], task, seeds).fitness
         out.print(f"{member}: {fitness.mean():.1f} ± {fitness.std():.1f} {task.fitness_unit} in 100 fresh trials")
     err.print(f"stored as {RunFolder(folder).controller(name, seed)}", highlight=False, markup=False)

@@ -82,7 +82,7 @@ def fit(
     train = dataset.split(test)[0] if test else dataset
     settings = {"command": "fit", "models": families, "preset": preset, "seed": seed, "data": train.fingerprint}
     folder = RunFolder.open(new_run_folder(run), settings)
-    with Bars() as bars:
+    with Bars(folder.path) as bars:
         outcomes = fit_models(folder, families, train, seed=seed, preset=preset, observer=bars)
     table = Table(box=None, pad_edge=False)
     for heading in ("family", "seconds", "stored as"):

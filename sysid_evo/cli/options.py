@@ -18,6 +18,10 @@ Test: TypeAlias = Annotated[
 ]
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
+EstimatorDelay: TypeAlias = Annotated[
+    float, typer.Option(min=0.0, help="Milliseconds by which controllers know the state late while they evolve.")
+]
+
 
 def load_plugins(paths: list[Path] | None) -> None:
     """Import every plugin file."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -15,9 +16,13 @@ REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 
 
 class Bars:
-    """An `Observer` (see `sysid_evo.experiment`) that draws bars, or writes plain lines without a terminal."""
+    """An `Observer` (see `sysid_evo.experiment`) that draws bars, or writes plain lines without a terminal.
 
-    def __init__(self) -> None:
+    ``folder`` is the run folder with which an interrupted command goes on, if it can.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
         self._bars = Progress(
             TextColumn("{task.description}", table_column=None),
             BarColumn(bar_width=16),
@@ -39,6 +44,12 @@ class Bars:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bars.stop()
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            cells = ", ".join(self._tasks) or "between two cells"
+            on = "" if self._folder is None else f"; go on with --out {self._folder}"
+            err.print(
+                f"interrupted: {cells}. Nothing unfinished is kept{on}", highlight=False, markup=False, soft_wrap=True
+            )
 
     def start(self, cell: str) -> None:
         self._began[cell] = self._told[cell] = time.monotonic()
@@ -50,8 +61,8 @@ class Bars:
         self._bars.update(self._tasks[cell], completed=done, total=total, rate=f"{rate:,.1f}/s")
         if not err.is_terminal and now - self._told[cell] > REPORT_EVERY:
             self._told[cell] = now
-            left = (total - done) / rate
-            err.print(f"{cell}: {done}/{total}, {rate:,.1f}/s, {left:.0f} s left", highlight=False, markup=False)
+            left = f", {rate:,.1f}/s, {(total - done) / rate:.0f} s left" if done else ""
+            err.print(f"{cell}: {done}/{total}{left}", highlight=False, markup=False)
 
     def finish(self, cell: str, *, cached: bool, reason: str | None) -> None:
         seconds = time.monotonic() - self._began.get(cell, time.monotonic())

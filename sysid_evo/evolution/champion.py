@@ -14,7 +14,8 @@ class Champion:
     """One evolved parameter vector (n,) of a registered controller at a registered task.
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history``
-    (G, 3) holds the best, mean and worst fitness of each generation, as evolution saw them.
+    (G, 3) holds the best, mean and worst fitness of each generation, as evolution saw them, with states
+    observed ``estimator_delay`` s late.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Champion:
     controller_parameters: Mapping[str, Any] = field(default_factory=dict)
     task: str = "point_to_point"
     task_parameters: Mapping[str, Any] = field(default_factory=dict)
+    estimator_delay: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", check_shape("parameters", self.parameters, (None,)))

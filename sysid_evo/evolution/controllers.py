@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import Runner
+from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -20,6 +20,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_strategy, make_task
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
+from sysid_evo.wrappers import DelayedEstimate
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -31,7 +32,8 @@ class ControllerEvolution:
 
     ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
     which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials.
+    ``selection_trials`` fresh trials. With ``estimator_delay`` (s) every model is observed that late, as
+    on a robot whose state is estimated, see `DelayedEstimate`.
     """
 
     generations: int = 300
@@ -39,6 +41,7 @@ class ControllerEvolution:
     runs: int = 1
     aggregate: str = "min"
     selection_trials: int = 50
+    estimator_delay: float = 0.0
     controller: str = "recurrent"
     controller_parameters: Mapping[str, Any] = field(default_factory=dict)
     task: str = "point_to_point"
@@ -50,6 +53,8 @@ class ControllerEvolution:
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+        if not 0.0 <= self.estimator_delay < np.inf:
+            raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
@@ -77,6 +82,7 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
+    met = {name: _observed(name, runner, settings.estimator_delay) for name, runner in runners.items()}
     total = settings.runs * settings.generations
     best: tuple[float, Champion] | None = None
     for run in range(settings.runs):
@@ -85,7 +91,7 @@ def evolve_controller(
             settings.strategy, n_parameters=controller.n_parameters, seed=run_seed, **settings.strategy_parameters
         )
         objective = EnsembleObjective(
-            tuple(runners.values()), controller, task, run_seed, settings.trials, settings.aggregate
+            tuple(met.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
         history = []
         for generation in evolve(strategy, objective, settings.generations):
@@ -107,8 +113,18 @@ def evolve_controller(
             controller_parameters=settings.controller_parameters,
             task=settings.task,
             task_parameters=settings.task_parameters,
+            estimator_delay=settings.estimator_delay,
         )
         if best is None or fitness[winner] > best[0]:
             best = (float(fitness[winner]), champion)
     assert best is not None
     return best[1]
+
+
+def _observed(name: str, runner: Runner, delay: float) -> Runner:
+    """Return ``runner`` with a state that is observed ``delay`` s late. Raises `InvalidArgument`."""
+    if delay == 0.0:
+        return runner
+    if not isinstance(runner, DynamicsRunner):
+        raise InvalidArgument(f"evolution: {name} is not a model, so that its state cannot be observed late")
+    return replace(runner, dynamics=DelayedEstimate(runner.dynamics, delay))

@@ -19,6 +19,7 @@ def save_champion(champion: Champion, path: str | Path, *, data: str | None = No
         "aggregate": champion.aggregate,
         "task": champion.task,
         "task_parameters": dict(champion.task_parameters),
+        "estimator_delay": champion.estimator_delay,
     }
     fields = {
         "kind": "controller",
@@ -50,6 +51,7 @@ def load_champion(path: str | Path) -> Champion:
             controller_parameters=manifest.parameters,
             task=learned["task"],
             task_parameters=learned["task_parameters"],
+            estimator_delay=learned.get("estimator_delay", 0.0),
         )
     except (KeyError, TypeError, ShapeError) as error:
         raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}") from error

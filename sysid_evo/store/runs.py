@@ -37,7 +37,7 @@ class RunFolder:
         run = cls(Path(path))
         wanted = tomllib.loads(tomli_w.dumps(_without_none(settings)))
         if run._file(SETTINGS).is_file():
-            found = run._settings()
+            found = run.settings() or {}
             differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
             if differing:
                 raise InvalidArgument(
@@ -49,6 +49,15 @@ class RunFolder:
         write_atomically(run._file(SETTINGS), lambda file: file.write_text(tomli_w.dumps(wanted)))
         run._write({"versions": versions(), "cells": {}})
         return run
+
+    def settings(self) -> dict[str, Any] | None:
+        """Return what the run was opened with; None for a folder that was never opened. Raises `ArtefactError`."""
+        try:
+            return tomllib.loads(self._file(SETTINGS).read_text())
+        except FileNotFoundError:
+            return None
+        except ValueError as error:
+            raise ArtefactError(f"{self._file(SETTINGS)}: not a readable TOML file: {error}") from error
 
     def cells(self) -> dict[str, dict[str, Any]]:
         """Return the status of every cell that was tried: status, reason, and the seconds it took."""
@@ -75,12 +84,6 @@ class RunFolder:
     def controller(self, name: str, seed: int) -> Path:
         """Where the champion ``name`` stands (without suffix)."""
         return self.path / "controllers" / f"{name}-{seed}".replace(":", "-")
-
-    def _settings(self) -> dict[str, Any]:
-        try:
-            return tomllib.loads(self._file(SETTINGS).read_text())
-        except ValueError as error:
-            raise ArtefactError(f"{self._file(SETTINGS)}: not a readable TOML file: {error}") from error
 
     def _file(self, name: str) -> Path:
         return self.path / name

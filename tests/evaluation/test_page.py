@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.image import imread
 
 from evaluation.report import save_report
+from tests.chromium import find_chromium
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
 
 
-@pytest.fixture
-def browser() -> str:
-    for name in ("chromium", "chromium-browser", "google-chrome"):
-        found = shutil.which(name)
-        if found:
-            return found
-    if os.environ.get("CI"):
-        pytest.fail("no chromium: CI must install it")
-    pytest.skip("no chromium is installed, so the page cannot be opened")
-
-
-def test_the_page_opens_offline_and_its_pictures_are_drawn(browser: str, tmp_path: Path) -> None:
+def test_the_page_opens_offline_and_its_pictures_are_drawn(tmp_path: Path) -> None:
     _, page = save_report(make_report({"known": fitted(Known()), "sliding": fitted(Sliding())}), tmp_path)
     picture = tmp_path / "page.png"
     subprocess.run(
         [
-            browser,
+            find_chromium(),
             "--headless",
             "--no-sandbox",
             "--disable-gpu",

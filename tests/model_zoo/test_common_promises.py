@@ -10,6 +10,7 @@ import pytest
 from model_zoo.validation import relative_error, validation_windows
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model, models
 from sysid_evo.testing import example_dataset
 
@@ -50,3 +51,36 @@ def test_relative_error_of_the_mean_is_one(recording: Dataset) -> None:
     windows = validation_windows(recording, 0)
     mean = np.broadcast_to(windows.states.mean(axis=(0, 1)), windows.states.shape)
     assert 0.8 < relative_error(mean, windows) < 1.2
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car(compiled: bool, recording: Dataset) -> None:
+    """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
+    model = make_model("parametrised", generations=3, control_lags=2, rest_hold=True)
+    model.fit(recording, rng=np.random.default_rng(0))
+    model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
+    kernel = model.kernel()
+    carry, speeds = np.zeros((1, model.n_carry)), []
+    for drive in (1.0, 0.0, 0.0, 0.0):
+        control = np.array([[drive, 0.0]])
+        carry = (
+            kernel_step(kernel, carry, control, None, precision="float64") if compiled else model.step(carry, control)
+        )
+        speeds.append(carry[0, 0])
+    assert speeds[:2] == [0.0, 0.0]
+    assert speeds[2] > 0.05
+
+
+ITERATIVE = [name for name in models.names() if name not in ("linear", "nearest_neighbour")]
+
+
+@pytest.mark.parametrize("name", ITERATIVE)
+def test_a_fit_that_takes_long_tells_often_how_far_it_is(name: str, recording: Dataset) -> None:
+    """With the default budget cut short, every family reports at least ten times: at most a tenth passes in silence."""
+    options = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class
+    searched = {key: None for key in ("state_lags", "control_lags", "degree", "terms", "neighbours") if key in options}
+    told: list[int] = []
+    model = make_model(name, **{**options, **searched})
+    model.fit(recording, rng=np.random.default_rng(0), progress=lambda done, total: told.append(done))
+    assert len(told) >= 10
+    assert told == sorted(told)

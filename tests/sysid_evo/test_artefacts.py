@@ -31,6 +31,7 @@ CHAMPION = Champion(
     history=np.array([[3.0, 2.0, 1.0], [4.0, 2.5, 1.5]]),
     controller_parameters={"hidden": 3},
     task_parameters={"horizon": 100, "waypoint_radius": 0.1 + 0.2},
+    estimator_delay=0.0221,
 )
 
 
@@ -133,6 +134,7 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
         "controller_parameters",
         "task",
         "task_parameters",
+        "estimator_delay",
     ):
         assert getattr(loaded, name) == getattr(CHAMPION, name)
     np.testing.assert_array_equal(loaded.parameters, CHAMPION.parameters)

@@ -176,6 +176,59 @@ class Drifting(Fading):
         return self.next_state(carry, control) + 0.001
 
 
+class Deaf(Fading):
+    """Holds a body at rest whatever the controls were that have yet to act."""
+
+    rest_hold = True
+    control_lags = 2
+
+    def __init__(self, *, share: float = 0.9, rest_hold: bool = True) -> None:
+        self.share = share
+        self.rest_hold = rest_hold
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return carry[:, :3] * self.factor_ + 0.01 * carry[:, -2:].sum(axis=1, keepdims=True)
+
+    def held(self, carry: Array, control: Array, after: Array) -> Array:
+        still = (np.abs(carry[:, :3]) <= 0.001).all(axis=1) & (control == 0.0).all(axis=1)
+        return np.where(still[:, None] & self.rest_hold, 0.0, after)
+
+
+class Unstoppable(Fading):
+    """Carries on whatever progress raises."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        for done in range(5):
+            try:
+                progress(done, 5)
+            except Exception:
+                continue
+        return super().fit(dataset, rng=rng, progress=progress)
+
+
+class LearningInPlace(Fading):
+    """Learns into what it had learned before, so that a stopped fit spoils it."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        if not hasattr(self, "factor_"):
+            self.factor_ = np.zeros(1)
+        self.factor_ *= 0.0
+        progress = progress or (lambda done, total: None)
+        progress(1, 2)
+        self.factor_ += self.share + 0.05 * rng.random()
+        progress(2, 2)
+        return self
+
+
+class Overstating(Fading):
+    """Has done more than there is."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        if progress is not None:
+            progress(3, 2)
+        return super().fit(dataset, rng=rng, progress=progress)
+
+
 def fade(x, u, p):  # type: ignore[no-untyped-def]  # read by Numba
     push = 0.01 * (u[0] + u[1])
     return x[0] * p[0] + push, x[1] * p[0] + push, x[2] * p[0] + push
@@ -186,6 +239,7 @@ GLOBAL = np.random.default_rng(0)
 RIGHT_SHAPE = "A step turns a carry (B, n_carry) into a carry of the same shape, in float64"
 FIT = "fit learns from a recording, leaves it as it is, and returns the model itself"
 PURE = "A step changes neither its arguments nor its own later results"
+STOPPED = "fit says how far it is, and what progress raises stops it and leaves the model as it was"
 STORED = "A stored model steps bit for bit as before"
 CLONE = "get_params and clone give back the constructor's arguments, unfitted"
 
@@ -216,6 +270,10 @@ def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Call
         (OtherSimulation, "A free run equals its steps one after the other", "they differ at step 1"),
         (OtherKernel, "The compiled form steps as step does", r"\d+ of \d+ rows differ after one step in float64"),
         (Drifting, "A model at rest with neutral control stays at rest", "it moves off by itself"),
+        (Deaf, "A body at rest answers to a pulse", "an earlier control in its carry is not neutral"),
+        (Unstoppable, STOPPED, "an exception from progress does not stop the fit"),
+        (LearningInPlace, STOPPED, "a fitted model steps differently after a second fit was stopped"),
+        (Overstating, STOPPED, "expected progress from 0 to all of the steps"),
         (ReturningNothing, FIT, "ReturningNothing.fit must return self, got NoneType"),
         (Failing, FIT, "ZeroDivisionError: nothing to learn from"),
         (GloballyRandom, "The same data and seed give the same model", "two fits with the same seed step differently"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_model
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
+from sysid_evo.wrappers import DelayedEstimate
 
 from .made_up import Climber, Constant, Ladder
 
@@ -209,6 +210,27 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
         np.testing.assert_array_equal(champion.parameters, watched.parameters[choices[run]][parent])
         best_runs.add(run)
     assert len(best_runs) > 1
+
+
+def test_an_estimator_delay_is_met_on_every_model_and_remembered(
+    runners: dict[str, DynamicsRunner], recording: Dataset
+) -> None:
+    settings = ControllerEvolution(generations=15, trials=2, selection_trials=2, task_parameters={"horizon": 300})
+    late = {name: replace(runner, dynamics=DelayedEstimate(runner.dynamics, 0.1)) for name, runner in runners.items()}
+    wrapped = evolve_controller("c", late, recording.system, settings, seed=1)
+    asked = evolve_controller("c", runners, recording.system, replace(settings, estimator_delay=0.1), seed=1)
+    plain = evolve_controller("c", runners, recording.system, settings, seed=1)
+    np.testing.assert_array_equal(asked.parameters, wrapped.parameters)
+    np.testing.assert_array_equal(asked.history, wrapped.history)
+    assert not np.array_equal(asked.history, plain.history)
+    assert (asked.estimator_delay, plain.estimator_delay) == (0.1, 0.0)
+
+
+def test_only_models_can_be_observed_late(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+    settings = ControllerEvolution(generations=1, trials=1, estimator_delay=0.03)
+    watched = {name: Watched(runner) for name, runner in runners.items()}
+    with pytest.raises(InvalidArgument, match="not a model"):
+        evolve_controller("c", watched, recording.system, settings, seed=1)
 
 
 def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> None:

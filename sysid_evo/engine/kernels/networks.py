@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
-from sysid_evo.engine.kernels.runge_kutta import move
+from sysid_evo.engine.kernels.runge_kutta import move_rows
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 from sysid_evo.errors import InvalidArgument
 
@@ -54,15 +54,15 @@ def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
     n_networks = int(p[N_NETWORKS])
     room, weights = gather(x, u, p, scratch), view(p, SIZES + int(p[N_LAYERS]) + 1)
-    size = int(p[SIZES + int(p[N_LAYERS])]) * LANES
+    n_out = int(p[SIZES + int(p[N_LAYERS])])
     weights = forward(p, weights, scratch, room, y)
     if n_networks > 1:
         other = view(room, 2 * widest(p) * LANES)
         for _ in range(1, n_networks):
             weights = forward(p, weights, scratch, room, other)
-            move(y, other, 1.0, y, size)
+            move_rows(y, other, 1.0, y, n_out)
         share = 1.0 / float(n_networks)
-        for i in range(size):
+        for i in range(n_out * LANES):
             y[i] *= share
 
 

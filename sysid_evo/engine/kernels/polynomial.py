@@ -74,31 +74,27 @@ def control_factors(u, p, scratch):
     n_factors = int(p[N_FACTORS])
     monomials = view(scratch, n_factors * LANES)
     raise_powers(u, view(p, HEADER + 2 * int(p[N_STATE])), int(p[N_CONTROL]), monomials)
-    place = int(p[AFTER_CHAINS]) + int(p[N_OUT]) + n_factors
+    rest = view(p, int(p[AFTER_CHAINS]) + int(p[N_OUT]) + n_factors)
     for factor in range(n_factors):
-        total = splat(0.0)
-        count = int(p[place])
-        place += 1
-        for _ in range(count):
-            total = total + splat(p[place + 1]) * load(monomials, int(p[place]) * LANES)
-            place += 2
+        total = splat(rest[2]) * load(monomials, int(rest[1]) * LANES)
+        count = int(rest[0])
+        for term in range(1, count):
+            total = total + splat(rest[2 + 2 * term]) * load(monomials, int(rest[1 + 2 * term]) * LANES)
         store(scratch, factor * LANES, total)
+        rest = view(rest, 1 + 2 * count)
 
 
 def polynomial(x, u, p, y, scratch):
     """Write every output: the sum over its state monomials, each times its factor."""
     monomials = view(scratch, int(p[N_FACTORS]) * LANES)
     raise_powers(x, view(p, HEADER), int(p[N_STATE]), monomials)
-    place, factor = int(p[AFTER_CHAINS]), 0
+    rest, factors = view(p, int(p[AFTER_CHAINS])), scratch
     for output in range(int(p[N_OUT])):
-        total = splat(0.0)
-        count = int(p[place])
-        place += 1
-        for _ in range(count):
-            total = total + load(scratch, factor * LANES) * load(monomials, int(p[place]) * LANES)
-            place += 1
-            factor += 1
+        total, count = splat(0.0), int(rest[0])
+        for i in range(count):
+            total = total + load(factors, i * LANES) * load(monomials, int(rest[1 + i]) * LANES)
         store(y, output * LANES, total)
+        rest, factors = view(rest, 1 + count), view(factors, count * LANES)
 
 
 def raise_powers(z, chain, count, monomials):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.kernels.stepping import Predictor, copy
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.system import System
 
 NX, N_CARRY, SUBSTEPS, H, HEADER = range(5)
@@ -31,33 +31,37 @@ def runge_kutta_predictor(
 
 def runge_kutta(x, u, p, y, scratch):
     """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
-    size, h, own_parameters = int(p[NX]) * LANES, p[H], view(p, HEADER)
+    nx, h, own_parameters = int(p[NX]), p[H], view(p, HEADER)
     trial, n_carry = scratch, int(p[N_CARRY])
     slope = view(scratch, n_carry * LANES)
-    total = view(slope, size)
-    room = view(total, size)
+    total = view(slope, nx * LANES)
+    room = view(total, nx * LANES)
     prepare(u, own_parameters, room)
-    copy(x, trial, n_carry * LANES)
-    copy(x, y, size)
+    copy_rows(x, trial, n_carry)
+    copy_rows(x, y, nx)
     for _ in range(int(p[SUBSTEPS])):
         for stage in range(4):
             predict(trial, u, own_parameters, slope, room)
             if stage == 0:
-                copy(slope, total, size)
-                move(y, slope, 0.5 * h, trial, size)
-            elif stage == 1:
-                move(total, slope, 2.0, total, size)
-                move(y, slope, 0.5 * h, trial, size)
-            elif stage == 2:
-                move(total, slope, 2.0, total, size)
-                move(y, slope, h, trial, size)
+                copy_rows(slope, total, nx)
+                move_rows(y, slope, 0.5 * h, trial, nx)
+            elif stage < 3:
+                move_rows(total, slope, 2.0, total, nx)
+                move_rows(y, slope, 0.5 * h if stage == 1 else h, trial, nx)
             else:
-                move(total, slope, 1.0, total, size)
-                move(y, total, h / 6.0, y, size)
-                copy(y, trial, size)
+                move_rows(total, slope, 1.0, total, nx)
+                move_rows(y, total, h / 6.0, y, nx)
+                copy_rows(y, trial, nx)
 
 
-def move(start, slope, time, target, count):
-    """target = start + time * slope."""
-    for i in range(count):
-        target[i] = start[i] + time * slope[i]
+def move_rows(start, slope, time, target, count):
+    """target = start + time * slope, a row at a time: short loops need no test whether arrays overlap."""
+    for row in range(count):
+        moved = load(start, row * LANES) + splat(time) * load(slope, row * LANES)
+        store(target, row * LANES, moved)
+
+
+def copy_rows(source, target, count):
+    """Copy ``count`` rows."""
+    for row in range(count):
+        store(target, row * LANES, load(source, row * LANES))

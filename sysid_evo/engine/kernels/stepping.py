@@ -59,7 +59,8 @@ def stepping_kernel(
     """Return the kernel of a model whose predictor gives the next state or an acceleration.
 
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
-    ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control.
+    ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
+    controls in the carry included.
     """
     header = np.zeros(HEADER)
     header[[NX, NU, STATE_LAGS, CONTROL_LAGS, DT]] = system.nx, system.nu, *lags, system.dt
@@ -97,12 +98,12 @@ def step(carry, control, noise, parameters, scratch):
     if mode == PLANAR:
         forward, lateral = int(parameters[FORWARD]) * LANES, int(parameters[LATERAL]) * LANES
         turn_back(view(scratch, forward), view(scratch, lateral), view(carry, int(parameters[YAW_RATE]) * LANES), dt)
-    if parameters[REST] > 0.0:
-        hold(carry, control, view(parameters, HEADER), nx, nu, moving, scratch)
     state_lags, control_lags = int(parameters[STATE_LAGS]), int(parameters[CONTROL_LAGS])
+    past = view(carry, (1 + state_lags) * rows)
+    if parameters[REST] > 0.0:
+        hold(carry, control, past, control_lags, view(parameters, HEADER), nx, nu, moving, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
-    past = view(carry, (1 + state_lags) * rows)
     size = nu * LANES
     for back in range(control_lags - 1, 0, -1):
         copy(view(past, (back - 1) * size), view(past, back * size), size)
@@ -111,7 +112,7 @@ def step(carry, control, noise, parameters, scratch):
     copy(scratch, carry, rows)
 
 
-def hold(carry, control, p, nx, nu, moving, after):
+def hold(carry, control, past, control_lags, p, nx, nu, moving, after):
     """Put the lanes that rest under neutral control back to neutral; p: band, neutral state, neutral control."""
     for lane in range(LANES):
         moving[lane] = 0.0
@@ -119,6 +120,11 @@ def hold(carry, control, p, nx, nu, moving, after):
         here, neutral = view(control, row * LANES), p[2 * nx + row]
         for lane in range(LANES):
             moving[lane] = moving[lane] if here[lane] == neutral else 1.0
+    for lag in range(control_lags):
+        for row in range(nu):
+            here, neutral = view(past, (lag * nu + row) * LANES), p[2 * nx + row]
+            for lane in range(LANES):
+                moving[lane] = moving[lane] if here[lane] == neutral else 1.0
     for row in range(nx):
         here, neutral, band = view(carry, row * LANES), p[nx + row], p[row]
         for lane in range(LANES):

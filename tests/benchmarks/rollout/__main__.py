@@ -27,8 +27,7 @@ from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.testing import example_dataset
-from tests.benchmarks.rollout.families import Case, cases
+from tests.benchmarks.rollout.families import Case, cases, recording
 from tests.benchmarks.rollout.table import speeds
 from tests.benchmarks.rollout.timing import in_turn
 
@@ -116,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     task = PointToPoint(horizon=50 if chosen.quick else 500)
     load = os.getloadavg()[0]
     console, rows, report = Console(), [], {}
-    dataset = example_dataset(episodes=2, steps=600) if chosen.quick else example_dataset(episodes=12, steps=600)
+    dataset = recording(episodes=2 if chosen.quick else 12, steps=600)
     with threadpool_limits(1):
         for case in cases(dataset, generations=5 if chosen.quick else 60):
             if chosen.models and not any(part in case.name for part in chosen.models):

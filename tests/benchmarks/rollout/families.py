@@ -1,7 +1,6 @@
 """The models that are timed: small, quickly fitted, with a NumPy step written for speed and a kernel.
 
-Hidden layers are random and only the last layer is fitted, by least squares: that takes milliseconds
-and drives like a trained network. Two families are those of the model zoo.
+Two families are those of the model zoo.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from model_zoo.command_cells import CommandCells
 from model_zoo.nearest_neighbour import NearestNeighbour
 from model_zoo.parametrised import Parametrised
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
+from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.dynamics import Dynamics, training_envelope
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.kernels import (
@@ -30,6 +29,8 @@ from sysid_evo.engine.kernels import (
     stepping_kernel,
 )
 from sysid_evo.registry import make_robot
+from sysid_evo.testing import example_dataset
+from tests.benchmarks.rollout.training import trained_network
 
 HIDDEN = 10
 
@@ -69,13 +70,14 @@ class SeparateNetworks(Fitted):
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
         inputs, nx = np.concatenate([state, control], axis=1), state.shape[1]
-        self.first, self.first_bias = random_layer(inputs, nx * HIDDEN)
-        units = np.tanh(inputs @ self.first + self.first_bias)
+        self.first, self.first_bias = np.zeros((inputs.shape[1], nx * HIDDEN)), np.zeros(nx * HIDDEN)
         self.second, self.second_bias = np.zeros((nx * HIDDEN, nx)), np.zeros(nx)
         target = self.system.acceleration(state, after)
         for k in range(nx):
             own = slice(k * HIDDEN, (k + 1) * HIDDEN)
-            self.second[own, k], self.second_bias[k] = last_layer(units[:, own], target[:, k])
+            inner, outer = trained_network(inputs, target[:, k : k + 1], (HIDDEN,), seed=k)
+            self.first[:, own], self.first_bias[own] = inner
+            self.second[own, k : k + 1], self.second_bias[k : k + 1] = outer
 
         self.hidden = with_bias(self.first, self.first_bias)
         self.outward = with_bias(self.second, self.second_bias)
@@ -105,11 +107,11 @@ class CommandNetworks(Fitted):
         self.second, self.second_bias = np.zeros((count, nx * HIDDEN, nx)), np.zeros((count, nx))
         for number in range(count):
             rows = np.flatnonzero(cell == number)
-            self.first[number], self.first_bias[number] = random_layer(state, nx * HIDDEN, seed=number)
-            units = np.tanh(state[rows] @ self.first[number] + self.first_bias[number])
             for k in range(nx):
                 own = slice(k * HIDDEN, (k + 1) * HIDDEN)
-                self.second[number, own, k], self.second_bias[number, k] = last_layer(units[:, own], after[rows, k])
+                inner, outer = trained_network(state[rows], after[rows, k : k + 1], (HIDDEN,), seed=number)
+                self.first[number][:, own], self.first_bias[number, own] = inner
+                self.second[number, own, k : k + 1], self.second_bias[number, k : k + 1] = outer
 
         self.hidden = [with_bias(self.first[c], self.first_bias[c]) for c in range(count)]
         self.outward = [with_bias(self.second[c], self.second_bias[c]) for c in range(count)]
@@ -226,11 +228,7 @@ class NeuralODE(Derivative):
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
         inputs = np.concatenate([state, control], axis=1)
-        self.layers: list[tuple[Array, Array]] = []
-        for seed in range(2):
-            self.layers.append(random_layer(inputs, self.width, seed=seed))
-            inputs = np.tanh(inputs @ self.layers[-1][0] + self.layers[-1][1])
-        self.layers.append(last_layer(inputs, (after - state) / self.system.dt))
+        self.layers = trained_network(inputs, (after - state) / self.system.dt, (self.width, self.width))
         self.affine = [with_bias(weights, bias) for weights, bias in self.layers]
 
     def derivative(self, z: Array) -> Array:
@@ -269,20 +267,16 @@ def hidden_units(weights: Array, z: Array) -> Array:
     return units
 
 
-def random_layer(inputs: Array, width: int, *, seed: int = 0) -> tuple[Array, Array]:
-    """Return weights (n_in, width) and bias (width,) that bring ``inputs`` (N, n_in) to deviation 0.7."""
-    rng = np.random.default_rng(seed)
-    scale = np.maximum(inputs.std(axis=0), 1e-6)
-    weights = rng.standard_normal((inputs.shape[1], width)) * 0.7 / np.sqrt(inputs.shape[1]) / scale[:, None]
-    return weights, 0.3 * rng.standard_normal(width) - inputs.mean(axis=0) @ weights
+def recording(episodes: int, steps: int) -> Dataset:
+    """Return episodes of the made-up car without their first second.
 
-
-def last_layer(units: Array, target: Array) -> tuple[Array, Array]:
-    """Return weights (width, ...) and bias (...) of the ridge regression of ``target`` (N, ...) on ``units``."""
-    columns = np.concatenate([units, np.ones((len(units), 1))], axis=1)
-    ridge = 1e-6 * len(units) * np.eye(columns.shape[1])
-    found = np.linalg.solve(columns.T @ columns + ridge, columns.T @ target)
-    return found[:-1], found[-1]
+    All of them begin at exactly zero: equal points in a table, which a nearest neighbour may tell
+    apart either way.
+    """
+    dataset = example_dataset(episodes=episodes, steps=steps)
+    return dataset.with_episodes(
+        [Trajectory(e.states[20:], e.controls[20:], e.dt, name=e.name) for e in dataset.episodes]
+    )
 
 
 def cases(dataset: Dataset, *, generations: int) -> list[Case]:

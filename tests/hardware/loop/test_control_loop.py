@@ -159,3 +159,41 @@ def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(robot):
     assert np.allclose(times[1:] / 0.05, np.round(times[1:] / 0.05))
     assert report.lateness.max() == pytest.approx(0.13)
     assert np.sort(report.lateness)[-2] == pytest.approx(0.03)
+
+
+def test_jump_within_a_dropout_begins_a_new_track_and_nothing_is_computed_across_it(robot):
+    link = FaultyRobot(robot, lost=(1.0, 1.2), moved=(1.1, (0.0, 0.2, 0.0))).connect(seed=1)
+    script = Script(lambda tick: FORWARD)
+    report = ControlLoop(link, robot.system).run(script, samples=40)
+    lateral = np.array([estimate.state[1] for estimate in script.estimates])
+    assert report.reason is Reason.SAMPLES
+    assert 2 < report.stale < 10
+    assert np.abs(lateral).max() < 0.2
+    assert script.estimates[-1].pose[1] > 0.1
+
+
+@pytest.mark.parametrize(("away", "why"), [(0.2, "too fast"), (3.0, "jumped")])
+def test_another_place_beyond_reach_ends_the_run(robot, away, why):
+    link = FaultyRobot(robot, moved=(1.0, (away, 0.0, 0.0))).connect(seed=1)
+    script = Script(lambda tick: FORWARD)
+    report = ControlLoop(link, robot.system).run(script, samples=40)
+    assert report.reason is Reason.TRACKER_LOST
+    assert why in report.detail
+    assert max(estimate.state[0] for estimate in script.estimates) < 2.0
+
+
+def test_frozen_pose_while_driving_means_neutral_and_ends_the_run(robot):
+    diary = Diary()
+    link = FaultyRobot(robot, frozen_at=1.0).connect(seed=1)
+    report = ControlLoop(link, robot.system, listeners=[diary]).run(Script(lambda tick: FORWARD), samples=60)
+    assert report.reason is Reason.TRACKER_LOST
+    assert "frozen" in report.detail
+    neutral = next(command.time for command in diary.commands if command.time > 0.5 and not command.control.any())
+    assert neutral < 1.0 + 0.05 + 0.11
+
+
+def test_every_word_of_the_robot_is_told_once(robot):
+    diary = Diary()
+    link = FaultyRobot(robot, tripped_at=0.5).connect(seed=1)
+    ControlLoop(link, robot.system, listeners=[diary]).run(Script(lambda tick: FORWARD), samples=60)
+    assert len(diary.statuses) == 1

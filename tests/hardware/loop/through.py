@@ -21,7 +21,8 @@ from sysid_evo.motion import rotate
 class Faults:
     """When (s) frames lose the body, sending fails, the robot trips; ``slow``: frames that a send at a time takes.
 
-    ``placed`` is the pose of the tracker's origin, as the robot's frame sees it.
+    ``placed`` is the pose of the tracker's origin, as the robot's frame sees it, ``moved`` another one
+    from a time on; from ``frozen_at`` on all frames show the same pose.
     """
 
     lost: tuple[float, float] = (math.inf, math.inf)
@@ -29,6 +30,8 @@ class Faults:
     tripped_at: float = math.inf
     slow: dict[float, int] = dataclasses.field(default_factory=dict)
     placed: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    moved: tuple[float, tuple[float, float, float]] = (math.inf, (0.0, 0.0, 0.0))
+    frozen_at: float = math.inf
 
 
 class Through(Connection):
@@ -38,6 +41,7 @@ class Through(Connection):
         self.connection, self.faults = connection, faults
         self.closed = False
         self.waiting: list[Measurement | None] = []
+        self.frozen: Measurement | None = None
 
     @property
     def time(self) -> float:
@@ -60,7 +64,10 @@ class Through(Connection):
         frame = self.waiting.pop(0) if self.waiting else self.connection.measure(timeout)
         if frame is None:
             return None
-        x, y, heading = self.faults.placed
+        x, y, heading = self.faults.placed if self.time < self.faults.moved[0] else self.faults.moved[1]
+        if self.time >= self.faults.frozen_at:
+            self.frozen = self.frozen or frame
+            frame = dataclasses.replace(frame, pose=self.frozen.pose)
         dx, dy = rotate(frame.pose[0], frame.pose[1], np.array(heading))
         valid = not self.faults.lost[0] < self.time <= self.faults.lost[1]
         return dataclasses.replace(frame, valid=valid, pose=np.array([x + dx, y + dy, frame.pose[2] + heading]))

@@ -1,0 +1,1 @@
+"""Driving by hand: a local web page, the keys pressed on it, and the trials driven with them."""

@@ -1,0 +1,122 @@
+"""The keys that a person holds down, as they are known to the thread that drives."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.system import Channel, System
+
+FORWARD, BACKWARD, LEFT, RIGHT = 1, 2, 4, 8
+ALL_KEYS = FORWARD | BACKWARD | LEFT | RIGHT
+HOLD = 0.15  # s after the last word of the page by which the robot must be in neutral
+LATE = 0.1  # s on the way, more than the fastest, that make a word of the page too old to act on
+CREEP = 0.001  # s/s by which the fastest way is forgotten: more than two clocks drift apart
+
+
+@dataclass(frozen=True)
+class _Held:
+    keys: int
+    time: float
+
+
+class Keyboard:
+    """Which keys are held: a bit for each, set by one thread and read by another.
+
+    A person's word holds for ``life`` s, in which it must be repeated; without it no key is held.
+    A loop that asks once every dt is in neutral within 150 ms if ``life`` is 150 ms less dt.
+    ``clock`` is in s and never goes back.
+    """
+
+    def __init__(self, *, life: float, clock: Callable[[], float] = time.monotonic) -> None:
+        if not life > 0.0:
+            raise InvalidArgument(f"keyboard: expected keys to hold for more than 0 s, got {life}")
+        self.life = life
+        self._clock = clock
+        self._held = _Held(0, clock())
+        self._again = threading.Event()
+
+    def press(self, keys: int) -> None:
+        """Set which keys are held now."""
+        self._held = _Held(keys & ALL_KEYS, self._clock())
+
+    def release(self) -> None:
+        """Let go of all keys."""
+        self._held = _Held(0, self._clock())
+
+    @property
+    def keys(self) -> int:
+        """The keys that are held now."""
+        held = self._held
+        return held.keys if self._clock() - held.time <= self.life else 0
+
+    def ask_for_new_trial(self) -> None:
+        """Note that the person wants to start anew."""
+        self._again.set()
+
+    @property
+    def new_trial_wanted(self) -> bool:
+        """Whether the person wants to start anew; true until `take_new_trial`."""
+        return self._again.is_set()
+
+    def take_new_trial(self) -> bool:
+        """Return whether the person wanted to start anew since the last call."""
+        asked = self._again.is_set()
+        self._again.clear()
+        return asked
+
+
+class Punctuality:
+    """Tells which words of one page were held up on their way: they say what was, not what is.
+
+    The way of a word is what its stamp (s, the page's clock) lies behind its arrival (s, ours). The
+    clocks have nothing to do with each other, so it is compared with the fastest so far.
+    """
+
+    def __init__(self) -> None:
+        self._fastest: float | None = None
+        self._newest = 0.0
+
+    def on_time(self, stamp: float, arrival: float) -> bool:
+        way = arrival - stamp
+        if self._fastest is None:
+            self._fastest = way
+        else:
+            self._fastest = min(self._fastest + CREEP * max(0.0, arrival - self._newest), way)
+        self._newest = arrival
+        return way - self._fastest <= LATE
+
+
+def key_life(system: System) -> float:
+    """Return for how long a word of the page may hold in a loop at ``system.dt``; raises `InvalidArgument`."""
+    if system.dt >= HOLD:
+        raise InvalidArgument(
+            f"driving by hand: expected a sampling time below {HOLD} s, within which keys that are lost must mean "
+            f"neutral, got {system.dt} s"
+        )
+    return HOLD - system.dt
+
+
+def control_of(keys: int, system: System) -> Array:
+    """Return the control (nu,) for the keys that are held.
+
+    The first control propels, the last one steers (+1 is left); a key drives it to its limit.
+    Opposite keys cancel each other. Raises `InvalidArgument` for a control without limits.
+    """
+    control = system.neutral_control.copy()
+    control[0] = _deflected(system.controls[0], bool(keys & FORWARD) - bool(keys & BACKWARD))
+    if system.nu > 1:
+        control[-1] = _deflected(system.controls[-1], bool(keys & LEFT) - bool(keys & RIGHT))
+    return control
+
+
+def _deflected(channel: Channel, way: int) -> float:
+    if not channel.bounded:
+        raise InvalidArgument(
+            f"control {channel.name!r} has no finite limits for keys to drive it to: give low and high, or levels"
+        )
+    return (channel.neutral, channel.high, channel.low)[way]

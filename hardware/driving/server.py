@@ -1,0 +1,168 @@
+"""The web server of the page, in a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hardware.driving.access import Guard, new_token
+from hardware.driving.instruments import Instruments
+from hardware.driving.keyboard import Keyboard
+from hardware.driving.seats import InvalidWord, Seat, Seats
+from hardware.session import Session
+from sysid_evo.errors import InvalidArgument, LinkLost
+
+PAGE = Path(__file__).parent / "page"
+FILES = {"": "index.html", "drive.css": "drive.css", "drive.js": "drive.js", "view.js": "view.js"}
+"""What is served under which name."""
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+PERIOD = 0.02  # s between two readings that the page is sent
+WORD_BYTES = 256  # the longest thing that a page says
+MOST_CONNECTIONS = 32
+PING = 1.0  # s after which a page that does not answer is gone
+START_UP = 5.0  # s
+INVALID = 1008  # the web socket's code for a message that breaks the rules
+
+
+def make_app(instruments: Instruments, keyboard: Keyboard, *, token: str, host: str) -> Starlette:
+    """Return the page, its files and its web socket, all behind ``/token/``."""
+    seats = Seats(keyboard)
+
+    async def converse(page: WebSocket) -> None:
+        await page.accept()
+        seat = seats.take()
+        talking = asyncio.create_task(_tell(page, seat, seats, instruments))
+        try:
+            await _listen(page, seat)
+        except ValueError:
+            seat.leave()
+            await page.close(INVALID)
+        finally:
+            seat.leave()
+            talking.cancel()
+            with suppress(asyncio.CancelledError, WebSocketDisconnect):
+                await talking
+
+    files = [Route(f"/{name}", _file(PAGE / file)) for name, file in FILES.items()]
+    routes = [Mount(f"/{token}", routes=[*files, WebSocketRoute("/socket", converse)])]
+    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token, host=host)])
+
+
+class PageServer(Session):
+    """The page at ``url`` while it is open; it serves from a thread of its own.
+
+    ``port`` 0 takes a free one. ``died`` is called with a sentence, in that thread, if the server
+    ends before it is closed; all keys are released then. Raises `InvalidArgument` if the address
+    cannot be taken, `LinkLost` if the server does not start.
+    """
+
+    def __init__(
+        self,
+        instruments: Instruments,
+        keyboard: Keyboard,
+        *,
+        host: str,
+        port: int,
+        died: Callable[[str], None],
+    ) -> None:
+        token = new_token()
+        self._socket = _listening(host, port)
+        named = f"[{host}]" if ":" in host else host
+        self.url = f"http://{named}:{self._socket.getsockname()[1]}/{token}/"
+        self._keyboard = keyboard
+        self._died = died
+        self._closing = False
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                make_app(instruments, keyboard, token=token, host=host),
+                ws="websockets-sansio",
+                ws_max_size=WORD_BYTES,
+                ws_ping_interval=PING,
+                ws_ping_timeout=PING,
+                ws_per_message_deflate=False,
+                lifespan="off",
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                limit_concurrency=MOST_CONNECTIONS,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread = threading.Thread(target=self._serve, name="page server", daemon=True)
+        self._thread.start()
+        deadline = time.monotonic() + START_UP
+        while not self._server.started:
+            if not self._thread.is_alive() or time.monotonic() > deadline:
+                self.close()
+                raise LinkLost(f"the page's server did not start at {self.url} within {START_UP:.0f} s")
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        self._closing = True
+        self._server.should_exit = True
+        self._thread.join(START_UP)
+        self._socket.close()
+
+    def _serve(self) -> None:
+        try:
+            self._server.run(sockets=[self._socket])
+        finally:
+            self._keyboard.release()
+            if not self._closing:
+                self._died("the page's server ended")
+
+
+def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(_: Request) -> Response:
+        return FileResponse(path, headers=HEADERS)
+
+    return answer
+
+
+async def _listen(page: WebSocket, seat: Seat) -> None:
+    """Hear what the page says until it goes. Raises `InvalidWord` or another `ValueError`."""
+    while True:
+        message = await page.receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        if message.get("text") is None:
+            raise InvalidWord("expected text, got bytes")
+        seat.hear(json.loads(message["text"]), time.monotonic())
+
+
+async def _tell(page: WebSocket, seat: Seat, seats: Seats, instruments: Instruments) -> None:
+    """Send the page the setting once and the newest reading again and again."""
+    await page.send_json({"setting": instruments.setting()})
+    while True:
+        reading = {**instruments.reading(), "drives": seat.drives, "watchers": seats.watchers}
+        await page.send_text(json.dumps(reading, allow_nan=False))
+        await asyncio.sleep(PERIOD)
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except (OSError, OverflowError) as error:
+        raise InvalidArgument(f"the page cannot be served at {host}, port {port}: {error}") from error

@@ -1,0 +1,86 @@
+"""The emulated car on a pseudo-terminal: ``python -m hardware.terminal``.
+
+Prints one JSON line (port, tracker, pid) when it is ready, takes further faults as JSON lines on
+its input, and ends when its input closes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hardware.emulation.emulated_car import emulated_car
+from hardware.terminal.board import Board
+from hardware.terminal.faults import KINDS, Fault, FaultSchedule
+from hardware.terminal.journal import JournalWriter
+from hardware.terminal.moving_car import MovingCar
+from hardware.terminal.pose_stream import PoseStream
+from hardware.terminal.pseudo_port import PseudoPort
+from hardware.terminal.terminal import Terminal
+
+PRIORITY = -10  # board and tracker stand for machines of their own, which the host's load does not slow
+
+
+def main() -> None:
+    """Run the car until the host ends."""
+    options = _parser().parse_args()
+    for ending in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ending, lambda number, _: sys.exit(128 + number))
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    with tempfile.TemporaryDirectory(prefix="terminal-car-") as folder, contextlib.ExitStack() as open_things:
+        port = PseudoPort(options.port or Path(folder) / "port")
+        journal = JournalWriter(options.journal)
+        open_things.callback(journal.close)
+        wire, tracker = (
+            np.random.default_rng(s) for s in np.random.SeedSequence(options.seed, spawn_key=(1,)).spawn(2)
+        )
+        start = time.monotonic()
+        faults = FaultSchedule([Fault.read(json.loads(entry)) for entry in options.fault], start)
+        poses = PoseStream(options.tracker, options.body, faults, tracker)
+        open_things.callback(poses.close)
+        board = Board(port, faults, journal, wire)
+        car = MovingCar(emulated_car(seed=options.car), seed=options.seed, start=start)
+        port.plug()
+        open_things.callback(port.unplug)
+        host, number = options.tracker or ("", 0)
+        ready = {"port": str(port.link), "tracker": f"{host}:{number}" if host else None, "pid": os.getpid()}
+        sys.stdout.write(json.dumps(ready) + "\n")
+        sys.stdout.flush()
+        Terminal(port, board, car, poses, faults, journal).run(sys.stdin.fileno())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m hardware.terminal", description=__doc__)
+    parser.add_argument("--seed", type=int, default=None, help="of all noise and chances; drawn without it")
+    parser.add_argument("--car", type=int, default=None, help="seed of another car of the kind")
+    parser.add_argument("--body", default="car", help="name under which the tracker sees the car")
+    parser.add_argument("--tracker", type=_address, default=None, metavar="HOST:PORT", help="where frames are sent")
+    parser.add_argument("--port", type=Path, default=None, help="link that points to the serial port")
+    parser.add_argument("--journal", type=Path, default=None, help="file for what the buttons and the wire did")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="JSON",
+        help='such as {"kind": "unplug", "at": 3, "duration": 1}; kinds: ' + ", ".join(KINDS),
+    )
+    return parser
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    return host, int(port)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Measurements of the control loop on emulated robots."""

@@ -1,0 +1,107 @@
+"""How late and how noisy the estimator is: ``python -m tests.benchmarks.robot.estimator``.
+
+The emulated car is driven by the control loop through the manoeuvres of a recording; the estimate
+that the pilot is given at every sample is compared with the true state, which the car tells.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hardware.emulation.emulated_robot import EmulatedConnection
+from hardware.listener import Listener
+from hardware.loop.control_loop import ControlLoop
+from hardware.loop.delay import EstimateDelay, estimator_delays, measure_delays
+from hardware.loop.estimator import LAG, WINDOW, PoseEstimator
+from hardware.loop.pilot import Estimate, Pilot
+from hardware.measurement import Measurement
+from hardware.recording.excitation import Manoeuvre, excitation
+from sysid_evo.arrays import Array
+from sysid_evo.registry import make_robot
+
+
+class Witness(Listener):
+    """Writes down the true state at every frame."""
+
+    def __init__(self, connection: EmulatedConnection) -> None:
+        self.connection = connection
+        self.times: list[float] = []
+        self.states: list[Array] = []
+
+    def measured(self, measurement: Measurement) -> None:
+        self.times.append(self.connection.time)
+        self.states.append(self.connection.state)
+
+
+class Script(Pilot):
+    """Drives a manoeuvre and keeps the estimates."""
+
+    def __init__(self, manoeuvre: Manoeuvre) -> None:
+        self.controls = manoeuvre.controls
+        self.times: list[float] = []
+        self.states: list[Array] = []
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        self.times.append(estimate.time)
+        self.states.append(estimate.state)
+        return self.controls[tick]
+
+
+def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[EstimateDelay, ...]:
+    """Return how late the estimates are on the emulated car."""
+    robot = make_robot("emulated_car")
+    system = robot.system
+    truth: tuple[list[float], list[Array]] = ([], [])
+    known: tuple[list[float], list[Array]] = ([], [])
+    offset = 0.0
+    for number, manoeuvre in enumerate(excitation(system, duration=seconds, rng=np.random.default_rng(seed))):
+        with robot.connect(seed=seed + number) as connection:
+            witness, script = Witness(connection), Script(manoeuvre)
+            estimator = PoseEstimator(system, window=window, lag=lag)
+            loop = ControlLoop(connection, system, listeners=[witness], estimator=estimator)
+            loop.run(script, samples=len(manoeuvre.controls))
+            for kept, heard in ((truth, witness), (known, script)):
+                kept[0].extend(offset + time for time in heard.times)
+                kept[1].extend(heard.states)
+            offset += connection.time + robot.system.dt
+    return measure_delays(system, *(np.array(part) for part in (*truth, *known)))
+
+
+def table(title: str, delays: tuple[EstimateDelay, ...]) -> Table:
+    """Return the delays as a table."""
+    shown = Table(title=title)
+    for head in ("state", "delay", "correlation", "error, delay taken out", "error, as it is used"):
+        shown.add_column(head, justify="left" if head == "state" else "right")
+    for d in delays:
+        shown.add_row(
+            d.channel,
+            f"{1000 * d.seconds:.1f} ms",
+            f"{d.correlation:.4f}",
+            f"{d.error:.3f} {d.unit}",
+            f"{d.error_now:.3f} {d.unit}",
+        )
+    return shown
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--window", type=float, nargs="*", default=[WINDOW], help="s")
+    parser.add_argument("--lag", type=float, nargs="*", default=[LAG], help="s")
+    options = parser.parse_args()
+    out = Console()
+    system = make_robot("emulated_car").system
+    out.print(table("Known drive, 200 frames/s, no noise", estimator_delays(system, frame_interval=0.005)))
+    for window in options.window:
+        for lag in options.lag:
+            delays = measure(window=window, lag=lag, seconds=options.seconds, seed=options.seed)
+            out.print(table(f"Emulated car, window {1000 * window:.0f} ms, lag {1000 * lag:.0f} ms", delays))
+
+
+if __name__ == "__main__":
+    main()

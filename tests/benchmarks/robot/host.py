@@ -1,0 +1,109 @@
+"""A host that drives the car in circles until something happens to it: ``python -m tests.benchmarks.robot.host``.
+
+It is the program that the stress tests kill, stop and cut off: the control loop, the serial link and
+the tracker of a real run. It ends with the exit code of its loop's report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hardware.emulation.car_physics import CAR
+from hardware.link.serial_robot import SerialRobot
+from hardware.listener import Command, Listener
+from hardware.loop.control_loop import ControlLoop
+from hardware.loop.pilot import Estimate, Pilot
+from hardware.loop.report import LoopReport
+from hardware.loop.stops import Stops
+from hardware.measurement import Measurement
+from hardware.terminal.journal import JournalWriter
+from hardware.trackers.gates import PoseGate
+from hardware.trackers.udp import UdpTracker
+from sysid_evo.arrays import Array
+from sysid_evo.errors import IncompatibleRobot, LinkLost
+
+BODY = "car"
+REFUSED = 20  # exit code of a session that could not be opened
+
+
+class Circles(Pilot):
+    """Full speed ahead and left, every other sample straight on, so that each command differs from the last."""
+
+    def __init__(self, log: JournalWriter, *, exception_at: int | None) -> None:
+        self._log = log
+        self._exception_at = exception_at
+
+    def decide(self, tick: int, estimate: Estimate) -> Array:
+        seen = {"tick": tick, "age": estimate.age, "pose": estimate.pose.tolist(), "state": estimate.state.tolist()}
+        self._log.note(time.monotonic(), "decide", seen)
+        if tick == self._exception_at:
+            self._log.note(time.monotonic(), "fails")
+            raise ArithmeticError("as asked for")
+        return np.array([1.0, float(tick % 2)])
+
+
+class Log(Listener):
+    """Notes every frame that comes, at the time it was taken, and every command that is sent."""
+
+    def __init__(self, log: JournalWriter) -> None:
+        self._log = log
+
+    def measured(self, measurement: Measurement) -> None:
+        self._log.note(measurement.source_time, "frame", measurement.valid)
+
+    def commanded(self, command: Command) -> None:
+        self._log.note(command.time, "sent", {"tick": command.tick, "control": command.control.tolist()})
+
+
+def drive(options: argparse.Namespace, log: JournalWriter) -> LoopReport:
+    """Drive until the samples are over or something ends the run."""
+    robot = SerialRobot(port=options.port, tracker=UdpTracker(BODY, options.tracker, clock="host"))
+    with Stops() as stops, robot.connect() as connection:
+        if options.thread_dies_after is not None:
+            threading.Timer(options.thread_dies_after, _die, [log]).start()
+        loop = ControlLoop(connection, CAR, listeners=[Log(log)], gate=PoseGate(BODY), stops=stops)
+        return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
+
+
+def _die(log: JournalWriter) -> None:
+    log.note(time.monotonic(), "fails")
+    raise ArithmeticError("as asked for")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--port", required=True)
+    parser.add_argument("--tracker", type=int, required=True, help="port that frames are sent to")
+    parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--samples", type=int)
+    parser.add_argument("--exception-at", type=int, help="sample at which the pilot fails")
+    parser.add_argument("--thread-dies-after", type=float, help="s")
+    options = parser.parse_args()
+    log = JournalWriter(options.log)
+    try:
+        report = drive(options, log)
+    except (IncompatibleRobot, LinkLost) as error:
+        log.note(time.monotonic(), "ended", {"reason": "REFUSED", "detail": str(error)})
+        return REFUSED
+    figures = {
+        "reason": report.reason.name,
+        "detail": report.detail,
+        "lateness": report.lateness.tolist(),
+        "gaps": report.gaps.tolist(),
+        "drift": report.drift,
+        "skipped": report.skipped,
+        "stale": report.stale,
+        "rejected": dict(report.rejected),
+    }
+    log.note(time.monotonic(), "ended", figures)
+    return report.reason.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""What a stress test found: rows of a table, each with its verdict."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True)
+class Row:
+    """``passed`` of ``count`` repetitions of ``case`` met ``demand``; ``figures`` are what was measured."""
+
+    case: str
+    demand: str
+    passed: int
+    count: int
+    figures: dict[str, Any]
+
+    @property
+    def holds(self) -> bool:
+        return self.passed == self.count
+
+
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """Return median and largest of ``values`` (s), in ms."""
+    if not values:
+        return {}
+    return {"median_ms": round(1000.0 * float(np.median(values)), 1), "worst_ms": round(1000.0 * max(values), 1)}
+
+
+def show(rows: Sequence[Row], console: Console) -> None:
+    """Print ``rows`` as a table."""
+    table = Table("case", "demand", "passed", "figures")
+    for row in rows:
+        figures = ", ".join(f"{name} {value}" for name, value in row.figures.items())
+        table.add_row(row.case, row.demand, f"{row.passed} of {row.count}", figures)
+    console.print(table)
+
+
+def save(rows: Sequence[Row], path: Path) -> None:
+    """Write ``rows`` as JSON."""
+    listed = [{**vars(row), "holds": row.holds} for row in rows]
+    path.write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,133 @@
+"""What ends a run from outside, in real time: a second or less each, with generous bounds."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hardware.loop.control_loop import ControlLoop
+from hardware.loop.report import LoopReport, Reason
+from hardware.loop.stops import SIGNALS, Stops
+from sysid_evo.arrays import Array
+from sysid_evo.registry import make_robot
+
+from .paced import Paced
+from .through import Script
+
+FORWARD = np.array([1.0, 0.0])
+PROMPT = 0.05  # s
+DEAD = 137
+
+
+def run_until(stops: Stops, act: Callable[[], None], control: Callable[[int], Array]) -> tuple[LoopReport, float]:
+    """Drive in real time, call ``act`` on another thread after 0.4 s; return the report and how long the stop took."""
+    robot = make_robot("emulated_car")
+    acted: list[float] = []
+
+    def later() -> None:
+        time.sleep(0.4)
+        acted.append(time.monotonic())
+        act()
+
+    with Paced(robot.connect(seed=1)) as link:
+        thread = threading.Thread(target=later, name="another")
+        thread.start()
+        report = ControlLoop(link, robot.system, stops=stops).run(Script(control), samples=40)
+        thread.join()
+        assert link.closed is not None
+        return report, link.closed - acted[0]
+
+
+@pytest.mark.parametrize("number", list(SIGNALS))
+def test_signal_closes_the_connection_within_50_ms_and_is_the_reason(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with Stops() as stops:
+        report, took = run_until(stops, lambda: os.kill(os.getpid(), number), lambda tick: FORWARD)
+    assert report.reason is SIGNALS[number]
+    assert report.reason.exit_code == 128 + number
+    assert took < PROMPT
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_dying_thread_closes_the_connection_and_is_named() -> None:
+    told: list[str] = []
+    hook = threading.excepthook
+    threading.excepthook = lambda arguments: told.append(arguments.exc_type.__name__)
+    try:
+        with Stops() as stops:
+
+            def die() -> None:
+                raise ZeroDivisionError("no more")
+
+            report, took = run_until(stops, die, lambda tick: FORWARD)
+        assert report.reason is Reason.THREAD_DIED
+        assert report.sentence == "a thread died: another: ZeroDivisionError: no more"
+        assert took < PROMPT
+        assert told == ["ZeroDivisionError"], "who looked after dying threads before still does"
+    finally:
+        threading.excepthook = hook
+
+
+def test_request_of_another_thread_ends_the_run_and_the_first_one_counts() -> None:
+    stops = Stops()
+
+    def ask() -> None:
+        stops.request(Reason.LINK_LOST, "unplugged")
+        stops.request(Reason.SIGTERM)
+
+    report, took = run_until(stops, ask, lambda tick: FORWARD)
+    assert report.sentence == "the link to the robot or its tracker was lost: unplugged"
+    assert took < PROMPT
+
+
+def test_second_signal_interrupts_whatever_runs() -> None:
+    with Stops() as stops:
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        assert stops.reason is Reason.SIGTERM
+
+
+def test_stop_that_came_before_the_run_lets_nothing_drive() -> None:
+    robot = make_robot("emulated_car")
+    stops = Stops()
+    stops.request(Reason.SIGINT)
+    script = Script(lambda tick: FORWARD)
+    report = ControlLoop(robot.connect(seed=1), robot.system, stops=stops).run(script, samples=5)
+    assert report.reason is Reason.SIGINT
+    assert script.ticks == []
+
+
+def test_loop_keeps_time_in_real_time() -> None:
+    """A busy machine may be late, but the schedule stays: a second of ticks takes a second."""
+    robot = make_robot("emulated_car")
+    with Paced(robot.connect(seed=1)) as link:
+        report = ControlLoop(link, robot.system).run(Script(lambda tick: FORWARD), samples=20)
+        driven = [at for at, control in link.sent if control.any()]
+    assert report.reason is Reason.SAMPLES
+    assert report.ticks + report.skipped == 20
+    assert driven[-1] - driven[0] == pytest.approx(0.95, abs=0.2)
+    assert (report.lateness >= 0.0).all()
+    assert np.median(report.lateness) < 0.02
+    assert report.gaps.sum() == pytest.approx(driven[-1] - driven[0], abs=0.05)
+
+
+def test_drift_is_how_much_later_the_last_ticks_are_than_the_first() -> None:
+    lateness = np.concatenate([np.full(150, 0.001), np.full(150, 0.004)])
+    report = LoopReport(Reason.SAMPLES, "", lateness, np.full(299, 0.05))
+    assert report.drift == pytest.approx(0.003)
+    assert LoopReport(Reason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
+
+
+def test_every_fault_has_an_exit_code_of_its_own_and_an_orderly_end_none() -> None:
+    codes = [reason.exit_code for reason in Reason if reason.is_fault]
+    assert len(set(codes)) == len(codes)
+    assert not {0, 1, 2, DEAD} & set(codes)
+    assert {reason for reason in Reason if not reason.is_fault} == {Reason.SAMPLES, Reason.PILOT}

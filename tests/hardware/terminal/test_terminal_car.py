@@ -1,0 +1,78 @@
+"""The emulated car behind the connection of a physical robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hardware.emulation.car_physics import CAR
+from hardware.robot import Connection
+from hardware.terminal.faults import Fault
+from hardware.terminal.journal import read_journal
+from hardware.terminal.terminal_car import TerminalCar
+from sysid_evo.errors import InvalidArgument, LinkLost
+from sysid_evo.registry import make_robot
+
+FORWARD = np.array([1.0, 0.0])
+
+
+def test_it_drives_where_it_is_told(tmp_path: Path) -> None:
+    car = TerminalCar(journal=tmp_path / "journal")
+    with car.connect(seed=1) as connection:
+        poses = []
+        for _ in range(20):
+            connection.send(FORWARD, valid_for=0.15)
+            due = connection.time + 0.05
+            while (left := due - connection.time) > 0.0:
+                frame = connection.measure(left)
+                if frame is not None:
+                    poses.append(frame.pose)
+        assert connection.status is not None
+        assert connection.status.state == "driving"
+        np.testing.assert_array_equal(connection.status.control, FORWARD)
+    assert poses[-1][0] > 0.3
+    entries = read_journal(tmp_path / "journal")
+    assert entries[-1].event == "end"
+    assert [entry.value for entry in entries if entry.event == "buttons"] == [1, 0]
+
+
+def test_closing_ends_the_process_and_a_second_time_does_nothing() -> None:
+    connection = TerminalCar().connect(seed=1)
+    connection.close()
+    connection.close()
+    assert not Path(connection.process.port).exists()
+    with pytest.raises(LinkLost, match="closed"):
+        connection.measure(0.0)
+
+
+def test_a_pulled_plug_is_a_lost_link() -> None:
+    with TerminalCar(faults=[Fault(kind="unplug", at=0.5)]).connect(seed=1) as connection:
+        with pytest.raises(LinkLost, match="gone"):
+            _watch(connection, 10.0)
+        with pytest.raises(LinkLost, match="gone"):
+            connection.send(FORWARD, valid_for=0.15)
+
+
+def _watch(connection: Connection, seconds: float) -> None:
+    deadline = connection.time + seconds
+    while connection.time < deadline:
+        connection.measure(0.05)
+
+
+def test_the_registry_makes_the_nominal_car_another_one_and_one_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text('driver = "terminal_car"\nseed = 4\nfaults = [{kind = "unplug", at = 3, duration = 1}]\n')
+    assert make_robot("terminal_car").name == "terminal_car"
+    assert make_robot("terminal_car:3").car == 3
+    robot = make_robot(str(file))
+    assert robot.name == "terminal_car:4"
+    assert robot.faults == (Fault(kind="unplug", at=3.0, duration=1.0),)
+    assert robot.system == CAR
+    assert robot.dynamics is None
+
+
+def test_a_fault_that_is_none_is_refused_before_anything_starts() -> None:
+    with pytest.raises(InvalidArgument, match="expected one of flip"):
+        TerminalCar(faults=[{"kind": "gremlin"}])

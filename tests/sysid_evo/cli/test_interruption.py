@@ -1,0 +1,48 @@
+"""Ctrl-C in the middle of a fit: a clear sentence, nothing half-written, and the run goes on afterwards."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from sysid_evo.testing import example_dataset
+from tests.sysid_evo.cli.test_commands import run
+
+PLUGIN = """
+import signal
+from pathlib import Path
+
+import numpy as np
+
+from sysid_evo import DynamicsModel, register_model
+
+
+@register_model("interrupted")
+class Interrupted(DynamicsModel):
+    def fit(self, dataset, *, rng, progress=None):
+        self.half_ = np.zeros(3)
+        progress(1, 2)
+        if not Path("second").exists():
+            signal.raise_signal(signal.SIGINT)
+        return self
+
+    def next_state(self, carry, control):
+        return carry
+"""
+
+
+def test_an_interrupted_fit_is_said_leaves_nothing_and_is_made_good_by_the_same_command(tmp_path: Path) -> None:
+    logs = example_dataset().save(tmp_path / "car")
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    command = ("fit", logs, "--plugin", "mine.py", "--models", "linear,interrupted", "--out", "out")
+    stopped = run(*command, cwd=tmp_path)
+    assert stopped.returncode == 130
+    assert "interrupted: fit interrupted. Nothing unfinished is kept; go on with --out out" in stopped.stderr
+    assert "Traceback" not in stopped.stderr
+    kept = sorted(file.name for file in (tmp_path / "out" / "models").iterdir())
+    assert kept == ["linear-0.json", "linear-0.safetensors"]
+    (tmp_path / "second").touch()
+    again = run(*command, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert "kept" in again.stderr
+    assert (tmp_path / "out" / "models" / "interrupted-0.json").is_file()
