@@ -23,7 +23,6 @@ from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
 from hardware.terminal.journal import JournalWriter
-from hardware.trackers.gates import PoseGate
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleRobot, LinkLost
@@ -67,7 +66,7 @@ def drive(options: argparse.Namespace, log: JournalWriter) -> LoopReport:
     with Stops() as stops, robot.connect() as connection:
         if options.thread_dies_after is not None:
             threading.Timer(options.thread_dies_after, _die, [log]).start()
-        loop = ControlLoop(connection, CAR, listeners=[Log(log)], gate=PoseGate(BODY), stops=stops)
+        loop = ControlLoop(connection, CAR, listeners=[Log(log)], stops=stops)
         return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
 
 
