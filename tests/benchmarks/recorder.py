@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
 from hardware.emulation.car_physics import CAR
 from hardware.listener import Command
@@ -119,13 +120,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         trials = [kill_once(Path(folder) / f"{i}.rcj", delay=rng.uniform(0.0, 0.3)) for i in range(arguments.kills)]
         durations = call_times(Path(folder) / "timed.rcj")
+    console = Console(width=160)
     lost = [trial.lost for trial in trials]
-    print(
+    console.print(
         f"{len(trials)} kills of a recorder at {np.median([t.stored for t in trials]):.0f} records (median): "
         f"{len(trials)} journals readable, {sum(n == 0 for n in lost)} lost nothing, {sum(n == 1 for n in lost)} one "
         f"record, {sum(n > 1 for n in lost)} more; {sum(t.torn > 0 for t in trials)} had a torn tail"
     )
-    print(
+    console.print(
         f"a call: median {np.median(durations) * 1e6:.0f} us, p99 {np.quantile(durations, 0.99) * 1e6:.0f} us, "
         f"p99.9 {np.quantile(durations, 0.999) * 1e6:.0f} us, longest {durations.max() * 1e6:.0f} us of {CALLS}"
     )

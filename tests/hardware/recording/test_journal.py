@@ -7,6 +7,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -213,6 +214,20 @@ def test_commands_are_in_force_for_150_ms_at_most(path):
     log = raw_log(read_journal(path))
     assert np.flatnonzero(log.controls[:, 0] == 0.0)[0] == 31
     assert log.pose[:, 0] == pytest.approx(0.005 * np.arange(61))
+
+
+def test_break_of_the_track_leaves_a_hole_that_no_preparation_bridges(path):
+    with Recorder(path, CAR, robot="toy") as recorder:
+        recorder.measured(measurement(0))
+        recorder.commanded(Command(0, 5.0, 5.0, np.array([1.0, 0.0])))
+        for number in range(1, 61):
+            told = measurement(number)
+            frozen = 10 <= number < 21
+            recorder.measured(replace(told, pose=np.array([0.05, -2.0, 0.5])) if frozen else told)
+    log = raw_log(read_journal(path))
+    (hole,) = np.flatnonzero(np.diff(log.time) > 0.006)
+    assert log.time[hole] == pytest.approx(0.005 * 19)
+    assert np.diff(log.time)[hole] == pytest.approx(0.03)
 
 
 def test_journal_without_a_run_is_refused_as_a_log(path):

@@ -172,25 +172,44 @@ def test_physical_robot_stays_connected_and_rests_between_manoeuvres(robot, rng,
     assert np.abs(session.states[600:800]).max() < np.abs(session.states[:400]).max()
 
 
-def test_jump_of_the_tracker_splits_the_recording(rng, recorded):
-    class Jumping(Watched):
-        def measure(self, timeout: float) -> Measurement | None:
-            frame = super().measure(timeout)
-            if frame is None or frame.frame < 400:
-                return frame
-            return replace(frame, pose=np.add(frame.pose, [0.4, 0.0, 0.0]), valid=not 400 <= frame.frame < 418)
+class Jumping(Watched):
+    """From frame 400 on the body seems to be 0.4 m away, at once or after a gap of ``gap`` frames."""
 
-    class JumpingRobot(WatchedRobot):
-        def connect(self, *, seed: int | None = None) -> Connection:
-            self.sessions.append(Jumping(self.robot.connect(seed=seed), range(0), np.inf))
-            return self.sessions[-1]
+    gap = 0
 
+    def measure(self, timeout: float) -> Measurement | None:
+        frame = super().measure(timeout)
+        if frame is None or frame.frame < 400:
+            return frame
+        return replace(frame, pose=np.add(frame.pose, [0.4, 0.0, 0.0]), valid=frame.frame >= 400 + self.gap)
+
+
+class JumpingRobot(WatchedRobot):
+    gap = 0
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        session = Jumping(self.robot.connect(seed=seed), range(0), np.inf)
+        session.gap = self.gap
+        self.sessions.append(session)
+        return session
+
+
+def test_jump_after_a_gap_splits_the_recording(rng, recorded):
     robot = JumpingRobot(make_robot("emulated_car"))
+    robot.gap = 18
     (log,) = recorded(robot, [short(rng, 80)])
     assert recorded.report.reason is Reason.PILOT
     dataset = prepared([log], robot.system)
     assert len(dataset) == 2
     assert all(np.abs(episode.states[:, :2]).max() < 1.5 for episode in dataset.episodes)
+
+
+def test_jump_that_no_robot_can_make_ends_the_recording(rng, recorded):
+    robot = JumpingRobot(make_robot("emulated_car"))
+    (log,) = recorded(robot, [short(rng, 80)])
+    assert recorded.report.reason is Reason.TRACKER_LOST
+    assert "jumped" in recorded.report.sentence
+    assert log.time[-1] == pytest.approx(1.995)
 
 
 def test_prepared_recording_agrees_with_the_true_states(robot, recorded):

@@ -1,0 +1,153 @@
+"""OptiTrack, against a server of this file that sends what the package natnet parses."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hardware.trackers.axes import Axes
+from sysid_evo.errors import LinkLost
+from sysid_evo.registry import trackers
+
+pytest.importorskip("natnet")
+
+PERIOD = 0.005  # s
+BODIES = {"truck": 7, "car": 12}
+
+
+def about(axis: int, angle: float) -> tuple[float, ...]:
+    """Return the quaternion (x, y, z, w) of a turn about one axis."""
+    vector = [0.0, 0.0, 0.0]
+    vector[axis] = math.sin(angle / 2)
+    return (*vector, math.cos(angle / 2))
+
+
+class MotiveServer:
+    """Answers on a UDP port as Motive does in unicast: server info, list of rigid bodies, frames at 200 Hz."""
+
+    def __init__(self, version: tuple[int, int]) -> None:
+        self.version = version
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(PERIOD)
+        self.port = self.socket.getsockname()[1]
+        self.client = None
+        self.number = 0
+        self.garbage = False
+        self.lost = range(0)
+        self.stop = threading.Event()
+        self.thread = threading.Thread(target=self.serve)
+        self.thread.start()
+
+    def close(self) -> None:
+        self.stop.set()
+        self.thread.join()
+        self.socket.close()
+
+    def serve(self) -> None:
+        described = False
+        due = time.monotonic()
+        while not self.stop.is_set():
+            try:
+                data, address = self.socket.recvfrom(2048)
+            except TimeoutError:
+                pass
+            else:
+                (kind,) = struct.unpack_from("<H", data)
+                if kind == 0:
+                    self.socket.sendto(self.packet(1, self.info()), address)
+                if kind == 4:
+                    self.socket.sendto(self.packet(5, self.description()), address)
+                    self.client, described = address, True
+            if described and time.monotonic() >= due:
+                due = time.monotonic() + PERIOD
+                self.number += 1
+                if self.garbage:
+                    self.garbage = False
+                    self.socket.sendto(b"\x07\x00\x10\x00short", self.client)
+                self.socket.sendto(self.packet(7, self.frame()), self.client)
+
+    @staticmethod
+    def packet(kind: int, payload: bytes) -> bytes:
+        return struct.pack("<HH", kind, len(payload)) + payload
+
+    def sized(self, payload: bytes) -> bytes:
+        return (struct.pack("<I", len(payload)) if self.version >= (4, 1) else b"") + payload
+
+    def info(self) -> bytes:
+        return b"Motive".ljust(256, b"\0") + bytes([3, 1, 0, 0]) + bytes([*self.version, 0, 0])
+
+    def description(self) -> bytes:
+        out = struct.pack("<I", len(BODIES))
+        for name, number in BODIES.items():
+            body = name.encode() + b"\0" + struct.pack("<II3f", number, 0, 0.0, 0.0, 0.0)
+            body += struct.pack("<4f", 0, 0, 0, 1) if self.version >= (4, 2) else b""
+            out += struct.pack("<I", 1) + self.sized(body + struct.pack("<I", 0))
+        return out
+
+    def frame(self) -> bytes:
+        nothing = struct.pack("<I", 0) + self.sized(b"")
+        angle = 0.01 * self.number
+        poses = {7: ((9.0, 9.0, 9.0), about(1, 0.0)), 12: ((0.5, 0.1, -0.001 * self.number), about(1, angle))}
+        bodies = b"".join(
+            struct.pack("<I3f4ffH", number, *position, *rotation, 0.0, self.number not in self.lost)
+            for number, (position, rotation) in poses.items()
+        )
+        rigid = struct.pack("<I", len(poses)) + self.sized(bodies)
+        others = nothing * (5 if self.version >= (4, 1) else 4)
+        suffix = struct.pack("<IIdQQQH", 0, 0, 1000.0 + PERIOD * self.number, 0, 0, 0, 0)
+        return struct.pack("<I", self.number) + nothing * 2 + rigid + others + suffix
+
+
+@pytest.fixture(params=[(3, 0), (4, 1)])
+def server(request):
+    server = MotiveServer(request.param)
+    yield server
+    server.close()
+
+
+def test_rigid_body_is_streamed_with_its_own_times(server):
+    with trackers.make("natnet", body="car", command_port=server.port).open() as stream:
+        frames = [stream.read(5.0) for _ in range(60)]
+    numbers = np.array([frame.frame for frame in frames])
+    assert np.all(np.diff(numbers) == 1)
+    assert all(frame.valid and frame.body == "car" for frame in frames)
+    poses = np.array([frame.pose for frame in frames])
+    assert poses[:, 0] == pytest.approx(np.full(60, 0.5))
+    assert poses[:, 1] == pytest.approx(0.001 * numbers, abs=1e-6)
+    assert np.unwrap(poses[:, 2]) == pytest.approx(np.unwrap(np.remainder(0.01 * numbers, 2 * np.pi)), abs=1e-5)
+    assert np.diff([frame.source_time for frame in frames])[20:] == pytest.approx(PERIOD, abs=2e-3)
+    assert all(frame.source_time <= frame.arrival_time <= time.monotonic() for frame in frames)
+
+
+def test_body_that_is_lost_is_not_valid_and_garbage_is_survived(server):
+    with trackers.make("natnet", body="car", command_port=server.port).open() as stream:
+        first = stream.read(5.0).frame
+        server.lost = range(first + 10, first + 15)
+        frames = [stream.read(5.0) for _ in range(30)]
+        assert [frame.frame for frame in frames if not frame.valid] == list(server.lost)
+        server.garbage = True
+        for _ in range(60):
+            frame = stream.read(1.0)
+            assert frame is not None
+            assert frame.valid
+
+
+def test_unknown_body_and_silent_server_are_a_lost_link(server):
+    with pytest.raises(LinkLost, match="no rigid body is called 'cat'; the server has: truck, car"):
+        trackers.make("natnet", body="cat", command_port=server.port).open()
+    with pytest.raises(LinkLost, match="no NatNet server answers"):
+        trackers.make("natnet", body="car", command_port=1).open()
+
+
+@pytest.mark.parametrize("angle", [-3.0, -0.5, 0.0, 1.0, 3.1])
+def test_either_axis_up_gives_the_same_plane(angle):
+    seen = Axes("z", heading_offset=0.1).planar((1.0, 2.0, 0.3), about(2, angle))
+    assert seen == pytest.approx([1.0, 2.0, math.remainder(angle + 0.1, 2 * math.pi)])
+    assert Axes("y", 0.001, 0.1).planar((1000.0, 300.0, -2000.0), about(1, angle)) == pytest.approx(seen)
