@@ -18,7 +18,7 @@ from typing import Any, Self
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-START_UP = 30.0  # s
+START_UP = 60.0  # s
 ANSWER = 20.0  # s
 KEY_CODES = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Space": 32, "KeyR": 82, "KeyW": 87}
 

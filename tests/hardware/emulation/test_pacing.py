@@ -43,15 +43,17 @@ def test_a_command_is_in_force_no_longer_than_it_is_valid_however_late_the_next_
     with paced, simulated:
         forward = np.array([1.0, 0.0])
         first = paced.measure(1.0)
+        time.sleep(0.3)
         paced.send(forward, valid_for=0.15)
         sent_after = paced.simulated.frame
+        assert sent_after * PERIOD > 0.29
         for _ in range(sent_after + 1):
             simulated.measure(1.0)
         simulated.send(forward, valid_for=0.15)
         time.sleep(0.6)
-        while (late := paced.measure(0.0)) is not None and late.frame < 110:
+        while (late := paced.measure(0.0)) is not None and late.frame < 170:
             pass
-        while (wanted := simulated.measure(1.0)).frame < 110:
+        while (wanted := simulated.measure(1.0)).frame < 170:
             pass
         assert late is not None
         np.testing.assert_array_equal(late.pose, wanted.pose)
