@@ -100,7 +100,8 @@ def record(
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
     stops = Stops() if stops is None else stops
-    with ExitStack() as stack:
+    # Journals wait for the disk when they close, which may take longer than a robot goes without a command.
+    with ExitStack() as journals, ExitStack() as stack:
         connection: Connection | None = None
         for number, manoeuvre in enumerate(manoeuvres):
             if connection is None or robot.dynamics is not None:
@@ -112,8 +113,9 @@ def record(
                 if report.reason.is_fault:
                     return report
             told = None if progress is None else _counter(progress, done, total)
-            with Recorder(folder / f"{manoeuvre.name}{SUFFIX}", robot.system, robot=robot.name) as recorder:
-                report = _run(connection, robot, manoeuvre, (recorder,), limits, stops, told)
+            path = folder / f"{manoeuvre.name}{SUFFIX}"
+            recorder = journals.enter_context(Recorder(path, robot.system, robot=robot.name))
+            report = _run(connection, robot, manoeuvre, (recorder,), limits, stops, told)
             if recorder.problem is not None:
                 raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
             if report.reason.is_fault:
