@@ -6,7 +6,7 @@ import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from sklearn.base import clone
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 DEGREES = (2, 3)
 THRESHOLDS = (0.01, 0.03, 0.06, 0.1)
 MOST_TERMS = 250
+SEARCH_FOLDS = 3
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,6 @@ class SparsePolynomial(DynamicsModel):
     """
 
     knowledge = "dark grey"
-    search_folds: ClassVar[int] = 3
     degree: int | None
     threshold: float | None
     ridge: float
@@ -92,24 +92,46 @@ class SparsePolynomial(DynamicsModel):
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
 
-    def coefficients(
-        self, data: Regression, degree: int, threshold: float, rng: np.random.Generator
-    ) -> tuple[Array, IntArray]:
-        """Return coefficients (T, nx) and exponents (T, n) for ``data``."""
-        return sparse_coefficients(data, degree, threshold, self.ridge)
-
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+    def check_options(self) -> None:
+        """Raise `InvalidArgument` if a hyper-parameter cannot be."""
         if self.ridge < 0 or (self.threshold or 0.0) < 0 or (self.degree is not None and self.degree < 1):
             raise InvalidArgument(
                 f"sparse regression: expected degree >= 1, threshold >= 0 and ridge >= 0, "
                 f"got {self.degree}, {self.threshold}, {self.ridge}"
             )
+
+    def learn(
+        self,
+        dataset: Dataset,
+        degree: int,
+        threshold: float,
+        rng: np.random.Generator,  # for those that draw
+        counter: Counter,  # for those that take long
+    ) -> None:
+        """Learn the polynomial from all of ``dataset``, once degree, threshold and lags are chosen."""
+        self.learn_once(dataset, degree, threshold)
+
+    def learn_once(self, dataset: Dataset, degree: int, threshold: float) -> None:
+        """Learn the polynomial by one sparse regression."""
+        data = self.regression(dataset, self.lags)
+        self.adopt(data, *sparse_coefficients(data, degree, threshold, self.ridge))
+
+    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
+        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        used = used if len(used) else np.array([0])
+        self.coefficients_ = np.ascontiguousarray(coefficients[used])
+        self.exponents_ = np.ascontiguousarray(exponents[used])
+        self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        self.check_options()
         settings = self._settings(dataset)
         chosen = settings[0]
         searched = len(settings) if len(settings) > 1 else 0
-        counter = Counter(progress, searched * self.search_folds + 1)
+        counter = Counter(progress, searched * SEARCH_FOLDS + 1)
         if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(self.search_folds)]
+            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
             errors = []
             for degree, threshold, lags in settings:
                 trial = clone(self).set_params(
@@ -118,7 +140,7 @@ class SparsePolynomial(DynamicsModel):
                 trial.system_, trial.envelope_ = self.system_, self.envelope_
                 error = 0.0
                 for learned, held in folds:
-                    trial._learn(learned, degree, threshold, lags, rng)
+                    trial.learn_once(learned, degree, threshold)
                     windows = validation_windows(held, trial.n_lags)
                     error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
                     counter.advance()
@@ -130,7 +152,7 @@ class SparsePolynomial(DynamicsModel):
         if self.control_lags is None:
             self.control_lags_ = lags[1]
         self.degree_, self.threshold_ = degree, threshold
-        self._learn(dataset, degree, threshold, lags, rng)
+        self.learn(dataset, degree, threshold, rng, counter)
         counter.advance()
         return self
 
@@ -170,14 +192,3 @@ class SparsePolynomial(DynamicsModel):
             return int(np.prod([(n + i) / i for i in range(1, setting[0] + 1)]) + 0.5)
 
         return [setting for setting in every if terms(setting) <= MOST_TERMS] or [every[0]]
-
-    def _learn(
-        self, dataset: Dataset, degree: int, threshold: float, lags: tuple[int, int], rng: np.random.Generator
-    ) -> None:
-        data = self.regression(dataset, lags)
-        coefficients, exponents = self.coefficients(data, degree, threshold, rng)
-        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
-        used = used if len(used) else np.array([0])
-        self.coefficients_ = np.ascontiguousarray(coefficients[used])
-        self.exponents_ = np.ascontiguousarray(exponents[used])
-        self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)

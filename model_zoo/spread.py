@@ -114,28 +114,23 @@ def growth_on_unseen_recordings(
 ) -> Array:
     """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
 
-    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest,
-    over windows of all that is held out in turn, every group weighing alike: a recording differs from
-    others by the battery, the tyres or the floor, which blocks of the same recording share. At least 1.
+    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest:
+    a recording differs from others by the battery, the tyres or the floor, which blocks of the same
+    recording share. The factor is the geometric mean over the recordings held out in turn, at least 1.
     """
     groups = unseen_recordings(dataset)
     if not groups:
         return np.ones(dataset.system.nx)
-    blocks = [time_blocks(dataset, fold) for fold in range(BLOCK_FOLDS)]
-    within, across = (
-        np.quantile(
-            np.concatenate([_last_errors(fit(seen), held, MOST_WINDOWS // len(parts)) for seen, held in parts]),
-            share,
-            axis=0,
-        )
-        for parts in (blocks, groups)
-    )
-    return np.maximum(across / np.where(within > 0, within, np.inf), 1.0)
+    within = [_last_errors(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
+    across = [np.quantile(_last_errors(fit(seen), held), share, axis=0) for seen, held in groups]
+    usual, tiny = np.quantile(np.concatenate(within), share, axis=0), np.finfo(float).tiny
+    factor = np.exp(np.mean(np.log(np.maximum(across, tiny)), axis=0)) / np.where(usual > 0, usual, np.inf)
+    return np.maximum(factor, 1.0)
 
 
-def _last_errors(model: DynamicsModel, held: Dataset, most: int) -> Array:
-    """Return the absolute errors (N, nx) after one second of up to ``most`` windows."""
-    windows = _evenly(validation_windows(held, model.n_lags), most)
+def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
+    """Return the absolute errors (N, nx) after one second."""
+    windows = validation_windows(held, model.n_lags)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])
 

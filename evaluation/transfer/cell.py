@@ -11,10 +11,10 @@ import numpy as np
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, Runner
-from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_task
+from sysid_evo.tasks import Task
 
 TRANSFER = 2**31 + 1
 """The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
@@ -142,10 +142,16 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
         controller = make_controller(champion.controller, **champion.controller_parameters)
         task = make_task(champion.task, **champion.task_parameters)
         rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
-        if rollouts.fitness.size == 0:
-            raise InvalidData("; ".join(("no trial was finished", *rollouts.missing[:1])))
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
         return Cell(champion.name, column, reason=f"{type(error).__name__}: {error}")
+    return cell_of(champion, column, rollouts, task, traces=traces)
+
+
+def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> Cell:
+    """Return the cell of trials that were run; one without a single finished trial is a failed cell."""
+    if rollouts.fitness.size == 0:
+        reason = "; ".join(("no trial was finished", *rollouts.missing[:1]))
+        return Cell(champion.name, column, reason=reason, missing=rollouts.missing)
     fitness = rollouts.fitness[0]
     return Cell(
         champion=champion.name,

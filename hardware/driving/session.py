@@ -17,6 +17,7 @@ from hardware.loop.control_loop import ControlLoop
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.robot import Robot
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
 from sysid_evo.tasks import Task, TaskState
@@ -28,15 +29,18 @@ POLL = 0.02  # s between two looks at whether a new trial is wanted
 class HandTrial:
     """One trial, from connecting to letting go of the robot; ``number`` counts from 1.
 
-    ``fitness`` is None unless it was driven to its end; ``report`` tells how the loop went.
+    ``fitness`` is None unless it was driven to its end; ``report`` tells how the loop went,
+    ``limits`` how far its gate believed the tracker.
     """
 
     number: int
+    name: str
     seed: int
     fitness: float | None
     trajectory: Trajectory | None
     task_state: TaskState
     report: LoopReport
+    limits: GateLimits
 
 
 class HandDriving:
@@ -92,13 +96,13 @@ class HandDriving:
             with self._robot.connect(seed=seed) as connection:
                 self._instruments.begin(pilot, index + 1)
                 loop = ControlLoop(connection, self._robot.system, listeners=listeners, stops=self._stops)
-                report = loop.run(pilot)
+                report, limits = loop.run(pilot), connection.gate_limits
         finally:
             pilot.end()
             for listener in listeners:
                 listener.close()
         self._origin = pilot.origin
-        return HandTrial(index + 1, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report)
+        return HandTrial(index + 1, name, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report, limits)
 
     def _wanted(self) -> bool:
         """Wait until the person wants a new trial; return False if the session is stopped instead."""

@@ -33,18 +33,19 @@ def build_core() -> Path:
     return build_c("rcb.so", (), ("-O2", "-shared", "-fPIC"))
 
 
-def build_c(name: str, sources: tuple[Path, ...], flags: tuple[str, ...]) -> Path:
+def build_c(name: str, sources: tuple[Path, ...], flags: tuple[str, ...], libraries: tuple[str, ...] = ()) -> Path:
     """Return the core and further C ``sources`` compiled into one file called ``name`` in the cache.
 
     Nothing is compiled twice from equal sources. Raises `InvalidArgument`.
     """
     command = [compiler(), *WARNINGS, *flags, f"-I{FOLDER}"]
-    digest = hashlib.sha256("\0".join(command).encode())
+    digest = hashlib.sha256("\0".join([*command, *libraries]).encode())
     for source in (*SOURCES, *sources):
         digest.update(source.read_bytes())
     out = cache_folder("firmware") / digest.hexdigest()[:24] / name
     if not out.is_file():
-        write_atomically(out, lambda path: _run([*command, "-o", str(path), str(SOURCES[1]), *map(str, sources)]))
+        inputs = [str(SOURCES[1]), *map(str, sources), *libraries]
+        write_atomically(out, lambda path: _run([*command, "-o", str(path), *inputs]))
     return out
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,12 @@ from typing import Any
 from hardware.emulation.car_physics import CAR
 from hardware.link.serial_connection import SerialConnection
 from hardware.link.serial_robot import SerialRobot
-from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from hardware.terminal.faults import Fault
 from hardware.terminal.terminal_process import TerminalProcess
 from hardware.trackers.tracker import Tracker, TrackerStream
 from hardware.trackers.udp import UdpTracker
-from sysid_evo.arrays import Array
 from sysid_evo.registry import register_robot
 
 BODY = "car"
@@ -48,54 +45,42 @@ class TerminalCar(Robot):
         self.faults = tuple(fault if isinstance(fault, Fault) else Fault.read(fault) for fault in faults)
         self.journal = None if journal is None else Path(journal)
 
-    def connect(self, *, seed: int | None = None) -> TerminalConnection:
+    def connect(self, *, seed: int | None = None) -> SerialConnection:
         """Start the car and open a session; ``seed`` fixes its noise and what its faults hit. Raises `LinkLost`."""
-        with ExitStack() as opened:
-            stream = opened.enter_context(UdpTracker(BODY, 0, clock="host").open())
-            process = opened.enter_context(
-                TerminalProcess(
-                    tracker=stream.address,
-                    body=BODY,
-                    seed=seed,
-                    car=self.car,
-                    faults=self.faults,
-                    journal=self.journal,
-                )
+        stream = UdpTracker(BODY, 0, clock="host").open()
+        try:
+            process = TerminalProcess(
+                tracker=stream.address, body=BODY, seed=seed, car=self.car, faults=self.faults, journal=self.journal
             )
-            link = SerialRobot(port=process.port, tracker=_OpenTracker(stream), name=self.name).connect()
-            opened.pop_all()
-        return TerminalConnection(link, process)
+        except BaseException:
+            stream.close()
+            raise
+        return SerialRobot(
+            port=process.port, tracker=_CarTracker(_CarStream(stream, process)), name=self.name
+        ).connect()
 
 
-class TerminalConnection(Connection):
-    """The session ``link`` on the port of ``process``, which ends with it."""
+class _CarStream(TrackerStream):
+    """The frames of ``process``, which ends with them."""
 
-    def __init__(self, link: SerialConnection, process: TerminalProcess) -> None:
-        self.link = link
-        self.process = process
+    def __init__(self, stream: TrackerStream, process: TerminalProcess) -> None:
+        self._stream = stream
+        self._process = process
 
-    @property
-    def time(self) -> float:
-        return self.link.time
+    def read(self, timeout: float) -> Measurement | None:
+        return self._stream.read(timeout)
 
-    @property
-    def status(self) -> RobotStatus | None:
-        return self.link.status
-
-    def send(self, control: Array, *, valid_for: float) -> None:
-        self.link.send(control, valid_for=valid_for)
-
-    def measure(self, timeout: float) -> Measurement | None:
-        return self.link.measure(timeout)
+    def fileno(self) -> int:
+        return self._stream.fileno()
 
     def close(self) -> None:
-        self.link.close()
-        self.process.close()
+        self._stream.close()
+        self._process.close()
 
 
 @dataclass(frozen=True)
-class _OpenTracker(Tracker):
-    """A tracker that is open already, because the car must know where to send its frames."""
+class _CarTracker(Tracker):
+    """A tracker whose stream is open before the car starts, because the car must know where to send."""
 
     stream: TrackerStream
     body: str = BODY

@@ -8,7 +8,7 @@ import warnings
 import typer
 from rich.text import Text
 
-from sysid_evo.cli import comparing, evolving, models, plugins, recordings
+from sysid_evo.cli import comparing, driving, evolving, models, plugins, recordings, robots
 from sysid_evo.cli.console import err
 from sysid_evo.errors import SysidEvoError
 
@@ -26,8 +26,10 @@ app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("evolve")(evolving.evolve)
+app.command("drive")(driving.drive)
 app.add_typer(models.app, name="models")
 app.add_typer(plugins.app, name="plugin")
+app.add_typer(robots.app, name="robots")
 
 EXIT_ERROR = 2
 

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, Seed, latest_run_folder, load_plugins
+from sysid_evo.cli.options import Plugins, latest_run_folder, load_plugins
 
 if TYPE_CHECKING:
-    from hardware.driving.session import HandTrial
     from hardware.robot import Robot
-    from sysid_evo.tasks import Task
+    from hardware.trackers.gates import GateLimits
+    from sysid_evo.cli.hand_driving import Driven
+    from sysid_evo.system import System
 
 DEFAULT_ROBOT = "emulated_car"
-LOOPBACK = "127.0.0.1"
-TASK = "point_to_point"
-TRACES = 10  # trials kept in a cell, to be drawn
-SERVER = ("starlette", "uvicorn", "websockets")
+CONTROLLED = "trials"
+CONTROLLER_TRIALS = 10
 
 
 def drive(
@@ -29,152 +27,141 @@ def drive(
         str | None, typer.Option(help="A registered robot, NAME:SEED, or a TOML file (default: emulated_car).")
     ] = None,
     model: Annotated[str | None, typer.Option(help="Instead: a fitted model, its family in --run or its file.")] = None,
-    run: Annotated[Path | None, typer.Option(help="Run folder with the model, and for --name.")] = None,
-    name: Annotated[str | None, typer.Option(help="Row of the run's transfer matrix for the scores.")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="End after so many whole trials (default: Ctrl-C).")] = None,
+    controller: Annotated[Path | None, typer.Option(help="File of an evolved controller, to drive instead.")] = None,
+    run: Annotated[Path | None, typer.Option(help="Run folder whose transfer matrix gets the scores.")] = None,
+    name: Annotated[str | None, typer.Option(help="Row of the matrix for who drives by hand, such as human.")] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Trials driven to their end (by hand: until Ctrl-C; controllers: 10).")
+    ] = None,
     folder: Annotated[Path | None, typer.Option("--out", help="New folder for the recording and its data set.")] = None,
-    seed: Seed = 0,
-    tracker_frame: Annotated[
-        bool, typer.Option("--tracker-frame", help="The arena is around the tracker's origin, not the robot's start.")
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the trials (default: the run's, else 0).")] = None,
+    tracker_origin: Annotated[
+        bool, typer.Option("--tracker-origin", help="The arena lies around the tracker's origin, not around the start.")
     ] = False,
-    host: Annotated[str, typer.Option(help="Serve the page at this address; not only this machine may drive.")] = (
-        LOOPBACK
-    ),
+    host: Annotated[str, typer.Option(help="Serve the page at this address.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page (0: a free one).")] = 0,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser, too.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """Drive a robot or a model by hand on a local web page: to record, to score, to feel a model.
+    """Drive a robot or a model, by hand on a local web page or with --controller, at the task of the matrix.
 
-    Prints the address of the page; whoever knows it may drive. Keys that are released or lost mean
-    neutral. The trials are those of the transfer matrix. --out makes a data set of all that is driven,
-    --name a row of the run's matrix from the trials that are driven to their end.
+    By hand: prints the address of the page; whoever knows it may drive. Keys that are released or lost
+    mean neutral. --out makes a data set of what is driven; --name adds the trials that are driven to
+    their end to the run's transfer matrix. --controller adds what it achieves on the robot.
+
+    The exit code says why driving ended: 0 as it should; 10 link lost, 11 tracker lost, 12 the robot
+    stopped itself, 13 the control was not a number, 14 a thread died, 15 the robot does not come to rest;
+    129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
-    from sysid_evo.registry import make_task
+    from sysid_evo.cli.hand_driving import append_row, drive_by_hand
+    from sysid_evo.errors import InvalidArgument
 
     load_plugins(plugin)
+    _check_folder(folder)
+    if controller is not None:
+        if model is not None or name is not None:
+            raise InvalidArgument("drive: --controller drives a robot and has a row; leave out --model and --name")
+        raise typer.Exit(_controlled(controller, robot or DEFAULT_ROBOT, trials, run, seed, tracker_origin, folder))
     driven = _choose(robot, model, run, name)
-    _check_new(folder)
-    task = make_task(TASK)
-    ended, code = _session(
-        driven.robot,
-        task,
-        seed=seed,
-        trials=trials,
-        journals=None if folder is None else folder / "journal",
-        tracker_frame=tracker_frame,
-        page=(host, port, open_page),
-    )
+    ended, code = drive_by_hand(driven, seed, trials, folder, tracker_origin, page=(host, port, open_page))
     if folder is not None:
-        _store(folder, driven.robot, ended)
+        _store(folder, driven.robot.system, [(trial.name, trial.limits) for trial in ended])
     if name is not None and driven.run is not None:
-        _append(driven, task, name, ended)
+        append_row(driven, name, ended)
     raise typer.Exit(code)
-
-
-@dataclass(frozen=True)
-class Driven:
-    """What is driven, in which column of the matrix of which run."""
-
-    robot: Robot
-    column: str
-    run: Path | None
-    on_robot: bool
 
 
 def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None) -> Driven:
     from hardware.emulation.modelled_robot import ModelledRobot
     from hardware.emulation.pacing import in_real_time
+    from sysid_evo.cli.achieving import column_of
     from sysid_evo.cli.evolving import find_dynamics
+    from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.registry import make_robot
 
     if model is not None and robot is not None:
         raise InvalidArgument("drive: expected one of --robot and --model, got both")
     file = model is not None and Path(model).suffix in (".json", ".safetensors")
-    wanted = name is not None or run is not None or (model is not None and not file)
+    wanted = run is not None or name is not None or (model is not None and not file)
     where = latest_run_folder(run) if wanted else None
     if model is None:
         machine = make_robot(robot or DEFAULT_ROBOT)
-        return Driven(in_real_time(machine), machine.name, where, on_robot=True)
+        return Driven(in_real_time(machine), column_of(machine), where, on_robot=True)
     stem = Path(model).stem if file else model
     family, dash, number = stem.rpartition("-")
     column = family if dash and number.isdecimal() else stem
-    dynamics = find_dynamics(where or Path(), model)
-    return Driven(in_real_time(ModelledRobot(column, dynamics)), column, where, on_robot=False)
+    return Driven(in_real_time(ModelledRobot(column, find_dynamics(where or Path(), model))), column, where, False)
 
 
-def _check_new(folder: Path | None) -> None:
+def _check_folder(folder: Path | None) -> None:
+    """Make the folder of a recording now, not when the first key is pressed."""
     from sysid_evo.errors import InvalidArgument
 
     if folder is None:
         return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InvalidArgument(f"--out: expected a new or empty folder, but {folder} holds something already")
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        empty = not any(folder.iterdir())
     except OSError as error:
-        raise InvalidArgument(f"--out: {folder} cannot be made: {error}") from error
+        raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}: {error}") from error
+    if not empty:
+        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")
 
 
-def _session(
-    robot: Robot,
-    task: Task,
-    *,
-    seed: int,
+def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | None]]) -> None:
+    """Make a data set of the journals in ``folder``, as `sysid-evo record` does."""
+    from hardware.recording.scripted import logs_of, prepared, save_raw
+    from sysid_evo.cli.advice_tables import episode_table
+    from sysid_evo.cli.hand_driving import JOURNALS
+    from sysid_evo.errors import InvalidData
+
+    logs = [log for name, limits in runs for log in logs_of(folder / JOURNALS, [name], limits)]
+    if not logs:
+        err.print(f"nothing was driven, so there is no data set in {folder}", highlight=False, markup=False)
+        return
+    for log in logs:
+        save_raw(log, system, folder / "raw" / f"{log.name}.csv")
+    try:
+        dataset = prepared(logs, system)
+    except InvalidData as error:
+        err.print(f"{error}", highlight=False, markup=False, soft_wrap=True)
+        return
+    dataset.save(folder)
+    for note in dataset.notes:
+        err.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+    out.print(episode_table(dataset))
+    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _controlled(
+    controller: Path,
+    robot: str,
     trials: int | None,
-    journals: Path | None,
-    tracker_frame: bool,
-    page: tuple[str, int, bool],
-) -> tuple[list[HandTrial], int]:
-    """Let somebody drive; return the trials and the exit code."""
-    import webbrowser
-    from functools import partial
+    run: Path | None,
+    seed: int | None,
+    tracker_origin: bool,
+    folder: Path | None,
+) -> int:
+    from sysid_evo.cli.achieving import drive_controller
+    from sysid_evo.cli.hand_driving import recorder_of
+    from sysid_evo.registry import make_robot
 
-    import numpy as np
-
-    from evaluation.transfer import transfer_seeds
-    from hardware.driving.instruments import Instruments
-    from hardware.driving.keyboard import Keyboard, control_of, key_life
-    from hardware.driving.session import HandDriving
-    from hardware.loop.report import Reason
-    from hardware.loop.stops import Stops
-    from hardware.recording.journal import SUFFIX
-    from hardware.recording.recorder import Recorder
-
-    system, task = robot.system, task.bind(robot.system)
-    control_of(0, system)
-    keyboard = Keyboard(life=key_life(system))
-    instruments = Instruments(robot, task, keyboard)
-    host, port, open_page = page
-    server = _page_server()
-    ended: list[HandTrial] = []
-    whole = 0
-    with (
-        Stops() as stops,
-        server(instruments, keyboard, host=host, port=port, died=partial(stops.request, Reason.THREAD_DIED)) as served,
-    ):
-        driving = HandDriving(
+    machine: Robot = make_robot(robot)
+    recorder = None if folder is None else recorder_of(folder, machine, CONTROLLED)
+    try:
+        code = drive_controller(
+            controller,
             robot,
-            task,
-            keyboard,
-            instruments,
-            seed_of=lambda index: int(transfer_seeds(seed, index + 1)[index]),
-            stops=stops,
-            recorder=None
-            if journals is None
-            else lambda trial: Recorder(journals / f"{trial}{SUFFIX}", system, robot=robot.name),
-            origin=np.zeros(system.n_pose) if tracker_frame else None,
+            trials=trials or CONTROLLER_TRIALS,
+            folder=run,
+            seed=seed,
+            tracker_origin=tracker_origin,
+            listeners=() if recorder is None else (recorder,),
         )
-        out.print(f"Drive {robot.name} at {served.url}", highlight=False, markup=False, soft_wrap=True)
-        if open_page:
-            webbrowser.open(served.url)
-        for trial in driving.trials():
-            ended.append(trial)
-            _tell(trial, task.fitness_unit)
-            whole += trial.fitness is not None
-            if whole == trials:
-                return ended, 0
-    idle = not ended or ended[-1].trajectory is None or not ended[-1].report.reason.is_fault
-    leave = stops.reason is Reason.SIGINT and idle
-    return ended, 0 if leave or stops.reason is None else stops.reason.exit_code
+    finally:
+        if recorder is not None:
+            recorder.close()
+    if folder is not None:
+        _store(folder, machine.system, [(CONTROLLED, None)])
+    return code

@@ -7,7 +7,8 @@ last quarter of every episode. N is the mean over channels of RMSE / standard de
 20 and 60 steps and over the whole file, under `evaluation.prediction.PredictionProtocol`;
 persistence is the first row, and a family that it beats after one second is marked. The peer is
 trained here. Differences come from a paired block bootstrap of the errors pooled over the seeds: an
-interval without zero is marked. Coverage is that of 90 % intervals after one second, over all
+interval without zero is marked; with several families, who beats whom is listed at the end.
+Coverage is that of 90 % intervals after one second, over all
 channels and of each.
 """
 
@@ -40,6 +41,7 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_model, models
 from sysid_evo.system import Channel, System
 from tests.benchmarks.peers import LaggedOneStepEnsemble
+from tests.benchmarks.standing import Scores, standing
 
 TEST_EPISODE = {"slippery_20hz": "2025-04-16-17-36-01", "free_20hz": "car_1_Datarecording_09_16_2024_10_12_05"}
 EMULATED, RECORDED_TIME, HELD_BACK = "emulated_car", 360.0, 0.25
@@ -115,6 +117,7 @@ def main() -> None:
     parser.add_argument("--logs", nargs="+", default=list(TEST_EPISODE), choices=[*TEST_EPISODE, EMULATED])
     arguments = parser.parse_args()
     write = sys.stdout.write
+    by_log: dict[str, Scores] = {}
     for log in arguments.logs:
         training, test = recording(log)
         cases = measured_cases(training, test, PredictionProtocol())
@@ -156,6 +159,9 @@ def main() -> None:
             label = "file" if horizon is None else f"{horizon:4d}"
             write(f"    {label}: {100 * (own / other - 1):+.1f} %  {own - other:+.3f} ")
             write(f"[{between.low:+.3f}, {between.high:+.3f}]{mark}\n")
+        by_log[log] = {name: pooled(table[name], SECOND) for name in own_families}
+    if len(own_families) > 1:
+        standing(by_log, write)
 
 
 if __name__ == "__main__":

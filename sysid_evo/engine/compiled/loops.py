@@ -47,7 +47,7 @@ def closed_loop(
                 theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
         for i in range(sizes[N_MEMORY] * LANES):
             memory[i] = 0.0
-        n_dead = 0
+        n_dead, marks = 0, observation  # observed anew before it is read
         for lane in range(LANES):
             if task[LANES + lane] == 0.0:
                 dead[lane] = 1
@@ -68,23 +68,26 @@ def closed_loop(
             if n_dead > 0:
                 keep(carry, n_carry, task, n_task, kept)
             dynamics(carry, control, noise, dynamics_parameters, scratch)
-            if suspicious(carry, envelope, n_carry, nx, observation) > 0:
+            if suspicious(carry, envelope, n_carry, nx, marks) > 0:
                 for lane in range(LANES):
-                    rollout = block * LANES + lane
-                    if dead[lane] == 0 and not finite(carry, n_carry, lane):
-                        dead[lane] = 2
-                        n_dead += 1
-                        for row in range(n_task):
-                            kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
-                        if rollout < rollouts:
-                            diverged[rollout] = 1
-                            survived[rollout] = k
-                    if dead[lane] == 2:
-                        for row in range(n_carry):
-                            carry[row * LANES + lane] = 0.0
-                            kept[row * LANES + lane] = 0.0
-                    elif clip(carry, envelope, nx, lane) and dead[lane] == 0 and rollout < rollouts:
-                        clipped[rollout] += 1
+                    if marks[lane] != marks[lane]:
+                        rollout = block * LANES + lane
+                        if dead[lane] == 0:
+                            dead[lane] = 2
+                            n_dead += 1
+                            for row in range(n_task):
+                                kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
+                            if rollout < rollouts:
+                                diverged[rollout] = 1
+                                survived[rollout] = k
+                        if dead[lane] == 2:
+                            for row in range(n_carry):
+                                carry[row * LANES + lane] = 0.0
+                                kept[row * LANES + lane] = 0.0
+                clip(carry, envelope, nx)
+                touched = view(clipped, block * LANES)
+                for lane in range(min(LANES, rollouts - block * LANES)):
+                    touched[lane] += 1 if (marks[lane] > 0.0) & (dead[lane] == 0) else 0
             advance(task, before, carry, trials, trial_data, task_parameters)
             if n_dead > 0:
                 restore(carry, n_carry, task, n_task, kept, dead)
@@ -121,7 +124,7 @@ def closed_loop(
 
 
 def suspicious(carry, envelope, n_carry, nx, marks):
-    """Count the lanes whose state left the envelope or whose carry is not finite; ``marks`` is overwritten."""
+    """Count the lanes that need care; their mark is above 0 outside the envelope, nan if not finite."""
     for lane in range(LANES):
         marks[lane] = 0.0
     for row in range(nx):
@@ -129,7 +132,7 @@ def suspicious(carry, envelope, n_carry, nx, marks):
         for lane in range(LANES):
             value = carry[row * LANES + lane]
             inside = (value >= low) & (value <= high)
-            marks[lane] += (value - value) if inside else 1.0
+            marks[lane] += (value - value) + (0.0 if inside else 1.0)
     for row in range(nx, n_carry):
         for lane in range(LANES):
             value = carry[row * LANES + lane]
@@ -140,26 +143,12 @@ def suspicious(carry, envelope, n_carry, nx, marks):
     return count
 
 
-def finite(carry, n_carry, lane):
-    """Whether every number of one lane's carry is finite."""
-    off = 0.0
-    for row in range(n_carry):
-        off += carry[row * LANES + lane] - carry[row * LANES + lane]
-    return off == 0.0
-
-
-def clip(carry, envelope, nx, lane):
-    """Clip one lane's state to the envelope (low, then high of each state); whether that changed it."""
-    touched = False
+def clip(carry, envelope, nx):
+    """Clip every state to the envelope (low, then high of each state)."""
     for row in range(nx):
-        value = carry[row * LANES + lane]
-        if value < envelope[row]:
-            carry[row * LANES + lane] = envelope[row]
-            touched = True
-        elif value > envelope[nx + row]:
-            carry[row * LANES + lane] = envelope[nx + row]
-            touched = True
-    return touched
+        low, high, value = envelope[row], envelope[nx + row], view(carry, row * LANES)
+        for lane in range(LANES):
+            value[lane] = min(max(value[lane], low), high)
 
 
 def actuate(raw, control, actuation, nu):

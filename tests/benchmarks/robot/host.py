@@ -1,7 +1,7 @@
 """A host that drives the car in circles until something happens to it: ``python -m tests.benchmarks.robot.host``.
 
-It is the program that the stress tests kill, stop and cut off: the control loop, the serial link and
-the tracker of a real run. It ends with the exit code of its loop's report.
+It is the program that the stress tests kill, stop and cut off: the control loop, the serial link,
+the tracker and the recorder of a real run. It ends with the exit code of its loop's report.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
+from hardware.recording.recorder import Recorder
 from hardware.terminal.journal import JournalWriter
-from hardware.trackers.gates import PoseGate
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleRobot, LinkLost
@@ -67,8 +67,9 @@ def drive(options: argparse.Namespace, log: JournalWriter) -> LoopReport:
     with Stops() as stops, robot.connect() as connection:
         if options.thread_dies_after is not None:
             threading.Timer(options.thread_dies_after, _die, [log]).start()
-        loop = ControlLoop(connection, CAR, listeners=[Log(log)], gate=PoseGate(BODY), stops=stops)
-        return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
+        with Recorder(options.record, CAR, robot=robot.name, body=BODY) as recorder:
+            loop = ControlLoop(connection, CAR, listeners=[Log(log), recorder], stops=stops)
+            return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
 
 
 def _die(log: JournalWriter) -> None:
@@ -81,6 +82,7 @@ def main() -> int:
     parser.add_argument("--port", required=True)
     parser.add_argument("--tracker", type=int, required=True, help="port that frames are sent to")
     parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--record", type=Path, required=True, help="journal of the recorder")
     parser.add_argument("--samples", type=int)
     parser.add_argument("--exception-at", type=int, help="sample at which the pilot fails")
     parser.add_argument("--thread-dies-after", type=float, help="s")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hardware.link.framing import FrameDecoder
 from hardware.link.messages import Message, unpack
+from hardware.recording.journal import SUFFIX
 from hardware.session import Session
 from hardware.terminal.faults import Fault
 from hardware.terminal.journal import Entry, JournalReader, read_journal
@@ -41,14 +42,16 @@ class Rig(Session):
     def start_host(self, *options: str) -> Host:
         """Start a host with ``options`` of `tests.benchmarks.robot.host`."""
         log = self._folder / f"host-{len(self._hosts)}.jsonl"
-        words = ["--port", self.car.port, "--tracker", str(self._tracker), "--log", str(log), *options]
+        recording = log.with_suffix(SUFFIX)
+        words = ["--port", self.car.port, "--tracker", str(self._tracker), "--log", str(log)]
+        words += ["--record", str(recording), *options]
         process = subprocess.Popen(
             [sys.executable, "-m", "tests.benchmarks.robot.host", *words],
             cwd=Path(__file__).parents[3],
             stderr=subprocess.PIPE,
         )
         self._hosts.append(process)
-        return Host(process, log)
+        return Host(process, log, recording)
 
     def entries(self, since: float = 0.0) -> list[Entry]:
         """Return what has happened to the car from ``since`` (s) on."""
@@ -78,10 +81,11 @@ class Rig(Session):
 
 
 class Host:
-    """A host's process and its log."""
+    """A host's process, its log, and what its recorder wrote."""
 
-    def __init__(self, process: subprocess.Popen[bytes], log: Path) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], log: Path, recording: Path) -> None:
         self.process = process
+        self.recording = recording
         self._log = log
 
     def entries(self) -> list[Entry]:

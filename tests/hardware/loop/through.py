@@ -40,6 +40,7 @@ class Through(Connection):
     def __init__(self, connection: Connection, faults: Faults) -> None:
         self.connection, self.faults = connection, faults
         self.closed = False
+        self.driven = False
         self.waiting: list[Measurement | None] = []
         self.frozen: Measurement | None = None
 
@@ -57,6 +58,7 @@ class Through(Connection):
         if self.time >= self.faults.broken_at:
             raise LinkLost("nothing was heard for 0.25 s")
         self.connection.send(control, valid_for=valid_for)
+        self.driven = self.driven or bool(control.any())
         for _ in range(self.faults.slow.pop(round(self.time, 3), 0)):
             self.waiting.append(self.connection.measure(1.0))
 

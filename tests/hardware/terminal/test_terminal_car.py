@@ -38,11 +38,13 @@ def test_it_drives_where_it_is_told(tmp_path: Path) -> None:
     assert [entry.value for entry in entries if entry.event == "buttons"] == [1, 0]
 
 
-def test_closing_ends_the_process_and_a_second_time_does_nothing() -> None:
-    connection = TerminalCar().connect(seed=1)
+def test_closing_ends_the_process_and_a_second_time_does_nothing(tmp_path: Path) -> None:
+    connection = TerminalCar(journal=tmp_path / "journal").connect(seed=1)
     connection.close()
     connection.close()
-    assert not Path(connection.process.port).exists()
+    entries = read_journal(tmp_path / "journal")
+    assert entries[-1].event == "end"
+    assert not Path(f"/proc/{entries[0].value}").exists()
     with pytest.raises(LinkLost, match="closed"):
         connection.measure(0.0)
 

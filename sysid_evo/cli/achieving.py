@@ -1,0 +1,193 @@
+"""What is achieved on a robot: trials of a controller there, and the cell that they add to a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid_evo.cli.comparing import DATA_PARTS, runner_of
+from sysid_evo.cli.console import err, out
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from evaluation.report import Report
+    from evaluation.transfer import Measured
+    from hardware.listener import Listener
+    from hardware.loop.report import LoopReport
+    from hardware.robot import Robot
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.engine import Rollouts
+
+TRACES = 10
+"""Trials whose trajectories are kept for the plots."""
+
+
+def drive_controller(
+    controller: Path,
+    robot: str,
+    *,
+    trials: int,
+    folder: Path | None = None,
+    seed: int | None = None,
+    tracker_origin: bool = False,
+    listeners: Sequence[Listener] = (),
+) -> int:
+    """Run the controller in the file ``controller`` on ``robot`` and return the exit code.
+
+    The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
+    in ``folder``, or of the one that the file belongs to, whose report is then made again.
+    """
+    import time
+
+    from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from hardware.loop.report import Reason
+    from hardware.loop.robot_runner import RobotRunner
+    from hardware.loop.stops import Stops
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.errors import LinkLost
+    from sysid_evo.registry import make_controller, make_robot, make_task
+    from sysid_evo.store import RunFolder, load_champion
+
+    champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
+    machine: Robot = make_robot(robot)
+    folder = folder or owner_of(controller)
+    if seed is None:
+        seed = (RunFolder(folder).settings() or {}).get("seed", champion.seed) if folder else champion.seed
+    column, cell = column_of(machine), f"drive {champion.name} on {machine.name}"
+    task = make_task(champion.task, **champion.task_parameters)
+    began = time.monotonic()
+    with Bars() as bars, Stops() as stops:
+        runner = RobotRunner(
+            machine,
+            tracker_frame=tracker_origin,
+            seed=seed,
+            listeners=listeners,
+            stops=stops,
+            progress=lambda done, total: bars.progress(cell, done, total),
+        )
+        bars.start(cell)
+        try:
+            rollouts, report = runner.drive(
+                make_controller(champion.controller, **champion.controller_parameters),
+                champion.parameters[None],
+                task,
+                transfer_seeds(seed, trials),
+            )
+        except LinkLost as error:
+            bars.finish(cell, cached=False, reason=str(error))
+            return Reason.LINK_LOST.exit_code
+        measured = Measured(
+            champion,
+            cell_of(champion, column, rollouts, task, traces=TRACES),
+            on_robot=True,
+            physical=machine.dynamics is None,
+        )
+        reason = report.sentence if report.reason.is_fault else None
+        bars.finish(cell, cached=False, reason=reason)
+    out.print(trials_table(measured, rollouts))
+    out.print(punctuality(report), highlight=False)
+    if folder is not None:
+        run = RunFolder(folder)
+        run.record(cell, seconds=time.monotonic() - began, reason=reason)
+        if not measured.cell.failed:
+            append(folder, measured)
+    return report.reason.exit_code
+
+
+def column_of(robot: Robot) -> str:
+    """Return the name of a driven robot's column: an emulated one may have one of its own from `compare`."""
+    return robot.name if robot.dynamics is None else f"{robot.name} driven"
+
+
+def owner_of(controller: Path) -> Path | None:
+    """Return the run folder that a controller's file lies in, if it does."""
+    folder = controller.resolve().parent
+    return folder.parent if folder.name == "controllers" else None
+
+
+def append(folder: Path, *measured: Measured) -> None:
+    """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
+    from evaluation.transfer import save_measured
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.store import RunFolder
+
+    for item in measured:
+        save_measured(RunFolder(folder), item)
+    with Bars() as bars:
+        made = report_again(folder, bars)
+    page = folder / "report.html"
+    if made is not None:
+        out.print(f"Report: {page}", highlight=False, markup=False, soft_wrap=True)
+    else:
+        err.print(f"stored in {folder}, which has no report (compare makes one)", highlight=False, markup=False)
+
+
+def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
+    """Return the fitness of each trial, mean and spread, and what is missing."""
+    from rich.table import Table
+
+    cell = measured.cell
+    table = Table(title=f"{cell.champion} on {cell.column}", box=None, pad_edge=False)
+    table.add_column("trial", justify="right")
+    table.add_column(cell.unit or "fitness", justify="right")
+    table.add_column("steps", justify="right")
+    for trial, (fitness, steps) in enumerate(zip(cell.fitness, rollouts.survived[0], strict=False)):
+        table.add_row(str(trial + 1), f"{fitness:g}", str(steps))
+    for trial, why in enumerate(cell.missing, cell.trials + 1):
+        table.add_row(str(trial), "missing", why)
+    if cell.trials:
+        spread = f" ± {cell.std:.2f}" if cell.trials > 1 else ""
+        table.add_row("mean", f"{cell.mean:.2f}{spread}", "", style="bold")
+    return table
+
+
+def punctuality(report: LoopReport) -> str:
+    """Return a sentence on how punctual the loop was."""
+    import numpy as np
+
+    if not report.ticks:
+        return f"No command was sent: {report.sentence}."
+    median, high = np.percentile(report.lateness, (50, 99))
+    gap = report.gaps.max() if len(report.gaps) else 0.0
+    return (
+        f"{report.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
+        f"{1e3 * gap:.0f} ms; {report.skipped} left out, {report.stale} neutral for want of a pose."
+    )
+
+
+def report_again(folder: Path, bars: Bars) -> Report | None:
+    """Make the report of a run again, with the cells measured since; None if it is no comparison's run.
+
+    What the run has done already is read, prediction and exploitability are computed again.
+    """
+    import json
+
+    from evaluation.comparison import ComparisonSettings
+    from evaluation.comparison import compare as run_comparison
+    from evaluation.report import save_report
+    from sysid_evo.data import Dataset
+    from sysid_evo.data.reading import is_stored
+    from sysid_evo.store import RunFolder
+
+    run = RunFolder(folder)
+    asked = run.settings()
+    parts = [folder / "data" / name for name in DATA_PARTS]
+    if asked is None or not all(is_stored(part) for part in parts):
+        return None
+    settings = ComparisonSettings.from_dict(asked)
+    written = folder / "report.json"
+    robot = asked.get("robot") if settings.controllers else None
+    training, test = (Dataset.load(part) for part in parts)
+    report = run_comparison(
+        run,
+        training,
+        test,
+        settings,
+        observer=bars,
+        robot=None if robot is None else (robot, runner_of(robot)),
+        title=json.loads(written.read_text(encoding="utf-8"))["title"] if written.is_file() else folder.name,
+    )
+    save_report(report, folder)
+    return report

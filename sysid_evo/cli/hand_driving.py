@@ -1,0 +1,177 @@
+"""A session of driving by hand: the page, the trials, and the row that they become."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sysid_evo.cli.console import err, out
+
+if TYPE_CHECKING:
+    from hardware.driving.server import PageServer
+    from hardware.driving.session import HandTrial
+    from hardware.recording.recorder import Recorder
+    from hardware.robot import Robot
+
+TASK = "point_to_point"
+JOURNALS = "journal"
+TRACES = 10
+"""Trials whose trajectories are kept for the plots."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What is driven, in which column of the matrix of which run."""
+
+    robot: Robot
+    column: str
+    run: Path | None
+    on_robot: bool
+
+
+def _seed(seed: int | None, run: Path | None) -> int:
+    """Return the seed of the trials: controllers and people meet the same."""
+    from sysid_evo.store import RunFolder
+
+    if seed is not None:
+        return seed
+    return int((RunFolder(run).settings() or {}).get("seed", 0)) if run is not None else 0
+
+
+def drive_by_hand(
+    driven: Driven,
+    seed: int | None,
+    trials: int | None,
+    folder: Path | None,
+    tracker_origin: bool,
+    *,
+    page: tuple[str, int, bool],
+) -> tuple[list[HandTrial], int]:
+    """Let somebody drive; return the trials and the exit code."""
+    import webbrowser
+
+    import numpy as np
+
+    from evaluation.transfer import transfer_seeds
+    from hardware.driving.instruments import Instruments
+    from hardware.driving.keyboard import Keyboard, control_of, key_life
+    from hardware.driving.session import HandDriving
+    from hardware.loop.report import Reason
+    from hardware.loop.stops import Stops
+    from sysid_evo.errors import LinkLost
+    from sysid_evo.registry import make_task
+
+    robot, system, first = driven.robot, driven.robot.system, _seed(seed, driven.run)
+    task = make_task(TASK).bind(system)
+    control_of(0, system)
+    keyboard = Keyboard(life=key_life(system))
+    instruments = Instruments(robot, task, keyboard)
+    host, port, open_page = page
+    stops = Stops()
+    recorders: list[Recorder] = []
+    ended: list[HandTrial] = []
+
+    def recorder(name: str) -> Recorder:
+        assert folder is not None
+        recorders.append(recorder_of(folder, robot, name))
+        return recorders[-1]
+
+    server = _server_class()
+    with (
+        stops,
+        server(
+            instruments, keyboard, host=host, port=port, died=lambda why: stops.request(Reason.THREAD_DIED, why)
+        ) as served,
+    ):
+        driving = HandDriving(
+            robot,
+            task,
+            keyboard,
+            instruments,
+            seed_of=lambda index: int(transfer_seeds(first, index + 1)[index]),
+            stops=stops,
+            recorder=None if folder is None else recorder,
+            origin=np.zeros(system.n_pose) if tracker_origin else None,
+        )
+        out.print(f"Drive {robot.name} at {served.url}", highlight=False, markup=False, soft_wrap=True)
+        if open_page:
+            webbrowser.open(served.url)
+        try:
+            for trial in driving.trials():
+                ended.append(trial)
+                _tell(trial, task.fitness_unit)
+                if sum(each.fitness is not None for each in ended) == trials:
+                    stops.request(Reason.SAMPLES)
+        except LinkLost as error:
+            err.print(f"{robot.name}: {error}", highlight=False, markup=False, soft_wrap=True)
+            stops.request(Reason.LINK_LOST)
+    for made in recorders:
+        if made.problem is not None:
+            err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
+    reason = stops.reason or Reason.PILOT
+    under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
+    return ended, 0 if reason is Reason.SIGINT and not under_way else reason.exit_code
+
+
+def _server_class() -> type[PageServer]:
+    from sysid_evo.errors import MissingExtra
+
+    try:
+        from hardware.driving.server import PageServer
+    except ModuleNotFoundError as error:
+        raise MissingExtra(
+            f"driving by hand needs the package {error.name!r}, which is not installed. "
+            'Install it with: pip install "sysid-evo[drive]"'
+        ) from error
+    return PageServer
+
+
+def _tell(trial: HandTrial, unit: str) -> None:
+    if trial.fitness is not None:
+        out.print(f"trial {trial.number}: {trial.fitness:g} {unit}", highlight=False)
+    elif trial.report.reason.is_fault:
+        err.print(f"trial {trial.number}: {trial.report.sentence}", highlight=False, markup=False, soft_wrap=True)
+    elif trial.trajectory is not None:
+        err.print(f"trial {trial.number}: given up after {trial.trajectory.duration:.1f} s", highlight=False)
+
+
+def recorder_of(folder: Path, robot: Robot, name: str) -> Recorder:
+    """Return the recorder of the trial ``name``."""
+    from hardware.recording.journal import SUFFIX
+    from hardware.recording.recorder import Recorder
+
+    return Recorder(folder / JOURNALS / f"{name}{SUFFIX}", robot.system, robot=robot.name)
+
+
+def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
+    """Add the trials that were driven to their end to the run's matrix, as the row ``name``."""
+    import numpy as np
+
+    from evaluation.transfer import Cell, Measured, Trace, person
+    from sysid_evo.cli.achieving import append
+    from sysid_evo.registry import make_task
+
+    assert driven.run is not None
+    task = make_task(TASK)
+    whole = [trial for trial in trials if trial.fitness is not None]
+    if not whole:
+        err.print(f"no trial was driven to its end, so {name} gets no row", highlight=False, markup=False)
+        return
+    traces = []
+    for trial in whole[:TRACES]:
+        waypoints, passed = getattr(trial.task_state, "waypoints", None), getattr(trial.task_state, "passed", None)
+        seen = np.empty((0, 2)) if waypoints is None or passed is None else waypoints[0, : passed[0] + 1]
+        if trial.trajectory is not None and trial.fitness is not None:
+            traces.append(Trace(trial.trajectory, trial.fitness, seen, float(getattr(task, "waypoint_radius", 0.0))))
+    cell = Cell(
+        champion=name,
+        column=driven.column,
+        fitness=np.array([trial.fitness for trial in whole]),
+        unit=task.fitness_unit,
+        engine="by hand",
+        traces=tuple(traces),
+    )
+    physical = driven.on_robot and driven.robot.dynamics is None
+    append(driven.run, Measured(person(name, task=TASK), cell, on_robot=driven.on_robot, physical=physical))

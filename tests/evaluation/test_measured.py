@@ -1,0 +1,121 @@
+"""Cells measured once, on robots that are driven and by people, in the matrix of a run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.transfer import (
+    NOT_RUN,
+    Cell,
+    Measured,
+    TransferMatrix,
+    load_measured,
+    person,
+    save_measured,
+    summarise,
+    with_measured,
+)
+from sysid_evo.errors import ArtefactError
+from sysid_evo.evolution import Champion
+from sysid_evo.store import RunFolder
+
+
+def champion(name: str) -> Champion:
+    return Champion(name, np.array([0.1, 1 / 3]), (name,), "min", 3, np.ones((2, 3)), estimator_delay=0.02)
+
+
+def cell(row: str, column: str, *fitness: float) -> Cell:
+    return Cell(row, column, np.array(fitness), unit="waypoints", engine="robot")
+
+
+ROWS = (champion("a"), champion("b"))
+
+
+def computed(robot: str | None = None) -> TransferMatrix:
+    columns = ("a", "b", "c", *((robot,) if robot else ()))
+    cells = [cell(row.name, column, 5.0, 7.0, 9.0) for row in ROWS for column in columns]
+    return TransferMatrix.of(ROWS, columns, cells, families={"a": "f", "b": "g", "c": "h"}, robot=robot)
+
+
+def driven(row: Champion, column: str, *fitness: float, physical: bool = True) -> Measured:
+    return Measured(row, cell(row.name, column, *fitness), on_robot=True, physical=physical)
+
+
+def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures() -> None:
+    matrix = with_measured(computed(), [driven(ROWS[0], "car", 4.0, 6.0)])
+    assert matrix is not None
+    assert (matrix.robot, matrix.columns, matrix.models) == ("car", ("a", "b", "c", "car"), ("a", "b", "c"))
+    assert matrix.cell("b", "car").reason == NOT_RUN
+    assert matrix.failures() == ()
+    summary = summarise(matrix)
+    assert summary.controller("a").achieved is not None
+    assert summary.controller("a").achieved.value == 5.0  # type: ignore[union-attr]
+    assert summary.controller("a").reality_gap.value == pytest.approx(2.0)  # type: ignore[union-attr]
+    assert summary.controller("b").achieved is None
+
+
+def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either() -> None:
+    matrix = with_measured(
+        computed("emulated"), [driven(ROWS[0], "car", 4.0), driven(ROWS[0], "emulated driven", 8.0, physical=False)]
+    )
+    assert matrix is not None
+    assert matrix.robot == "car"
+    assert matrix.other_robots == ("emulated", "emulated driven")
+    assert matrix.models == ("a", "b", "c")
+    assert matrix.columns[-1] == "car"
+
+
+def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the_run() -> None:
+    matrix = with_measured(computed("emulated"), [driven(ROWS[0], "emulated driven", 8.0, physical=False)])
+    assert matrix is not None
+    assert (matrix.robot, matrix.other_robots) == ("emulated", ("emulated driven",))
+
+
+def test_person_is_a_row_that_claims_nothing_and_is_never_chosen() -> None:
+    human = person("anna")
+    cells = [Measured(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
+    matrix = with_measured(computed(), [*cells, driven(human, "car", 70.0), driven(ROWS[1], "car", 2.0)])
+    assert matrix is not None
+    assert matrix.rows == ("a", "b", "anna")
+    summary = summarise(matrix)
+    assert summary.controller("anna").claimed is None
+    assert summary.controller("anna").achieved.value == 70.0  # type: ignore[union-attr]
+    assert summary.pick in ("a", "b")
+    assert summary.best_on["car"] == "b"
+    assert matrix.families["a"] == "f"
+
+
+def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is() -> None:
+    alone = with_measured(None, [driven(ROWS[0], "car", 4.0)])
+    assert alone is not None
+    assert (alone.rows, alone.columns, alone.robot) == (("a",), ("car",), "car")
+    assert with_measured(None, []) is None
+    matrix = computed()
+    assert with_measured(matrix, []) is matrix
+
+
+def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    save_measured(run, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
+    missing = replace(cell("anna", "a", 3.0), missing=("interrupted",))
+    save_measured(run, Measured(person("anna"), missing, on_robot=False))
+    save_measured(run, driven(ROWS[0], "robots/car:3", 1.0))
+    found = {item.champion.name: item for item in load_measured(run)}
+    assert set(found) == {"a", "anna"}
+    np.testing.assert_array_equal(found["a"].cell.fitness, [1.0])
+    np.testing.assert_array_equal(found["a"].champion.parameters, ROWS[0].parameters)
+    assert found["a"].champion.against == ("a",)
+    assert found["a"].champion.estimator_delay == 0.02
+    assert (found["a"].on_robot, found["a"].physical) == (True, True)
+    assert (found["anna"].cell.missing, found["anna"].on_robot) == (("interrupted",), False)
+
+
+def test_damaged_cell_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+    path = save_measured(RunFolder(tmp_path), driven(ROWS[0], "car", 4.0))
+    path.write_text(path.read_text().replace('"cell"', '"sell"'))
+    with pytest.raises(ArtefactError, match=path.name):
+        load_measured(RunFolder(tmp_path))

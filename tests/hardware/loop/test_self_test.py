@@ -1,0 +1,44 @@
+"""Looking at a robot without moving it."""
+
+from __future__ import annotations
+
+import pytest
+
+from hardware.loop.self_test import self_test
+from hardware.robot import Robot
+from sysid_evo.registry import make_robot
+
+from .through import FaultyRobot
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return make_robot("emulated_car")
+
+
+def what_is_wrong(robot: Robot, **faults: object) -> set[str]:
+    return {finding.what for finding in self_test(FaultyRobot(robot, **faults), seconds=1.0, seed=1) if not finding.ok}
+
+
+def test_sound_robot_has_nothing_wrong_and_is_closed(robot: Robot) -> None:
+    sound = FaultyRobot(robot)
+    findings = self_test(sound, seconds=1.0, seed=1)
+    assert all(finding.ok for finding in findings)
+    assert sound.connection is not None
+    assert sound.connection.closed
+    assert not sound.connection.driven, "nothing but neutral was sent"
+
+
+@pytest.mark.parametrize(
+    ("faults", "wrong"),
+    [
+        ({"moved": (0.5, (0.05, 0.0, 0.0))}, {"tracker", "loop"}),
+        ({"lost": (0.3, 0.5)}, {"tracker"}),
+        ({"lost": (-1.0, 99.0)}, {"tracker", "loop"}),
+        ({"broken_at": 0.5}, {"loop"}),
+        ({"tripped_at": 0.5}, {"loop"}),
+        ({"slow": {0.5: 30}}, {"loop"}),
+    ],
+)
+def test_each_fault_is_found_where_it_is(robot: Robot, faults: dict[str, object], wrong: set[str]) -> None:
+    assert what_is_wrong(robot, **faults) == wrong
