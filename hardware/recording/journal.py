@@ -29,6 +29,7 @@ from hardware.recording.records import (
     unpack_header,
 )
 from hardware.session import Session
+from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.system import System
 
@@ -78,7 +79,7 @@ class JournalWriter(Session):
 
 @dataclass(frozen=True)
 class Journal:
-    """What a journal holds: ``events`` in the order in which they were told.
+    """What a journal holds: ``events`` in the order in which they were told, ``limits`` of the gate they met.
 
     ``closed`` says whether the recorder came to its end, ``torn`` how many bytes of an unfinished
     record were left out.
@@ -87,6 +88,7 @@ class Journal:
     name: str
     header: Mapping[str, Any]
     system: System
+    limits: GateLimits
     events: tuple[Event, ...]
     closed: bool
     torn: int = 0
@@ -147,7 +149,7 @@ def read_journal(path: str | Path) -> Journal:
         end = after
     if system is None:
         raise InvalidData(f"{path.name}: the journal ends in its header; nothing was recorded")
-    return Journal(path.stem, header, system, tuple(events), closed, len(data) - end)
+    return Journal(path.stem, header, system, _limits(header, path.name), tuple(events), closed, len(data) - end)
 
 
 def _records(data: bytes, name: str) -> Iterator[tuple[Kind, bytes, int]]:
@@ -181,3 +183,10 @@ def _system(header: Mapping[str, Any], name: str) -> System:
         return System.from_dict(header["system"])
     except (KeyError, TypeError, ValueError, AttributeError, SysidEvoError) as error:
         raise InvalidData(f"{name}: the header does not describe a system: {type(error).__name__}") from error
+
+
+def _limits(header: Mapping[str, Any], name: str) -> GateLimits:
+    try:
+        return GateLimits.from_dict(header["limits"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InvalidData(f"{name}: the header does not say what the gate's limits are: {error}") from error

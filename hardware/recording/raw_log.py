@@ -22,9 +22,10 @@ CLOCK_TOLERANCE = 1e-6  # s
 def raw_log(journal: Journal, limits: GateLimits | None = None) -> RawLog:
     """Return the run in ``journal``, from its first tick on, as rows of poses and commands in force.
 
-    The frames pass the same gate as in the loop; those it drops are left out, and where a track
-    breaks enough of them that the preparation splits there. A command is in force from when it was
-    sent until the next, for 150 ms at most. Raises `InvalidData` if there are fewer than two rows.
+    The frames pass the same gate as in the loop, or one of other ``limits``; those it drops are left
+    out, and where a track breaks enough of them that the preparation splits there. A command is in
+    force from when it was sent until the next, for 150 ms at most. Raises `InvalidData` if there are
+    fewer than two rows.
     """
     rows, _ = rows_of(journal, limits)
     return rows
@@ -56,7 +57,7 @@ def _believed(
     journal: Journal, begin: float, limits: GateLimits | None
 ) -> tuple[list[Measurement], IntArray, list[bool]]:
     """Return the frames from ``begin`` on that the gate lets pass, their numbers, and which begin a track."""
-    gate = PoseGate(journal.header.get("body"), limits)
+    gate = PoseGate(journal.header.get("body"), journal.limits if limits is None else limits)
     neutral = journal.system.neutral_control
     driving, number = False, 0
     frames: list[Measurement] = []

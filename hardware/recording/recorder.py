@@ -15,6 +15,7 @@ from hardware.measurement import Measurement
 from hardware.recording.journal import JournalWriter
 from hardware.recording.records import Kind, TimedCommand, pack_command, pack_frame, pack_status, seal
 from hardware.session import Session
+from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 
@@ -24,19 +25,29 @@ VERSIONS = {name: version(name) for name in ("sysid-evo", "numpy")} | {"python":
 class Recorder(Session, Listener):
     """Writes every frame, command and status of a session with ``robot`` to a new journal at ``path``.
 
+    ``body`` (default: the first seen) and ``limits`` tell what reads it which frames to believe.
+
     Each call is one write to the system's cache, some ten microseconds. A disk that cannot take a
     record does not stop a robot: the record is counted in ``lost``, and ``problem`` says why.
     `close` waits for the disk.
     """
 
-    def __init__(self, path: str | Path, system: System, *, robot: str, body: str | None = None) -> None:
+    def __init__(
+        self, path: str | Path, system: System, *, robot: str, body: str | None = None, limits: GateLimits | None = None
+    ) -> None:
         self.path = Path(path)
         self.lost = 0
         self.problem: str | None = None
         self._status: RobotStatus | None = None
         self._journal = JournalWriter(
             self.path,
-            {"system": system.to_dict(), "robot": robot, "body": body, "versions": VERSIONS},
+            {
+                "system": system.to_dict(),
+                "robot": robot,
+                "body": body,
+                "limits": (GateLimits() if limits is None else limits).to_dict(),
+                "versions": VERSIONS,
+            },
         )
 
     def measured(self, measurement: Measurement) -> None:

@@ -21,7 +21,7 @@ from hardware.recording.journal_reader import column_names
 from hardware.recording.raw_log import raw_log
 from hardware.recording.recorder import Recorder
 from hardware.robot import Connection, Robot
-from hardware.trackers.gates import GateLimits, PoseGate
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.preparation import prepare
@@ -84,7 +84,6 @@ def record(
     folder: Path,
     *,
     seed: int,
-    limits: GateLimits | None = None,
     stops: Stops | None = None,
     progress: Progress | None = None,
 ) -> LoopReport:
@@ -100,7 +99,8 @@ def record(
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
     stops = Stops() if stops is None else stops
-    with ExitStack() as stack:
+    # Journals wait for the disk when they close, which may take longer than a robot goes without a command.
+    with ExitStack() as journals, ExitStack() as stack:
         connection: Connection | None = None
         for number, manoeuvre in enumerate(manoeuvres):
             if connection is None or robot.dynamics is not None:
@@ -108,12 +108,15 @@ def record(
                 connection = stack.enter_context(robot.connect(seed=_session_seed(seed, number)))
             else:
                 rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
-                report = _run(connection, robot, rest, (), limits, stops)
+                report = _run(connection, robot, rest, (), stops)
                 if report.reason.is_fault:
                     return report
             told = None if progress is None else _counter(progress, done, total)
-            with Recorder(folder / f"{manoeuvre.name}{SUFFIX}", robot.system, robot=robot.name) as recorder:
-                report = _run(connection, robot, manoeuvre, (recorder,), limits, stops, told)
+            path = folder / f"{manoeuvre.name}{SUFFIX}"
+            recorder = journals.enter_context(
+                Recorder(path, robot.system, robot=robot.name, limits=connection.gate_limits)
+            )
+            report = _run(connection, robot, manoeuvre, (recorder,), stops, told)
             if recorder.problem is not None:
                 raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
             if report.reason.is_fault:
@@ -127,7 +130,6 @@ def _run(
     robot: Robot,
     manoeuvre: Manoeuvre,
     listeners: Sequence[Recorder],
-    limits: GateLimits | None,
     stops: Stops,
     told: Callable[[int], None] | None = None,
 ) -> LoopReport:
@@ -136,7 +138,6 @@ def _run(
         robot.system,
         listeners=listeners,
         estimator=NewestPose(robot.system),
-        gate=PoseGate(None, limits),
         stops=stops,
     )
     return loop.run(ManoeuvrePilot(manoeuvre, told))
@@ -151,7 +152,10 @@ def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]
 
 
 def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
-    """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run."""
+    """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run.
+
+    ``limits`` are for another gate than the one a journal names.
+    """
     logs = []
     for name in names:
         path = folder / f"{name}{SUFFIX}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from hardware.measurement import Measurement
 from sysid_evo.arrays import Array
@@ -52,6 +52,17 @@ class GateLimits:
                 raise InvalidArgument(f"gate: expected {name} above 0, got {getattr(self, name)}")
         if self.confirm < 1 or (self.frozen is not None and self.frozen < 1):
             raise InvalidArgument("gate: expected confirm and frozen to be at least 1 frame")
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the limits as strict JSON (an absent limit is null)."""
+        return {
+            name: value if value is not None and math.isfinite(value) else None for name, value in asdict(self).items()
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
+        """Undo `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
+        return cls(**{k: math.inf if v is None and k != "frozen" else v for k, v in value.items()})  # type: ignore[arg-type]
 
 
 class PoseGate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import struct
@@ -18,10 +19,11 @@ from hypothesis import strategies as st
 from hardware.emulation.car_physics import CAR
 from hardware.listener import Command, RobotStatus
 from hardware.measurement import Measurement
-from hardware.recording.journal import MAGIC, Journal, read_journal
+from hardware.recording.journal import MAGIC, SCHEMA, Journal, read_journal
 from hardware.recording.raw_log import raw_log
 from hardware.recording.recorder import Recorder
 from hardware.recording.records import LONGEST
+from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidArgument, InvalidData
 from tests.benchmarks.recorder import kill_once
 
@@ -126,6 +128,10 @@ def record(kind: int, payload: bytes, length: int | None = None) -> bytes:
     return front + struct.pack("<I", zlib.crc32(front))
 
 
+def header(**fields: object) -> bytes:
+    return json.dumps({"schema": SCHEMA, "system": CAR.to_dict(), **fields}).encode()
+
+
 @pytest.mark.parametrize(
     "data, said",
     [
@@ -138,6 +144,9 @@ def record(kind: int, payload: bytes, length: int | None = None) -> bytes:
         (MAGIC + record(1, b"[]"), "an object"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/2"}'), "schema"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/1", "system": {"states": 3}}'), "a system"),
+        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: expected speed"),
+        (MAGIC + record(1, header(limits={"pace": 1.0})), "the gate's limits"),
+        (MAGIC + record(1, header(limits={"speed": "9"})), "the gate's limits"),
         (MAGIC + record(2, b""), "header, and first"),
         (MAGIC + record(77, b""), "no kind of record has the number 77"),
     ],
@@ -228,6 +237,18 @@ def test_break_of_the_track_leaves_a_hole_that_no_preparation_bridges(path):
     (hole,) = np.flatnonzero(np.diff(log.time) > 0.006)
     assert log.time[hole] == pytest.approx(0.005 * 19)
     assert np.diff(log.time)[hole] == pytest.approx(0.03)
+
+
+def test_journal_keeps_the_limits_of_its_gate(path):
+    limits = GateLimits(speed=math.inf, jump=math.inf, turn=2.0, frozen=None)
+    with Recorder(path, CAR, robot="toy", limits=limits) as recorder:
+        recorder.measured(measurement(0))
+        recorder.commanded(Command(0, 5.0, 5.0, np.array([1.0, 0.0])))
+        recorder.measured(measurement(900))
+    assert read_journal(path).limits == limits
+    assert len(raw_log(read_journal(path)).time) == 2
+    with pytest.raises(InvalidData, match="at least two frames"):
+        raw_log(read_journal(path), GateLimits())
 
 
 def test_journal_without_a_run_is_refused_as_a_log(path):
