@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -85,6 +86,7 @@ class ControlLoop:
         """
         self._rejected.clear()
         self._ticks, self._skipped, self._stale = [], 0, 0
+        gc.freeze()  # a collection that looks at all that was ever imported takes up to a tenth of a second
         try:
             try:
                 reason, detail = self._drive(pilot, samples)
@@ -95,6 +97,8 @@ class ControlLoop:
         except BaseException:
             self.connection.close()
             raise
+        finally:
+            gc.unfreeze()
         if reason.is_fault:
             self.connection.close()
         sent = np.array(self._ticks).reshape(-1, 2)

@@ -1,5 +1,7 @@
 """The control loop in simulated time, on the emulated car."""
 
+import gc
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,14 @@ def test_pilot_is_asked_once_a_sample_and_its_control_drives(robot):
     assert [command.tick for command in driven] == list(range(40))
     assert all(command.time == pytest.approx(command.due) for command in driven)
     assert [frame.frame for frame in diary.measurements] == list(range(len(diary.measurements)))
+
+
+def test_garbage_collection_leaves_out_what_was_there_before_the_run(robot):
+    frozen = []
+    with robot.connect(seed=1) as link:
+        ControlLoop(link, robot.system).run(Script(lambda tick: frozen.append(gc.get_freeze_count())), samples=1)
+    assert frozen[0] > 10_000
+    assert gc.get_freeze_count() == 0
 
 
 def test_robot_stands_until_there_is_an_estimate(robot):
