@@ -20,6 +20,7 @@ from model_zoo.network import random_network
 from model_zoo.runge_kutta import frame_rotation, rk4
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.progress import Counter
 from sysid_evo.store import save_model
 from sysid_evo.system import System
 from sysid_evo.testing import example_dataset
@@ -143,7 +144,8 @@ def test_back_propagation_fits_a_linear_map(optimiser: str) -> None:
 
     def error(epochs: int) -> float:
         model = Backprop27(epochs=epochs, optimiser=optimiser, learning_rate=0.02 if optimiser == "adam" else 0.2)
-        first, first_bias, last, last_bias = model._trained(inputs, targets, np.random.default_rng(1))
+        counter = Counter(None, epochs)
+        first, first_bias, last, last_bias = model._trained(inputs, targets, np.random.default_rng(1), counter)
         hidden = np.tanh(inputs @ first + first_bias).reshape(200, 2, 8)
         guess: Array = np.einsum("nsh,sh->ns", hidden, last) + last_bias
         return float(np.mean((guess - targets) ** 2) / targets.var())
