@@ -60,9 +60,9 @@ class Instruments(Listener):
     def measured(self, measurement: Measurement) -> None:
         now = self._clock()
         began, frames, rate = self._counted
-        self._counted = (
-            (now, 0, frames / (now - began)) if now - began >= RATE_SPAN else (began, frames + measurement.valid, rate)
-        )
+        frames += measurement.valid
+        span = now - began
+        self._counted = (now, 0, frames / span) if span >= RATE_SPAN else (began, frames, rate)
         if measurement.valid:
             self._frame, self._arrived = measurement, now
 
