@@ -104,7 +104,9 @@ _FRAMES = st.one_of(
     ),
     st.builds(Stop, st.just(SESSION), st.just(0)),
 ).map(lambda message: encode(message.pack()))
-_CHUNKS = st.lists(st.tuples(st.integers(0, 255), st.one_of(_FRAMES, _FRAMES, st.binary(max_size=80))), max_size=12)
+_LONG = st.binary(min_size=30, max_size=80).map(lambda data: data.replace(b"\0", b"\1"))
+_BYTES = st.one_of(_FRAMES, _FRAMES, st.binary(max_size=80), _LONG)
+_CHUNKS = st.lists(st.tuples(st.integers(0, 255), _BYTES), max_size=12)
 
 
 def _survives(process: subprocess.Popen[bytes], chunks: list[tuple[int, bytes]]) -> tuple[Message | None, ...]:
@@ -150,6 +152,12 @@ def test_streams_of_the_sanitized_core_reach_driving(replayer):
     said = _survives(replayer, chunks)
     assert {message.session for message in said if isinstance(message, HelloAcknowledgement)} == {SESSION}
     assert any(message.buttons for message in said if isinstance(message, StatusMessage))
+
+
+@pytest.mark.parametrize("size", [1, 2, 32, 33, 34, 35, 254])
+def test_frames_up_to_the_longest_and_beyond_are_counted_alike(replayer, size):
+    last = _survives(replayer, [(0, b"\x01" * size + b"\0"), (0, bytes([size]) + b"\x07" * (size - 1)), (0, b"\0")])[-1]
+    assert last.crc + last.length == 2
 
 
 @settings(suppress_health_check=list(HealthCheck), deadline=None)
