@@ -62,7 +62,7 @@ class HandDriving:
         *,
         seed_of: Callable[[int], int],
         stops: Stops,
-        recorder: Callable[[str], Listener] | None = None,
+        recorder: Callable[[str, GateLimits], Listener] | None = None,
         origin: Array | None = None,
     ) -> None:
         self._robot = robot
@@ -90,10 +90,10 @@ class HandDriving:
         seed, name = self._seed_of(index), f"trial-{index + 1}"
         pilot = HumanPilot(self._keyboard, self._task, seed=seed, origin=self._origin)
         listeners: list[Listener] = [self._instruments]
-        if self._recorder is not None:
-            listeners.append(WhileDriving(pilot, partial(self._recorder, name)))
         try:
             with self._robot.connect(seed=seed) as connection:
+                if self._recorder is not None:
+                    listeners.append(WhileDriving(pilot, partial(self._recorder, name, connection.gate_limits)))
                 self._instruments.begin(pilot, index + 1)
                 loop = ControlLoop(connection, self._robot.system, listeners=listeners, stops=self._stops)
                 report, limits = loop.run(pilot), connection.gate_limits

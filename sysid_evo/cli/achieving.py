@@ -86,6 +86,7 @@ def drive_controller(
         )
         reason = report.sentence if report.reason.is_fault else None
         bars.finish(cell, cached=False, reason=reason)
+    out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)
     out.print(trials_table(measured, rollouts))
     out.print(punctuality(report), highlight=False)
     if folder is not None:
@@ -129,7 +130,7 @@ def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
     from rich.table import Table
 
     cell = measured.cell
-    table = Table(title=f"{cell.champion} on {cell.column}", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False)
     table.add_column("trial", justify="right")
     table.add_column(cell.unit or "fitness", justify="right")
     table.add_column("steps", justify="right")

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hardware.driving.session import HandTrial
     from hardware.recording.recorder import Recorder
     from hardware.robot import Robot
+    from hardware.trackers.gates import GateLimits
 
 TASK = "point_to_point"
 JOURNALS = "journal"
@@ -73,9 +74,9 @@ def drive_by_hand(
     recorders: list[Recorder] = []
     ended: list[HandTrial] = []
 
-    def recorder(name: str) -> Recorder:
+    def recorder(name: str, limits: GateLimits) -> Recorder:
         assert folder is not None
-        recorders.append(recorder_of(folder, robot, name))
+        recorders.append(recorder_of(folder, robot, name, limits))
         return recorders[-1]
 
     server = _server_class()
@@ -137,12 +138,12 @@ def _tell(trial: HandTrial, unit: str) -> None:
         err.print(f"trial {trial.number}: given up after {trial.trajectory.duration:.1f} s", highlight=False)
 
 
-def recorder_of(folder: Path, robot: Robot, name: str) -> Recorder:
-    """Return the recorder of the trial ``name``."""
+def recorder_of(folder: Path, robot: Robot, name: str, limits: GateLimits | None = None) -> Recorder:
+    """Return the recorder of the trial ``name``; ``limits`` are those of the gate that its frames pass."""
     from hardware.recording.journal import SUFFIX
     from hardware.recording.recorder import Recorder
 
-    return Recorder(folder / JOURNALS / f"{name}{SUFFIX}", robot.system, robot=robot.name)
+    return Recorder(folder / JOURNALS / f"{name}{SUFFIX}", robot.system, robot=robot.name, limits=limits)
 
 
 def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:

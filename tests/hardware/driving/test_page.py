@@ -58,7 +58,7 @@ class Session(Listener):
             instruments,
             seed_of=lambda index: index,
             stops=self.stops,
-            recorder=lambda _: self,
+            recorder=lambda *_: self,
         )
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()

@@ -206,7 +206,7 @@ def test_losing_the_page_means_neutral_within_150_ms(desk: Desk, lose) -> None:
     thread = threading.Thread(target=typist.type)
     driving = HandDriving(
         desk.robot, desk.task, desk.keyboard, desk.instruments,
-        seed_of=lambda index: index, stops=stops, recorder=lambda name: commands,
+        seed_of=lambda index: index, stops=stops, recorder=lambda *_: commands,
     )  # fmt: skip
     thread.start()
     trials = list(driving.trials())

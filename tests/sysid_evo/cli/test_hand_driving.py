@@ -24,6 +24,7 @@ from hardware.driving.keyboard import FORWARD, LEFT
 from hardware.driving.session import HandTrial
 from hardware.emulation.modelled_robot import ModelledRobot
 from hardware.loop.report import LoopReport, Reason
+from hardware.recording.journal import read_journal
 from hardware.trackers.gates import GateLimits
 from sysid_evo.cli.hand_driving import Driven, append_row
 from sysid_evo.data import Dataset, Trajectory
@@ -102,6 +103,7 @@ def test_a_model_is_recorded_in_the_same_way(tmp_path: Path) -> None:
     episode = Dataset.read(tmp_path / "felt").episodes[0]
     assert {tuple(control) for control in episode.controls} >= {(1.0, 1.0)}
     assert np.ptp(episode.states[:, 0]) > 0.1
+    assert read_journal(tmp_path / "felt/journal/trial-1.rcj").limits.speed == np.inf
 
 
 @pytest.mark.slow
