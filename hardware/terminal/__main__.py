@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -56,6 +57,7 @@ def main() -> None:
         ready = {"port": str(port.link), "tracker": f"{host}:{number}" if host else None, "pid": os.getpid()}
         sys.stdout.write(json.dumps(ready) + "\n")
         sys.stdout.flush()
+        gc.freeze()  # a collection that looks at all that was imported would hold up the car
         Terminal(port, board, car, poses, faults, journal).run(sys.stdin.fileno())
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
     table = Table("case", "demand", "passed", "figures")
     for row in rows:
         figures = ", ".join(f"{name} {value}" for name, value in row.figures.items())
-        table.add_row(row.case, row.demand, f"{row.passed} of {row.count}", figures)
+        table.add_row(row.case, row.demand, f"{row.passed} of {row.count}", Text(figures))
     console.print(table)
 
 
