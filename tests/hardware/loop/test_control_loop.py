@@ -162,6 +162,8 @@ def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(robot):
     assert report.reason is Reason.SAMPLES
     assert report.skipped == 1
     assert len(script.ticks) == 39
+    begun = next(i for i, command in enumerate(diary.commands) if command.control.any())
+    assert all(command.control.any() for command in diary.commands[begun:-1]), "poses that were waiting are not stale"
     missing = sorted(set(range(40)) - set(script.ticks))
     assert len(missing) == 1
     times = np.array([c.time for c in diary.commands if c.control.any() and c.tick > missing[0]])
@@ -172,14 +174,14 @@ def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(robot):
 
 
 def test_jump_within_a_dropout_begins_a_new_track_and_nothing_is_computed_across_it(robot):
-    link = FaultyRobot(robot, lost=(1.0, 1.2), moved=(1.1, (0.0, 0.2, 0.0))).connect(seed=1)
+    link = FaultyRobot(robot, lost=(1.0, 1.1), moved=(1.05, (0.0, 0.3, 0.0))).connect(seed=1)
     script = Script(lambda tick: FORWARD)
     report = ControlLoop(link, robot.system).run(script, samples=40)
     lateral = np.array([estimate.state[1] for estimate in script.estimates])
     assert report.reason is Reason.SAMPLES
-    assert 2 < report.stale < 10
+    assert 1 < report.stale < 6
     assert np.abs(lateral).max() < 0.2
-    assert script.estimates[-1].pose[1] > 0.1
+    assert script.estimates[-1].pose[1] > 0.2
 
 
 @pytest.mark.parametrize(("away", "why"), [(0.2, "too fast"), (3.0, "jumped")])

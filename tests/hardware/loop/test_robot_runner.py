@@ -19,6 +19,7 @@ from sysid_evo.engine import DynamicsRunner
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.tasks.point_to_point import PointToPointState
 
 from .through import Diary, FaultyRobot
 
@@ -28,7 +29,7 @@ REST = 0.5  # s before each trial
 class Chaser(Controller):
     """Full throttle, and steers to the side on which the waypoint is; the parameter is the throttle."""
 
-    n_parameters, n_memory = 1, 1
+    n_parameters, n_memory = 1, 0
 
     def bind(self, n_observations: int, n_outputs: int) -> Self:
         return self
@@ -36,7 +37,24 @@ class Chaser(Controller):
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
         angle = view.observation[..., 3]
         raw = np.stack([np.broadcast_to(parameters[:, :1], angle.shape), 2.0 * angle], axis=-1)
-        return raw, memory + 1.0
+        return raw, memory
+
+
+class Spurt(Controller):
+    """Full throttle for the first steps of a trial, as many as its parameter says; keeps the distances it was shown."""
+
+    n_parameters, n_memory = 1, 1
+
+    def __init__(self) -> None:
+        self.distances: list[Array] = []
+
+    def bind(self, n_observations: int, n_outputs: int) -> Self:
+        return self
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        self.distances.append(view.observation[0, :, 4].copy())
+        drive = (memory < parameters[:, None]).astype(float)
+        return np.concatenate([drive, np.zeros_like(drive)], axis=-1), memory + 1.0
 
 
 FULL = np.ones((1, 1))
@@ -83,6 +101,26 @@ def test_first_trial_starts_in_the_origin_and_the_next_where_the_robot_stands(ro
     stopped = np.hypot(*(second.pose[0] - first.pose[-1])[:2])
     assert 0.1 < stopped < 1.5, "it coasts to a stop"
     assert np.abs(second.states[0]).max() < 0.4
+
+
+def test_memory_begins_anew_in_every_trial_and_lasts_for_it(robot: Robot) -> None:
+    steps = np.array([[7.0], [3.0]])
+    ran = RobotRunner(robot, seed=1).run(Spurt(), steps, PointToPoint(horizon=12), trial_seeds(1, 2))
+    driven = [int(trajectory.controls[:, 0].sum()) for trajectory in ran.trajectories]
+    assert driven == [7, 7, 3, 3]
+
+
+def test_what_is_observed_and_scored_follows_the_measured_pose(robot: Robot) -> None:
+    placed, spurt, task = FaultyRobot(robot, placed=(2.0, -1.0, 2.5)), Spurt(), PointToPoint(horizon=30)
+    ran = RobotRunner(placed, seed=1).run(spurt, np.full((1, 1), 30.0), task, trial_seeds(1, 2))
+    state = ran.task_state
+    assert isinstance(state, PointToPointState)
+    for trial, trajectory in enumerate(ran.trajectories):
+        assert trajectory.pose is not None
+        np.testing.assert_allclose(state.pose[trial, :2], trajectory.pose[-1, :2], atol=1e-12)
+        first = spurt.distances[30 * trial][trial]
+        expected = np.hypot(*(state.waypoints[trial, 0] - trajectory.pose[0, :2]))
+        assert first == pytest.approx(expected)
 
 
 def test_origin_of_the_tracker_is_kept_when_asked_for(robot: Robot) -> None:
