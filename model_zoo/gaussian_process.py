@@ -48,7 +48,10 @@ class GaussianProcess(DynamicsModel):
     """
 
     knowledge = "dark grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"inducing": 40, "state_lags": 0, "control_lags": 0}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
+        "paper": {"inducing": 400},
+    }
 
     def __init__(
         self,

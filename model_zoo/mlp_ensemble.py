@@ -50,14 +50,14 @@ class MlpEnsemble(DynamicsModel):
     knowledge = "dark grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
-            "members": 2,
-            "hidden": [24],
+            "members": 3,
+            "hidden": [32, 32],
             "state_lags": 1,
-            "control_lags": 2,
-            "one_step_updates": 150,
-            "updates": 60,
-            "horizon": 10,
+            "control_lags": 3,
+            "one_step_updates": 600,
+            "updates": 200,
         },
+        "paper": {"members": 10, "one_step_updates": 8000, "updates": 2000},
     }
 
     def __init__(

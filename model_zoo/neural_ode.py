@@ -24,7 +24,8 @@ class NeuralOde(NetworkRate):
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"hidden": [16], "one_step_updates": 60, "updates": 30, "horizon": 5},
+        "quick": {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10},
+        "paper": {"one_step_updates": 3000, "updates": 1500},
     }
 
     def __init__(

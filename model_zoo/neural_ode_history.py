@@ -28,13 +28,14 @@ class NeuralOdeHistory(NetworkRate):
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
-            "hidden": [16],
-            "one_step_updates": 60,
-            "updates": 30,
-            "horizon": 5,
+            "hidden": [24],
+            "one_step_updates": 500,
+            "updates": 150,
+            "horizon": 10,
             "control_lags": 2,
             "state_lags": 0,
         },
+        "paper": {"one_step_updates": 3000, "updates": 1500},
     }
 
     def __init__(

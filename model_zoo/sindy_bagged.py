@@ -28,7 +28,10 @@ class SindyBagged(ContinuousSparse):
     threshold and lags are chosen as by `Sindy`, without bags.
     """
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0, "bags": 8}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"degree": 2, "control_lags": 0, "bags": 8},
+        "paper": {"bags": 50},
+    }
 
     def __init__(
         self,
