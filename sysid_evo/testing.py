@@ -133,7 +133,7 @@ def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None
     for start, after in ((unfitted, 0), (unfitted, len(told) // 2), (fitted, len(told) // 2)):
         before = set(vars(start))
         try:
-            start.fit(dataset, rng=rng(2), progress=stopping(after))
+            start.fit(dataset, rng=rng(1), progress=stopping(after))
         except _Stopped:
             if set(vars(start)) != before:
                 raise ContractViolation(f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind") from None

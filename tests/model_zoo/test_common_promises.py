@@ -13,6 +13,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model, models
 from sysid_evo.testing import example_dataset
+from tests.model_zoo.test_contract import SMALL as SMALL_BUDGETS
 
 SMALL: dict[str, dict[str, Any]] = {"neural_ode": {"updates": 10}}
 
@@ -76,11 +77,11 @@ ITERATIVE = [name for name in models.names() if name not in ("linear", "nearest_
 
 @pytest.mark.parametrize("name", ITERATIVE)
 def test_a_fit_that_takes_long_tells_often_how_far_it_is(name: str, recording: Dataset) -> None:
-    """With the default budget cut short, every family reports at least ten times: at most a tenth passes in silence."""
+    """Every family reports at least ten times, also with a small budget."""
     options = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class
     searched = {key: None for key in ("state_lags", "control_lags", "degree", "terms", "neighbours") if key in options}
     told: list[int] = []
-    model = make_model(name, **{**options, **searched})
+    model = make_model(name, **{**options, **SMALL_BUDGETS.get(name, {}), **searched})
     model.fit(recording, rng=np.random.default_rng(0), progress=lambda done, total: told.append(done))
     assert len(told) >= 10
     assert told == sorted(told)
