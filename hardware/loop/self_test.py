@@ -44,7 +44,7 @@ def self_test(
     try:
         connection = robot.connect(seed=seed)
     except LinkLost as error:
-        return (Finding("handshake", False, f"Nothing answers: {error}."),)
+        return (Finding("handshake", False, f"Nothing answers: {error}"),)
     with connection:
         took = time.perf_counter() - began
         sitter = Sitter(connection, robot.system)
