@@ -40,7 +40,7 @@ def show(rows: Sequence[Row], console: Console) -> None:
     """Print ``rows`` as a table."""
     table = Table("case", "demand", "passed", "figures")
     for row in rows:
-        figures = ", ".join(f"{name} {value}" for name, value in row.figures.items())
+        figures = ", ".join(f"{name.replace('_', ' ')} {_shown(value)}" for name, value in row.figures.items())
         table.add_row(row.case, row.demand, f"{row.passed} of {row.count}", Text(figures))
     console.print(table)
 
@@ -49,3 +49,12 @@ def save(rows: Sequence[Row], path: Path) -> None:
     """Write ``rows`` as JSON."""
     listed = [{**vars(row), "holds": row.holds} for row in rows]
     path.write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")
+
+
+def _shown(value: Any) -> str:
+    """Return a figure as words: what is in a dictionary or a list, without its brackets."""
+    if isinstance(value, dict):
+        return " ".join(f"{name.replace('_', ' ')} {_shown(inner)}" for name, inner in value.items())
+    if isinstance(value, list):
+        return "; ".join(map(_shown, value))
+    return str(value)
