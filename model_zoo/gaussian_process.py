@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from sklearn.base import clone
 
 from model_zoo.spread import conformal_scale, unseen_parts
@@ -170,7 +170,7 @@ class GaussianProcess(DynamicsModel):
                 counter.advance(0)
                 return objective(theta)
 
-            found: Any = minimize(told, start, method="L-BFGS-B", jac=True, bounds=bounds)  # type: ignore[call-overload]
+            found = minimize(told, start, method="L-BFGS-B", jac=True, bounds=Bounds(*bounds.T))
             return found.x, found.fun
 
         inputs, targets = self._residuals(dataset)

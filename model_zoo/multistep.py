@@ -141,7 +141,7 @@ def train(
         loss = (error * (weight / weight.sum())).sum()
         loss = loss + plan.weight_decay * torch.stack([(p**2).sum() for p in model.parameters]).sum()
         optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]  # torch does not annotate it
+        torch.autograd.backward(loss)
         norm = torch.nn.utils.clip_grad_norm_(model.parameters, math.sqrt(members))
         if torch.isfinite(norm):
             optimiser.step()

@@ -6,9 +6,11 @@ import base64
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from evaluation.exploitability import ModelExploitability
 from evaluation.labels import shortened
@@ -27,6 +29,9 @@ from evaluation.plots import (
 from evaluation.prediction import PERSISTENCE, Prediction
 from evaluation.prediction.metrics import mean_over_channels
 from evaluation.transfer import Trace, TransferMatrix, TransferSummary
+
+Panels: TypeAlias = NDArray[Any]
+"""Axes in rows and columns, as `Figure.subplots` returns them."""
 
 WIDTH = 9.6  # inches, the width of the page
 SHOWN_MODELS = 5
@@ -202,12 +207,12 @@ def _planar(matrix: TransferMatrix, name: str, column: str) -> bool:
     return pose is not None and pose.shape[1] == 3
 
 
-def _hide(panels, used: int) -> None:  # type: ignore[no-untyped-def]  # an array of axes has no useful type
+def _hide(panels: Panels, used: int) -> None:
     for ax in list(panels.flat)[used:]:
         ax.set_visible(False)
 
 
-def _outer(panels, used: int) -> None:  # type: ignore[no-untyped-def]  # an array of axes has no useful type
+def _outer(panels: Panels, used: int) -> None:
     """Keep labels only at the left, and where no panel stands below."""
     columns = panels.shape[1]
     for i in range(used):

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from hardware.measurement import Measurement
 from sysid_evo.arrays import Array
@@ -62,7 +63,8 @@ class GateLimits:
     @classmethod
     def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
         """Undo `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
-        return cls(**{k: math.inf if v is None and k != "frozen" else v for k, v in value.items()})  # type: ignore[arg-type]
+        limits: dict[str, Any] = {k: math.inf if v is None and k != "frozen" else v for k, v in value.items()}
+        return cls(**limits)
 
 
 class PoseGate:

@@ -38,6 +38,7 @@ class ProcessTracker(Tracker):
     """
 
     package: ClassVar[str | None] = None
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
     @abstractmethod
     def frames(self) -> Iterator[Measurement | None]:
@@ -58,7 +59,7 @@ class ProcessTracker(Tracker):
 
     def describe(self) -> dict[str, Any]:
         """Return what the other process needs to make the same tracker, as JSON."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {"module": type(self).__module__, "class": type(self).__qualname__, "arguments": values}
 
 
