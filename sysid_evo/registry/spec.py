@@ -159,7 +159,7 @@ def _key(node: ast.expr | None) -> Any:
 
 def _written(value: Any) -> str:
     if isinstance(value, str):
-        plain = value.isidentifier() and not keyword.iskeyword(value) and value.lower() not in WORDS
+        plain = value.isascii() and value.isidentifier() and not keyword.iskeyword(value) and value.lower() not in WORDS
         return value if plain else repr(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key!r}: {_written(item)}" for key, item in value.items()) + "}"
