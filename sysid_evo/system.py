@@ -189,6 +189,32 @@ class System:
             return state + acceleration * self.dt
         return self.motion.integrate(state, acceleration, self.dt, self.state_names)
 
+    def differences(self, other: System) -> tuple[str, ...]:
+        """Return in what ``other`` is another system for a controller, in words; empty if it is the same.
+
+        Names, units and order of the channels count, legal controls, the sampling time and the motion.
+        Limits of states do not: they are what a recording happened to show.
+        """
+        found = []
+        for what, mine, theirs in (
+            ("states", self.states, other.states),
+            ("controls", self.controls, other.controls),
+        ):
+            names = [", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in side) for side in (mine, theirs)]
+            if names[0] != names[1]:
+                found.append(f"{what} {names[0] or 'none'} against {names[1] or 'none'}")
+        if len(self.controls) == len(other.controls):
+            for own, its in zip(self.controls, other.controls, strict=True):
+                legal = [(c.low, c.high, c.levels, c.neutral) for c in (own, its)]
+                if own.name == its.name and legal[0] != legal[1]:
+                    found.append(f"legal values of {own.name}: {_legal(own)} against {_legal(its)}")
+        if not np.isclose(self.dt, other.dt, rtol=1e-9, atol=0.0):
+            found.append(f"{1 / self.dt:g} Hz against {1 / other.dt:g} Hz")
+        if self.motion != other.motion:
+            kinds = ["none" if s.motion is None else str(s.motion.to_dict()) for s in (self, other)]
+            found.append(f"motion {kinds[0]} against {kinds[1]}")
+        return tuple(found)
+
     def with_dt(self, dt: float) -> System:
         """Return the same system sampled every ``dt`` seconds."""
         return System(self.states, self.controls, dt, self.motion, self.name)
@@ -213,6 +239,10 @@ class System:
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def _legal(channel: Channel) -> str:
+    return str(list(channel.levels)) if channel.levels else f"[{channel.low:g}, {channel.high:g}]"
 
 
 @cache

@@ -112,19 +112,8 @@ def _difference(difference: Difference) -> dict[str, Any]:
 
 
 def _champion(champion: Champion) -> dict[str, Any]:
-    return {
-        "name": champion.name,
-        "against": champion.against,
-        "aggregate": champion.aggregate,
-        "seed": champion.seed,
-        "controller": champion.controller,
-        "controller_parameters": champion.controller_parameters,
-        "task": champion.task,
-        "task_parameters": champion.task_parameters,
-        "parameters": champion.parameters,
-        "history": champion.history,
-        "estimator_delay": champion.estimator_delay,
-    }
+    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
+    return {**known, "parameters": champion.parameters, "history": champion.history}
 
 
 def _matrix(matrix: TransferMatrix) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Which controllers work elsewhere than where they were evolved."""
 
-from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, run_cell, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, run_cell, run_on, transfer_seeds
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.summary import (
@@ -25,6 +25,7 @@ __all__ = [
     "load_measured",
     "person",
     "run_cell",
+    "run_on",
     "save_measured",
     "summarise",
     "transfer",

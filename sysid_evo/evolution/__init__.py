@@ -1,7 +1,7 @@
 """Evolution: strategies, the generation loop, ensembles of models, champions."""
 
 from sysid_evo.evolution.champion import Champion
-from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller
+from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import AGGREGATES, EnsembleObjective, aggregate
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, evolve
@@ -21,4 +21,5 @@ __all__ = [
     "aggregate",
     "evolve",
     "evolve_controller",
+    "observed_late",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import inspect
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -15,6 +16,7 @@ from typing import Any, Generic, TypeVar
 from packaging.requirements import Requirement
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.registry.plugin_files import source_digest
 from sysid_evo.registry.spec import Spec
 
 T = TypeVar("T")
@@ -135,6 +137,17 @@ class Registry(Generic[T]):
                 found[parameter.name] = parameter.default
         return found
 
+    def identity(self, spec: str | Spec) -> dict[str, Any]:
+        """Return what decides the thing that ``spec`` makes, as strict JSON: name, all parameters, a plugin's source."""
+        found = self.check(spec)
+        defaults = {key: value for key, value in self.parameters(found.name).items() if key not in self.given}
+        parameters = {**defaults, **found.parameters}
+        return {
+            "name": found.name,
+            "parameters": {str(key): _plain(value) for key, value in parameters.items() if key is not None},
+            "source": source_digest(self.get(found.name)),
+        }
+
     def lacking(self, name: str) -> MissingExtra | None:
         """Return why ``name`` cannot run here for want of an optional package; None if it can.
 
@@ -193,6 +206,17 @@ _VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 def _signature(factory: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(factory).parameters
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` as strict JSON; what JSON cannot hold is its text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    return repr(value)
 
 
 def _did_you_mean(wrong: str, known: tuple[str, ...] | list[str]) -> str:
