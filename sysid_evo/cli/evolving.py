@@ -45,15 +45,15 @@ def evolve(
     """
     from sysid_evo.cli.progress import Bars
     from sysid_evo.engine import DynamicsRunner
-    from sysid_evo.evolution import aggregate as check_aggregate
     from sysid_evo.experiment import controller_preset, ensemble_name, evolve_champions
     from sysid_evo.randomness import trial_seeds
+    from sysid_evo.registry import aggregates
     from sysid_evo.store import RunFolder
     from sysid_evo.wrappers import DelayedEstimate
 
     load_plugins(plugin)
     members = split_names(against)
-    check_aggregate(aggregate, [[0.0]])
+    aggregates.check(aggregate)
     alone = run is None and all(is_robot(member) for member in members)
     folder = new_run_folder(None) if alone else latest_run_folder(run)
     dynamics = {member: find_dynamics(folder, member) for member in members}

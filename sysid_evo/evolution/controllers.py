@@ -14,10 +14,9 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import evolve
-from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_controller, make_strategy, make_task
+from sysid_evo.registry import aggregates, make_controller, make_strategy, make_task
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -32,8 +31,9 @@ class ControllerEvolution:
 
     ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
     which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials. With ``estimator_delay`` (s) every model is observed that late, as
-    on a robot whose state is estimated, see `DelayedEstimate`.
+    ``selection_trials`` fresh trials. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
+    see `DelayedEstimate`.
     """
 
     generations: int = 300
@@ -53,17 +53,17 @@ class ControllerEvolution:
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+        aggregates.check(self.aggregate)
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
-        task: Task = make_task(self.task, **self.task_parameters).bind(system)
-        return task
+        return make_task(self.task, **self.task_parameters).bind(system)
 
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
-        controller: Controller = make_controller(self.controller, **self.controller_parameters)
+        controller = make_controller(self.controller, **self.controller_parameters)
         return controller.bind(len(task.observations), task.system.nu)
 
 
@@ -87,7 +87,7 @@ def evolve_controller(
     best: tuple[float, Champion] | None = None
     for run in range(settings.runs):
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
-        strategy: EvolutionStrategy = make_strategy(
+        strategy = make_strategy(
             settings.strategy, n_parameters=controller.n_parameters, seed=run_seed, **settings.strategy_parameters
         )
         objective = EnsembleObjective(
