@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
@@ -10,7 +12,12 @@ from hardware.session import Session
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.progress import Progress
 from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from hardware.loop.stops import Stops
+    from hardware.recording.scripted import Recorded
 
 
 class Connection(Session):
@@ -66,3 +73,17 @@ class Robot(ABC):
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+
+    def record(
+        self,
+        *,
+        seed: int,
+        duration: float,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Drive manoeuvres for ``duration`` s and record the answer, see `record_dataset`."""
+        from hardware.recording.scripted import record_dataset
+
+        return record_dataset(self, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.files import write_atomically
+from sysid_evo.registry import Spec
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
@@ -125,9 +126,9 @@ class Experiment(BaseModel):
             aggregate=self.aggregate,
             selection_trials=self.selection_trials,
             estimator_delay=self.estimator_delay,
-            controller=self.controller,
-            task=self.task,
-            strategy=self.strategy,
+            controller=Spec.parse(self.controller),
+            task=Spec.parse(self.task),
+            strategy=Spec.parse(self.strategy),
         )
 
 

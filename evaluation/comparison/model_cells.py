@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.plan import Cell, Work, cell_seed
 from sysid_evo.registry import Spec, make_model, models
 from sysid_evo.store import load_model, save_model
+from sysid_evo.store.manifest import Manifest, read_artefact
 
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
@@ -121,6 +123,46 @@ class PredictCell(Cell):
     def persistence(cls, data: Cell) -> PredictCell:
         """Return the cell of the yardstick that a model must beat."""
         return cls(PERSISTENCE, PERSISTENCE, data)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredModel(Cell):
+    """A model in a file of its own, outside any run: found by what the file holds."""
+
+    kind = "model"
+    place = "models"
+
+    path: Path
+
+    @property
+    def title(self) -> str:
+        return f"read {self.path}"
+
+    @property
+    def name(self) -> str:
+        return self.path.stem
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """What stands in its manifest. Raises `ArtefactError`."""
+        return read_artefact(self.path, "model")[0]
+
+    @property
+    def family(self) -> str:
+        """The registered name of its family."""
+        return self.manifest.name
+
+    def inputs(self) -> dict[str, Any]:
+        return {"tensors": self.manifest.sha256, "model": self.manifest.name, "learned": self.manifest.learned}
+
+    def compute(self, work: Work) -> DynamicsModel:
+        return load_model(self.path)
+
+    def save(self, value: DynamicsModel, path: Path) -> list[Path]:
+        return files_of(save_model(value, path, seed=self.manifest.seed, data=self.manifest.data))
+
+    def load(self, path: Path) -> DynamicsModel:
+        return load_model(path)
 
 
 def files_of(manifest: Path) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from evaluation.comparison.columns import Column, emulated
@@ -17,8 +17,17 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, SysidEvoError
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.plan import Cell, Plan
-from sysid_evo.registry import Registry, Spec, aggregates, distinct, make_model, make_robot, models, robot_spec
-from sysid_evo.registry import split as split_specs
+from sysid_evo.registry import (
+    Registry,
+    Spec,
+    aggregates,
+    controllers,
+    distinct,
+    make_robot,
+    models,
+    robot_spec,
+    tasks,
+)
 from sysid_evo.system import System
 
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
@@ -102,8 +111,6 @@ def plan_comparison(
 
 def _constructible(evolution: ControllerEvolution) -> None:
     """Make what can be made without a system, so that wrong values are found now."""
-    from sysid_evo.registry import controllers, tasks
-
     for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
         _made(registry, spec)
     _made(aggregates, Spec.parse(evolution.aggregate))
@@ -131,9 +138,7 @@ def _system_of(robot: Spec) -> System:
     return system
 
 
-def _robot_column(
-    experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]
-) -> Column | None:
+def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Column | None:
     """Return the column of the emulated robot; a physical one gets its column when it is driven."""
     if robot is None:
         return None
@@ -237,7 +242,7 @@ def _matrix(
 ) -> Matrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
-    groups = [(column,) for column in models]
+    groups: list[tuple[Column, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if experiment.yardstick and robot is not None:
         groups.append((robot,))
@@ -255,6 +260,3 @@ def _matrix(
         for column in columns
     )
     return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
-
-
-__all__ = ["Comparison", "plan_comparison", "replace", "split_specs"]

@@ -4,7 +4,7 @@ from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, Mod
 from evaluation.report.document import to_json
 from evaluation.report.page import to_html
 from evaluation.report.save import save_report
-from evaluation.report.terminal import tables
+from evaluation.report.terminal import brief, tables
 from evaluation.report.verdict import Finding, verdict
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Finding",
     "ModelSummary",
     "Report",
+    "brief",
     "save_report",
     "tables",
     "to_html",

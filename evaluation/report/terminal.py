@@ -33,6 +33,11 @@ def tables(report: Report) -> list[RenderableType]:
     return parts
 
 
+def brief(report: Report) -> list[RenderableType]:
+    """Return the verdict."""
+    return tables(report)[: 1 + len(verdict(report))]
+
+
 def to_rich(sheet: Sheet) -> list[RenderableType]:
     """Return ``sheet`` as one table, or as several with the same rows where it is wider than 80 columns."""
     parts: list[RenderableType] = []

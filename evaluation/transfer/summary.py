@@ -9,8 +9,9 @@ import numpy as np
 
 from evaluation.transfer.cell import Cell
 from evaluation.transfer.matrix import TransferMatrix
-from sysid_evo.arrays import Array
-from sysid_evo.evolution import Champion, aggregate
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.evolution import Champion
+from sysid_evo.registry import make_aggregate
 
 RESAMPLES = 1000
 
@@ -110,7 +111,7 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
         return [_draws(cell, seed) for cell in cells if not cell.failed]
 
     known = all(column in matrix.columns and not matrix.cell(name, column).failed for column in against)
-    claimed = aggregate(champion.aggregate, np.stack(drawn(against))) if known and against else None
+    claimed = _claimed(champion.aggregate, [matrix.cell(name, c) for c in against], seed) if known and against else None
     elsewhere, judged = drawn(others), drawn(judges)
     mean = np.mean(elsewhere, axis=0) if elsewhere else None
     median = np.median(judged, axis=0) if judged else None
@@ -139,8 +140,26 @@ def _draws(cell: Cell, seed: int) -> Array:
     """
     if cell.trials < 2:
         return np.concatenate([[cell.mean], np.full(RESAMPLES, np.nan)])
-    picks = np.random.default_rng(seed).integers(0, cell.trials, (RESAMPLES, cell.trials))
-    return np.concatenate([[cell.mean], cell.fitness[picks].mean(axis=1)])
+    return np.concatenate([[cell.mean], cell.fitness[_picks(cell.trials, seed)].mean(axis=1)])
+
+
+def _claimed(aggregate: str, cells: Sequence[Cell], seed: int) -> Array:
+    """Return what ``aggregate`` makes of ``cells``, then of every bootstrap draw of their trials, (1 + resamples,).
+
+    Every draw is one candidate to the rule. Cells with fewer trials count as often as the others: each
+    is cut to the fewest trials of them all.
+    """
+    rule, trials = make_aggregate(aggregate), min(cell.trials for cell in cells)
+    fitness = np.stack([cell.fitness[:trials] for cell in cells])
+    value = rule(fitness[:, None])
+    if trials < 2:
+        return np.concatenate([value, np.full(RESAMPLES, np.nan)])
+    return np.concatenate([value, rule(fitness[:, _picks(trials, seed)])])
+
+
+def _picks(trials: int, seed: int) -> IntArray:
+    """Return the trials of every bootstrap draw, (RESAMPLES, trials)."""
+    return np.random.default_rng(seed).integers(0, trials, (RESAMPLES, trials))
 
 
 def _estimate(draws: Array | None) -> Estimate | None:

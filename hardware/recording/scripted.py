@@ -29,7 +29,6 @@ from sysid_evo.data.raw import RawLog
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import Progress
-from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 
 PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each begins at rest
@@ -185,7 +184,7 @@ def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
 
 
 def record_dataset(
-    robot: str,
+    robot: Robot,
     *,
     seed: int,
     duration: float,
@@ -199,17 +198,16 @@ def record_dataset(
     on an emulated robot, the same recording. Raises `LinkLost` or `InvalidData` if it is too short
     to make a data set of it.
     """
-    machine = make_robot(robot)
-    manoeuvres = excitation(machine.system, duration=duration, rng=np.random.default_rng(seed))
+    manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if folder is None else folder
-        report = record(machine, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
         logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
-        return Recorded(tuple(logs), prepared(logs, machine.system), report)
+        return Recorded(tuple(logs), prepared(logs, robot.system), report)
     except InvalidData as error:
         if report.reason.is_fault:
-            raise LinkLost(f"{robot}: {report.sentence}; {error}") from error
+            raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
         raise
 
 

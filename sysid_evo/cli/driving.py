@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, latest_run_folder, load_plugins
+from sysid_evo.cli.options import Plugins, check_new_folder, latest_run_folder, load_plugins
 
 if TYPE_CHECKING:
     from hardware.robot import Robot
@@ -24,7 +24,7 @@ CONTROLLER_TRIALS = 10
 
 def drive(
     robot: Annotated[
-        str | None, typer.Option(help="A registered robot, NAME:SEED, or a TOML file (default: emulated_car).")
+        str | None, typer.Option(help="Robot, NAME(parameter=value, ...), or a TOML file (default: emulated_car).")
     ] = None,
     model: Annotated[str | None, typer.Option(help="Instead: a fitted model, its family in --run or its file.")] = None,
     controller: Annotated[Path | None, typer.Option(help="File of an evolved controller, to drive instead.")] = None,
@@ -49,15 +49,15 @@ def drive(
     mean neutral. --out makes a data set of what is driven; --name adds the trials that are driven to
     their end to the run's transfer matrix. --controller adds what it achieves on the robot.
 
-    The exit code says why driving ended: 0 as it should; 10 link lost, 11 tracker lost, 12 the robot
-    stopped itself, 13 the control was not a number, 14 a thread died, 15 the robot does not come to rest;
-    129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
+    The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
+    says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
     from sysid_evo.cli.hand_driving import append_row, drive_by_hand
     from sysid_evo.errors import InvalidArgument
 
     load_plugins(plugin)
-    _check_folder(folder)
+    if folder is not None:
+        check_new_folder(folder)
     if controller is not None:
         if model is not None or name is not None:
             raise InvalidArgument("drive: --controller drives a robot and has a row; leave out --model and --name")
@@ -92,21 +92,6 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     family, dash, number = stem.rpartition("-")
     column = family if dash and number.isdecimal() else stem
     return Driven(in_real_time(ModelledRobot(column, find_dynamics(where or Path(), model))), column, where, False)
-
-
-def _check_folder(folder: Path | None) -> None:
-    """Make the folder of a recording now, not when the first key is pressed."""
-    from sysid_evo.errors import InvalidArgument
-
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        empty = not any(folder.iterdir())
-    except OSError as error:
-        raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}: {error}") from error
-    if not empty:
-        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")
 
 
 def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | None]]) -> None:

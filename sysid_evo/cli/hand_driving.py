@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid_evo.cli.console import err, out
+from sysid_evo.cli.exits import code_of_loop
 
 if TYPE_CHECKING:
     from hardware.driving.server import PageServer
@@ -34,11 +35,9 @@ class Driven:
 
 def _seed(seed: int | None, run: Path | None) -> int:
     """Return the seed of the trials: controllers and people meet the same."""
-    from sysid_evo.store import RunFolder
+    from sysid_evo.cli.achieving import seed_of_run
 
-    if seed is not None:
-        return seed
-    return int((RunFolder(run).settings() or {}).get("seed", 0)) if run is not None else 0
+    return seed if seed is not None else seed_of_run(run)
 
 
 def drive_by_hand(
@@ -113,7 +112,7 @@ def drive_by_hand(
             err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
     reason = stops.reason or Reason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
-    return ended, 0 if reason is Reason.SIGINT and not under_way else reason.exit_code
+    return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)
 
 
 def _server_class() -> type[PageServer]:
@@ -175,4 +174,9 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
         traces=tuple(traces),
     )
     physical = driven.on_robot and driven.robot.dynamics is None
-    append(driven.run, Measured(person(name, task=TASK), cell, on_robot=driven.on_robot, physical=physical))
+    append(
+        driven.run,
+        Measured(
+            person(name, task=TASK, system=driven.robot.system), cell, on_robot=driven.on_robot, physical=physical
+        ),
+    )

@@ -16,7 +16,16 @@ from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, controllers, make_controller, make_strategy, make_task, strategies, tasks
+from sysid_evo.registry import (
+    Spec,
+    aggregates,
+    controllers,
+    make_controller,
+    make_strategy,
+    make_task,
+    strategies,
+    tasks,
+)
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -31,8 +40,9 @@ class ControllerEvolution:
 
     ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
     which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials. With ``estimator_delay`` (s) every model is observed that late, as
-    on a robot whose state is estimated, see `DelayedEstimate`.
+    ``selection_trials`` fresh trials. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
+    see `DelayedEstimate`.
     """
 
     generations: int = 300
@@ -51,6 +61,7 @@ class ControllerEvolution:
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+        aggregates.check(self.aggregate)
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 

@@ -4,7 +4,7 @@ from sysid_evo.plan.cell import CONTRACT, Cell, Work
 from sysid_evo.plan.execution import Observer, Silent, execute
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.seeds import cell_seed
-from sysid_evo.plan.store import Outcome, Store, StoredCell
+from sysid_evo.plan.store import Outcome, Record, Store, StoredCell
 
 __all__ = [
     "CONTRACT",
@@ -12,6 +12,7 @@ __all__ = [
     "Observer",
     "Outcome",
     "Plan",
+    "Record",
     "Silent",
     "Store",
     "StoredCell",

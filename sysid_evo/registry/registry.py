@@ -138,10 +138,11 @@ class Registry(Generic[T]):
         return found
 
     def identity(self, spec: str | Spec) -> dict[str, Any]:
-        """Return what decides the thing that ``spec`` makes, as strict JSON: name, all parameters, a plugin's source."""
+        """Return name, all parameters and a plugin's source: what decides the thing ``spec`` makes, as strict JSON."""
         found = self.check(spec)
         defaults = {key: value for key, value in self.parameters(found.name).items() if key not in self.given}
-        parameters = {**defaults, **found.parameters}
+        parameters: dict[str | None, Any] = defaults
+        parameters.update(found.parameters.items())
         return {
             "name": found.name,
             "parameters": {str(key): _plain(value) for key, value in parameters.items() if key is not None},
