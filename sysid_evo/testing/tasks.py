@@ -44,7 +44,8 @@ class Given:
         before = task_state.state.copy()
         controls = self.system.actuate(rng.uniform(-1.0, 1.0, (4, TRIALS, self.system.nu)))
         for control in controls[:3]:
-            task_state, before = self.task.advance(task_state, before, dynamics.step(before, control))
+            task_state, reached = self.task.advance(task_state, before, dynamics.step(before, control))
+            before = np.array(reached, dtype=np.float64)
         return task_state, before, dynamics.step(before, controls[3])
 
     def drive(self, parameters: Array, seeds: Any = SEEDS) -> Rollouts:
