@@ -9,6 +9,7 @@ from sysid_evo.testing.aggregates import check_aggregate, run_aggregate_checks
 from sysid_evo.testing.controllers import check_controller, run_controller_checks
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
 from sysid_evo.testing.models import CHECKS, check_model, run_checks
+from sysid_evo.testing.motions import check_motion, run_motion_checks
 from sysid_evo.testing.readers import check_reader, run_reader_checks
 from sysid_evo.testing.strategies import check_strategy, run_strategy_checks
 from sysid_evo.testing.tasks import check_task, run_task_checks
@@ -21,6 +22,7 @@ __all__ = [
     "check_aggregate",
     "check_controller",
     "check_model",
+    "check_motion",
     "check_reader",
     "check_strategy",
     "check_task",
@@ -29,6 +31,7 @@ __all__ = [
     "run_aggregate_checks",
     "run_checks",
     "run_controller_checks",
+    "run_motion_checks",
     "run_reader_checks",
     "run_strategy_checks",
     "run_task_checks",
