@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -26,7 +26,8 @@ class Channel:
     """One state or control: its name, unit, limits, discrete levels and neutral value.
 
     ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
-    continuous. ``neutral`` is the value at rest (a state) or without a command (a control).
+    continuous. ``neutral`` is the value at rest (a state) or without a command (a control): by
+    default 0, or the limit nearest to it.
     """
 
     name: str
@@ -34,7 +35,7 @@ class Channel:
     low: float = -np.inf
     high: float = np.inf
     levels: tuple[float, ...] | None = None
-    neutral: float = 0.0
+    neutral: float = np.nan
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -50,6 +51,8 @@ class Channel:
                 raise InvalidSystem(f"channel {self.name!r}: levels {levels} lie outside [{self.low}, {self.high}]")
         if not self.low < self.high:
             raise InvalidSystem(f"channel {self.name!r}: expected low < high, got [{self.low}, {self.high}]")
+        if np.isnan(self.neutral):
+            object.__setattr__(self, "neutral", float(min(max(0.0, self.low), self.high)))
         if not (np.isfinite(self.neutral) and self.low <= self.neutral <= self.high):
             raise InvalidSystem(
                 f"channel {self.name!r}: expected a neutral value within [{self.low}, {self.high}], got {self.neutral}"
@@ -86,7 +89,10 @@ class Channel:
 
 @dataclass(frozen=True)
 class System:
-    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose."""
+    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose.
+
+    A name in place of a `Channel` is a channel without unit and limits.
+    """
 
     states: tuple[Channel, ...]
     controls: tuple[Channel, ...]
@@ -95,8 +101,8 @@ class System:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "states", tuple(self.states))
-        object.__setattr__(self, "controls", tuple(self.controls))
+        object.__setattr__(self, "states", _channels("states", self.states))
+        object.__setattr__(self, "controls", _channels("controls", self.controls))
         if not self.states:
             raise InvalidSystem("system: expected at least one state channel, got none")
         names = [channel.name for channel in (*self.states, *self.controls)]
@@ -213,6 +219,16 @@ class System:
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
+    """Return ``given`` with every name made a channel; one name alone is one channel."""
+    listed = [given] if isinstance(given, (str, Channel)) else list(given)
+    channels = [Channel(entry) if isinstance(entry, str) else entry for entry in listed]
+    for channel in channels:
+        if not isinstance(channel, Channel):
+            raise InvalidSystem(f"system: expected Channel(...) or names as {what}, got {type(channel).__name__}")
+    return tuple(channels)
 
 
 @cache

@@ -110,11 +110,12 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
     controls = np.concatenate([episode.controls for episode in dataset])
     states = np.concatenate([episode.states[:-1] for episode in dataset])
     moving = float(np.mean(np.concatenate(dataset.moving)))
-    level = [_nearest_level(channel, controls[:, i]) for i, channel in enumerate(system.controls)]
+    levels = [_levels(channel, controls[:, i]) for i, channel in enumerate(system.controls)]
+    level = [_nearest(values, controls[:, i]) for i, values in enumerate(levels)]
     starts = np.cumsum([0, *(len(episode) for episode in dataset)])[1:-1]
     uses = tuple(
-        _control_use(channel, index, starts, dataset.duration)
-        for channel, index in zip(system.controls, level, strict=True)
+        _control_use(channel, values, index, starts, dataset.duration)
+        for channel, values, index in zip(system.controls, levels, level, strict=True)
     )
     cell = _cells(states)
     visited = len(np.unique(cell))
@@ -130,7 +131,7 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
         states=tuple(_state_use(dataset, i) for i in range(system.nx)),
         cells=visited,
         grid=CELLS**system.nx,
-        commands=tuple(_command_use(system.controls, numbers, level, cell, visited) for numbers in combinations),
+        commands=tuple(_command_use(levels, numbers, level, cell, visited) for numbers in combinations),
         delays=find_delays(dataset),
         sampling=tuple(_sampling(log) for log in logs),
         suggestions=(),
@@ -138,19 +139,22 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
     return replace(advice, suggestions=tuple(_suggestions(advice)))
 
 
-def _levels(channel: Channel) -> tuple[float, ...]:
+def _levels(channel: Channel, values: Array) -> tuple[float, ...]:
+    """Return the levels to count by; a missing limit is the recorded one."""
     if channel.levels is not None:
         return channel.levels
-    return tuple(float(value) for value in np.linspace(channel.low, channel.high, LEVELS))
+    low = channel.low if np.isfinite(channel.low) else values.min()
+    high = channel.high if np.isfinite(channel.high) else values.max()
+    return tuple(float(value) for value in np.linspace(low, high, LEVELS)) if low < high else (float(low),)
 
 
-def _nearest_level(channel: Channel, values: Array) -> IntArray:
-    levels = np.asarray(_levels(channel))
-    return np.abs(values[:, None] - levels).argmin(axis=1)
+def _nearest(levels: Sequence[float], values: Array) -> IntArray:
+    return np.abs(values[:, None] - np.asarray(levels)).argmin(axis=1)
 
 
-def _control_use(channel: Channel, index: IntArray, starts: IntArray, duration: float) -> ControlUse:
-    levels = _levels(channel)
+def _control_use(
+    channel: Channel, levels: tuple[float, ...], index: IntArray, starts: IntArray, duration: float
+) -> ControlUse:
     changes = np.diff(index) != 0
     changes[starts - 1] = False
     shares = np.bincount(index, minlength=len(levels)) / len(index)
@@ -191,12 +195,16 @@ def _cells(states: Array) -> IntArray:
 
 
 def _command_use(
-    channels: Sequence[Channel], numbers: tuple[int, ...], level: Sequence[IntArray], cell: IntArray, visited: int
+    levels: Sequence[Sequence[float]],
+    numbers: tuple[int, ...],
+    level: Sequence[IntArray],
+    cell: IntArray,
+    visited: int,
 ) -> CommandUse:
     here = np.ones(len(cell), dtype=bool)
     for number, index in zip(numbers, level, strict=True):
         here &= index == number
-    values = tuple(_levels(channel)[number] for channel, number in zip(channels, numbers, strict=True))
+    values = tuple(of_control[number] for of_control, number in zip(levels, numbers, strict=True))
     return CommandUse(values, float(here.mean()), len(np.unique(cell[here])) / visited)
 
 

@@ -49,11 +49,15 @@ class TimeColumn(Column):
 
 
 class StateColumn(_Scaled):
-    """A state: from a column, or, without one, by differentiating the pose; limits in SI units."""
+    """A state: from a column, or, without one, by differentiating the pose.
+
+    ``low``, ``high`` and ``neutral``, its value at rest, are in SI units.
+    """
 
     column: str | None = None
     low: float | None = None
     high: float | None = None
+    neutral: float | None = None
 
 
 class ControlColumn(Column):
@@ -160,6 +164,7 @@ class ColumnMap(_Strict):
                 to_si(state.unit)[0],
                 low=-math.inf if state.low is None else state.low,
                 high=math.inf if state.high is None else state.high,
+                neutral=math.nan if state.neutral is None else state.neutral,
             )
             for name, state in self.states.items()
         )
@@ -171,7 +176,7 @@ class ColumnMap(_Strict):
                 low, high = control.low, control.high
             else:
                 low, high = envelope[name]
-            neutral = min(max(0.0, low), high) if control.neutral is None else control.neutral
+            neutral = math.nan if control.neutral is None else control.neutral
             controls.append(Channel(name, to_si(control.unit)[0], low, high, control.levels, neutral))
         motion = None if self.motion is None else self.motion_of_states
         return System(states, tuple(controls), self.dt, motion, self.name)
