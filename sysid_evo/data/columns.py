@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
@@ -29,6 +29,12 @@ class _Strict(BaseModel):
 class _Scaled(_Strict):
     unit: str
     factor: float = 1.0
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str) -> str:
+        to_si(unit)
+        return unit
 
     @property
     def scale(self) -> float:

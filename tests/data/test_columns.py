@@ -20,7 +20,7 @@ from sysid_evo.errors import InvalidArgument, InvalidData
         (("dt = 0.05", "dt = -1.0"), "dt", "greater than 0"),
         (("dt = 0.05", 'dt = "0.05"'), "dt", "valid number"),
         (('unit = "rad/s"', 'unit = "m/s"'), "map", "states.yaw_rate.unit: expected one of rad/s, deg/s, rpm, got"),
-        (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, deg"),
+        (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, mrad, deg"),
         (('forward = "forward_speed"', 'forward = "u"'), "map", "motion.forward names 'u', but the states are"),
         ((", high = 1.0", ""), "controls.drive", "both low and high, or neither"),
         (('x = { column = "x", unit = "m" }', ""), "map", "pose: expected x, y, heading, got y, heading"),
