@@ -69,7 +69,7 @@ def said_once(prepared: Sequence[Prepared]) -> list[str]:
 
 def _listed(names: Sequence[str], logs: int) -> str:
     if len(names) == logs > 1:
-        return f"all {logs} logs"
+        return "both logs" if logs == 2 else f"all {logs} logs"
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more
 

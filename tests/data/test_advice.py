@@ -135,13 +135,13 @@ def test_a_poor_recording_is_told_what_to_do(car):
     log = RawLog("log", 0.05 * np.arange(400) + 0.01 * (np.arange(400) % 2), np.zeros((400, 3)), np.zeros((400, 2)))
     advice = advise(Dataset.from_arrays(car, [states], [controls]), [log])
     told = "\n".join(advice.suggestions)
-    assert "0.3 min in motion is less than the 6 min" in told
+    assert "How fast the states answer cannot be told from this recording" in told
     assert "stands still 75% of the time" in told
     assert "drive is near -1 less than 2% of the time" in told
     assert "steer is near -1, 1 less than 2% of the time" in told
-    assert "drive changes its level only 1 times a minute" in told
+    assert "drive changes its level only 1 times" in told
     assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in told
-    assert "The time stamps of log scatter by 17% of a step" in told
+    assert "The time stamps of log scatter by up to 17% of a step" in told
     (sampling,) = advice.sampling
     assert (sampling.rows, sampling.shortest, sampling.longest) == pytest.approx((400, 0.04, 0.06))
 

@@ -244,3 +244,12 @@ def test_wrong_arguments_are_told_the_right_call():
         Dataset(LINE, [np.zeros((3, 1))])
     with pytest.raises(InvalidArgument, match=r"System first, got DataFrame: Dataset\(system, episodes\)"):
         Dataset(frame, ())
+
+
+@pytest.mark.parametrize("first, start", [(None, 3), (1, 3), (3, 3), (5, 5)])
+def test_no_window_has_less_history_than_asked_for(first, start):
+    windows = numbered([12, 2]).windows(2, history=3, first=first, stride=4)
+    assert windows.start.tolist() == list(range(start, 11, 4))
+    assert windows.past_states.shape[1:] == (4, 1)
+    np.testing.assert_array_equal(windows.past_states[0, :, 0], start + np.arange(-3.0, 1.0))
+    np.testing.assert_array_equal(windows.past_controls[0, :, 0], -(start + np.arange(-3.0, 0.0)))
