@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset, load_columns, read_recording
-from sysid_evo.data.columns import choose_columns, parse_columns, shipped_columns, shipped_names
+from sysid_evo.data.columns import choose_columns, shipped_columns, shipped_names
 from sysid_evo.data.preparation import Prepared, said_once
 from sysid_evo.errors import InvalidArgument, InvalidData
 
@@ -126,13 +123,6 @@ def test_no_map_fits_or_several_do():
     first, second = shipped_columns()["dart_20hz"].columns, shipped_columns()["f1tenth_20hz"].columns
     with pytest.raises(InvalidData, match=r"dart_20hz, dart_20hz_ungated, f1tenth_20hz all fit its columns"):
         choose_columns([*first, *second], "log.csv")
-
-
-def test_the_map_that_the_documentation_shows_is_valid():
-    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
-    columns = parse_columns(page.partition("```toml\n")[2].partition("```")[0], "docs/data.md")
-    assert columns.differentiated == ()
-    assert set(shipped_names()) <= set(re.findall(r"`(\w+)`", page))
 
 
 def test_what_is_true_of_all_logs_is_said_once(write_csv, table, columns_file):
