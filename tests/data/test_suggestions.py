@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset, advise, check_usable, find_delays
+from sysid_evo.data.delays import _first_peak
 from sysid_evo.data.linear_fit import fit_linear
 from sysid_evo.data.suggestions import named, spell
 from sysid_evo.errors import InvalidData
@@ -69,6 +70,17 @@ def test_the_length_asked_for_follows_from_the_time_scale_and_the_number_of_chan
     assert "record 20 s in all" in told(pendulum(rng, seconds=10.0))
 
 
+def test_a_battery_that_runs_down_asks_for_no_hours(rng):
+    swinging = pendulum(rng)
+    battery = np.linspace(8.4, 7.9, 5001)[:, None] + 1e-3 * rng.normal(size=(5001, 1))
+    system = System((*PENDULUM.states, Channel("battery", "V", low=6.0)), PENDULUM.controls, PENDULUM.dt)
+    (episode,) = swinging.episodes
+    drained = Dataset.from_arrays(system, np.concatenate([episode.states, battery], axis=1), episode.controls)
+    advice = advise(drained)
+    assert advice.scales[-1] < 1.0
+    assert not any("in all" in sentence for sentence in advice.suggestions)
+
+
 def test_a_tank_may_hold_its_valve_for_minutes_and_a_pendulum_may_not_hold_its_torque(rng):
     assert told(tank(rng, hold=(100, 400))) == ""
     sentence = told(pendulum(rng, hold=(200, 400)))
@@ -119,6 +131,16 @@ def test_a_backswing_is_no_delay_however_large(rng):
     assert delay.strength > 0.0
 
 
+def test_a_control_that_does_nothing_is_shown_with_its_largest_correlation(rng):
+    free = Dataset.from_arrays(System(("speed",), ("push",), 0.05), rng.normal(size=4001), rng.normal(size=4000))
+    (delay,) = find_delays(free)
+    assert not delay.clear
+    assert 0.01 < abs(delay.strength) < 0.1
+    assert _first_peak(np.array([0.01, 0.02, -0.05, 0.03]), 0.1) == 2
+    assert _first_peak(np.array([0.01, 0.2, 0.3, -0.9, 0.5]), 0.1) == 3
+    assert _first_peak(np.array([0.01, 0.5, 0.6, -0.9, 0.5]), 0.1) == 2
+
+
 def test_a_position_that_follows_its_speed_is_not_late(rng):
     found = {delay.state: delay for delay in find_delays(pendulum(rng))}
     assert (found["theta"].steps, found["theta"].clear) == (0, True)
@@ -167,6 +189,8 @@ def test_a_log_of_ten_rows_is_refused_before_any_work(rng):
     with pytest.raises(InvalidData, match="test set: expected an episode of 15 steps"):
         check_usable(pieces, name="test set")
     check_usable(pieces, horizon=9)
+    with pytest.raises(InvalidData, match="40 steps in all for 3 states and controls; got 39 steps"):
+        check_usable(whole.with_episodes([whole.episodes[0][:39]]))
     check_usable(whole)
 
 
