@@ -100,7 +100,8 @@ def advice_as_json(dataset: Dataset, advice: Advice) -> str:
 
 def _title(dataset: Dataset) -> str:
     name = dataset.system.name or "data set"
-    return f"{name}: {len(dataset)} episodes, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
+    episodes = "1 episode" if len(dataset) == 1 else f"{len(dataset)} episodes"
+    return f"{name}: {episodes}, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
 
 
 def _unit(name: str, unit: str) -> str:

@@ -244,7 +244,8 @@ def choose_columns(header: Sequence[str], source: str) -> str:
     found = f"{', '.join(fitting)} all fit" if fitting else "no shipped column map fits"
     raise InvalidData(
         f"{source}: {found} its columns ({', '.join(header)}). "
-        f"Name a map with columns= (--columns). Shipped maps and the columns they need:\n{listed}"
+        "For a robot of your own, write a column map, a TOML file as docs/data.md shows it, and name it with columns= "
+        f"(--columns). Shipped maps and the columns they need:\n{listed}"
     )
 
 

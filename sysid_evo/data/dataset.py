@@ -228,7 +228,7 @@ class Dataset:
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, starts stand still nowhere."""
+        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, only those that start in motion."""
         if horizon < 1 or stride < 1 or history < 0:
             raise InvalidArgument(
                 f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"

@@ -52,13 +52,21 @@ def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
     regressors = np.concatenate([states, np.ones((len(states), 1)), *past], axis=1)
     if len(regressors) < 3 * regressors.shape[1]:
         return None
-    weights = np.linalg.lstsq(regressors, changes, rcond=None)[0]
+    weights = _least_squares(regressors, changes)
     left = system.dt**2 * (changes - regressors @ weights).var(axis=0)
     total = states.var(axis=0)
     explained = 1.0 - np.divide(left, total, out=np.zeros_like(left), where=total > 0.0)
     rate = weights[: system.nx]
     longest = max(episode.duration for episode in episodes)
     return LinearFit(rate, np.clip(explained, 0.0, 1.0), _scales(rate, system.dt, INTEGRATES * longest))
+
+
+def _least_squares(regressors: Array, targets: Array) -> Array:
+    """Return the weights by the normal equations of scaled columns, much faster than an SVD of the rows."""
+    size = np.sqrt(np.mean(regressors**2, axis=0))
+    scale = np.where(size > 0.0, size, 1.0)
+    scaled = regressors / scale
+    return np.linalg.lstsq(scaled.T @ scaled, scaled.T @ targets, rcond=1e-13)[0] / scale[:, None]
 
 
 def acting_controls(system: System, states: Array, controls: Array) -> Array:

@@ -37,7 +37,7 @@ def check_rate(table: Table, column: TimeColumn, time: Array, dt: float, *, row_
         unit = _unit_of(column.unit, period, dt) if period >= FAR * dt else None
         if unit is not None:
             raise InvalidData(
-                f"{where}: declared as {column.unit}, the rows are {period:.4g} s apart, {period / dt:.0f} times "
+                f"{where}: declared in {column.unit}, the rows are {period:.4g} s apart, {period / dt:.0f} times "
                 f"dt = {dt:g} s. Are the stamps in {unit}? Then give [time] unit = {unit!r}; "
                 f"if not, set dt = {period:.4g}"
             )
@@ -49,7 +49,7 @@ def check_rate(table: Table, column: TimeColumn, time: Array, dt: float, *, row_
         unit = _unit_of(column.unit, period, dt)
         if unit is not None:
             raise InvalidData(
-                f"{where}: declared as {column.unit}, {len(time)} rows last only {time[-1]:.3g} s, with dt = {dt:g} s. "
+                f"{where}: declared in {column.unit}, {len(time)} rows last only {time[-1]:.3g} s, with dt = {dt:g} s. "
                 f"Are the stamps in {unit}? Then give [time] unit = {unit!r}"
             )
     if row_by_row and abs(period / dt - 1.0) <= RATE_TOLERANCE:
@@ -74,7 +74,7 @@ def _check_scatter(where: str, steps: Array, dt: float) -> None:
         near = steps[steps < 3.0 * dt]
         raise InvalidData(
             f"{where}: the time between rows scatters by {1e3 * near.std():.3g} ms around {1e3 * dt:g} ms; "
-            f"{stray:.0%} of the steps are under {SHORTEST:g} or over {LONGEST:g} dt. If the rows were taken every dt "
-            "and only stamped late, leave [time] out of the column map; if not, stamp each row where the sensor is "
-            "read, or log three or more rows for each dt, which are filtered onto a steady clock"
+            f"{stray:.0%} of the steps are under {SHORTEST:g} or over {LONGEST:g} dt. If the rows were taken every "
+            f"{1e3 * dt:g} ms and only stamped late, leave [time] out of the column map; if not, stamp each row where "
+            "the sensor is read, or log three or more rows for each dt, which are filtered onto a steady clock"
         )

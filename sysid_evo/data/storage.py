@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import ArtefactError
+from sysid_evo.errors import ArtefactError, InvalidData
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
 
@@ -25,10 +25,19 @@ HEADER, SAMPLES = "dataset.json", "samples.parquet"
 
 
 def save_dataset(dataset: Dataset, folder: Path) -> Path:
-    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null."""
+    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null.
+
+    Raises `InvalidData` if two columns would have the same name.
+    """
     system = dataset.system
     columns: dict[str, list[Any]] = {"episode": [], "step": []}
     names = (*system.state_names, *system.control_names, *_pose_names(system))
+    taken = sorted({name for name in names if name in columns or names.count(name) > 1})
+    if taken:
+        raise InvalidData(
+            f"data set: the channels {', '.join(taken)} cannot be stored, as the columns episode and step and the "
+            "coordinates of the pose have these names; rename the channels"
+        )
     columns.update({name: [] for name in names})
     for episode in dataset.episodes:
         rows = len(episode) + 1

@@ -90,9 +90,10 @@ def _about_control(use: ControlUse, advice: Advice) -> Iterator[str]:
             f"{spell(SETTLED * advice.scales[-1])}: change it more often, so that the way there is in the data."
         )
     elif not advice.scales and use.switches < FEW_SWITCHES:
+        how_often = "once" if use.switches == 1 else f"{use.switches} times"
         yield (
-            f"{use.name} changes its level only {use.switches} times: change it more often, so that the answer to a "
-            "change is in the data."
+            f"{use.name} changes its level only {how_often}: change it more often, so that the answer to a change is "
+            "in the data."
         )
 
 

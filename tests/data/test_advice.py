@@ -139,7 +139,7 @@ def test_a_poor_recording_is_told_what_to_do(car):
     assert "stands still 75% of the time" in told
     assert "drive is near -1 less than 2% of the time" in told
     assert "steer is near -1, 1 less than 2% of the time" in told
-    assert "drive changes its level only 1 times" in told
+    assert "drive changes its level only once" in told
     assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in told
     assert "The time stamps of log scatter by up to 17% of a step" in told
     (sampling,) = advice.sampling

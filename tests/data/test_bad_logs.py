@@ -231,7 +231,7 @@ def test_a_dt_shorter_than_the_steps_of_the_log(write_csv, table, columns_file, 
 @pytest.mark.parametrize("unit, factor", [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_a_unit_of_time_that_is_not_declared(write_csv, table, columns_file, unit, factor):
     message = refused(write_csv({**table, "t": factor * table["t"]}), columns_file())
-    assert f"column 't': declared as s, the rows are {0.05 * factor:.4g} s apart" in message
+    assert f"column 't': declared in s, the rows are {0.05 * factor:.4g} s apart" in message
     assert f"Are the stamps in {unit}? Then give [time] unit = '{unit}'" in message
     declared = columns_file(('column = "t"', f'column = "t"\nunit = "{unit}"'))
     assert len(Dataset.read(write_csv({**table, "t": factor * table["t"]}), columns=declared).episodes[0]) == 200
@@ -239,7 +239,7 @@ def test_a_unit_of_time_that_is_not_declared(write_csv, table, columns_file, uni
 
 def test_seconds_declared_as_milliseconds(write_csv, table, columns_file):
     message = refused(write_csv(table), columns_file(('column = "t"', 'column = "t"\nunit = "ms"')))
-    assert "declared as ms, 201 rows last only 0.01 s, with dt = 0.05 s. Are the stamps in s?" in message
+    assert "declared in ms, 201 rows last only 0.01 s, with dt = 0.05 s. Are the stamps in s?" in message
 
 
 def test_stamps_that_scatter_by_two_fifths_of_a_step(write_csv, table, columns_file, rng):

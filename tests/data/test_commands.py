@@ -85,5 +85,5 @@ def test_a_log_without_controls_or_motion_is_imported_and_inspected(write_csv, t
     run("import", path, "--columns", columns, "--out", tmp_path / "data")
     results, _ = run("inspect", tmp_path / "data")
     assert "in motion" not in results
-    assert "leaking tank: 1 episodes, 399 s at 1 Hz" in results
+    assert "leaking tank: 1 episode, 399 s at 1 Hz" in results
     assert Dataset.load(tmp_path / "data").system.states[0].neutral == 0.5
