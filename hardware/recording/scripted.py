@@ -23,8 +23,8 @@ from hardware.recording.recorder import Recorder
 from hardware.robot import Connection, Robot
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.preparation import prepare
+from sysid_evo.data import Dataset
+from sysid_evo.data.preparation import Prepared, prepare, said_once
 from sysid_evo.data.raw import RawLog
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
@@ -168,16 +168,15 @@ def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None
 
 def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
     """Return the data set of ``logs``; a note names each that is too short. Raises `InvalidData` if all are."""
-    episodes: list[Trajectory] = []
-    notes: list[str] = []
+    made: list[Prepared] = []
+    left_out: list[str] = []
     for log in logs:
         try:
-            made = prepare(log, system)
+            made.append(prepare(log, system))
         except InvalidData as error:
-            notes.append(f"left out: {error}")
-            continue
-        episodes.extend(made.episodes)
-        notes.extend(note for note in made.notes if note not in notes)
+            left_out.append(f"left out: {error}")
+    episodes = [episode for one in made for episode in one.episodes]
+    notes = [*left_out, *said_once(made)]
     if not episodes:
         raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
@@ -29,6 +29,12 @@ class _Strict(BaseModel):
 class _Scaled(_Strict):
     unit: str
     factor: float = 1.0
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str) -> str:
+        to_si(unit)
+        return unit
 
     @property
     def scale(self) -> float:
@@ -49,11 +55,15 @@ class TimeColumn(Column):
 
 
 class StateColumn(_Scaled):
-    """A state: from a column, or, without one, by differentiating the pose; limits in SI units."""
+    """A state: from a column, or, without one, by differentiating the pose.
+
+    ``low``, ``high`` and ``neutral``, its value at rest, are in SI units.
+    """
 
     column: str | None = None
     low: float | None = None
     high: float | None = None
+    neutral: float | None = None
 
 
 class ControlColumn(Column):
@@ -160,6 +170,7 @@ class ColumnMap(_Strict):
                 to_si(state.unit)[0],
                 low=-math.inf if state.low is None else state.low,
                 high=math.inf if state.high is None else state.high,
+                neutral=math.nan if state.neutral is None else state.neutral,
             )
             for name, state in self.states.items()
         )
@@ -171,7 +182,7 @@ class ColumnMap(_Strict):
                 low, high = control.low, control.high
             else:
                 low, high = envelope[name]
-            neutral = min(max(0.0, low), high) if control.neutral is None else control.neutral
+            neutral = math.nan if control.neutral is None else control.neutral
             controls.append(Channel(name, to_si(control.unit)[0], low, high, control.levels, neutral))
         motion = None if self.motion is None else self.motion_of_states
         return System(states, tuple(controls), self.dt, motion, self.name)
@@ -233,7 +244,8 @@ def choose_columns(header: Sequence[str], source: str) -> str:
     found = f"{', '.join(fitting)} all fit" if fitting else "no shipped column map fits"
     raise InvalidData(
         f"{source}: {found} its columns ({', '.join(header)}). "
-        f"Name a map with columns= (--columns). Shipped maps and the columns they need:\n{listed}"
+        "For a robot of your own, write a column map, a TOML file as docs/data.md shows it, and name it with columns= "
+        f"(--columns). Shipped maps and the columns they need:\n{listed}"
     )
 
 

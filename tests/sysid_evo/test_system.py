@@ -101,6 +101,20 @@ def test_neutral_values_stand_in_the_order_of_the_channels() -> None:
     assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
 
 
+def test_the_neutral_value_is_0_or_the_limit_nearest_to_it() -> None:
+    neutral = [Channel("x", low=low, high=high).neutral for low, high in ((-1, 1), (6, 8.4), (-5, -2), (-np.inf, 3))]
+    assert neutral == [0.0, 6.0, -2.0, 0.0]
+    assert Channel("gear", levels=(2.0, 5.0)).neutral == 2.0
+    assert Channel("x", low=6.0, high=8.0, neutral=7.0).neutral == 7.0
+
+
+def test_names_stand_for_channels_without_unit_and_limits() -> None:
+    named = System(states=["theta", "theta_dot"], controls="torque", dt=0.02)
+    assert named == System((Channel("theta"), Channel("theta_dot")), (Channel("torque"),), 0.02)
+    with pytest.raises(InvalidSystem, match=r"expected Channel\(...\) or names as controls, got float"):
+        System(states=("x",), controls=(1.0,), dt=0.1)
+
+
 def test_another_dt_changes_nothing_else(car: System) -> None:
     finer = car.with_dt(0.005)
     assert finer.dt == 0.005
@@ -118,7 +132,7 @@ def test_another_dt_changes_nothing_else(car: System) -> None:
         ({"name": "a", "levels": (-1.0, 1.0), "low": -0.5}, r"'a': levels \(-1.0, 1.0\) lie outside \[-0.5, 1.0\]"),
         ({"name": "a", "low": 1.0, "high": 1.0}, r"'a': expected low < high, got \[1.0, 1.0\]"),
         ({"name": "a", "low": np.nan}, "'a': expected low < high"),
-        ({"name": "a", "low": 1.0}, r"'a': expected a neutral value within \[1.0, inf\], got 0.0"),
+        ({"name": "a", "low": 1.0, "neutral": 0.0}, r"'a': expected a neutral value within \[1.0, inf\], got 0.0"),
         ({"name": "a", "neutral": np.inf}, "'a': expected a neutral value within .*, got inf"),
     ],
 )
