@@ -10,25 +10,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from hardware.emulation.car_parameters import FINE_DT, CarParameters
+from hardware.toy_car import CAR
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.motion import PlanarBody
-from sysid_evo.system import Channel, System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
-
-CAR = System(
-    states=(
-        Channel("forward_speed", "m/s"),
-        Channel("lateral_speed", "m/s"),
-        Channel("yaw_rate", "rad/s"),
-    ),
-    controls=(Channel("drive", levels=(-1.0, 0.0, 1.0)), Channel("steer", levels=(-1.0, 0.0, 1.0))),
-    dt=0.05,
-    motion=PlanarBody(),
-    name="toy car",
-)
 
 LATENCY = 10  # fine steps: 50 ms from the parallel port through the remote to the car
 CREEP_SPEED = 0.05  # m/s: friction falls from static to rolling up to here

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.port import only_port
 from hardware.link.serial_connection import SerialConnection, open_session
 from hardware.robot import Robot
+from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_robot, trackers

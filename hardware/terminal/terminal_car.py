@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.serial_connection import SerialConnection
 from hardware.link.serial_robot import SerialRobot
 from hardware.measurement import Measurement
 from hardware.robot import Robot
 from hardware.terminal.faults import Fault
 from hardware.terminal.terminal_process import TerminalProcess
+from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.registry import register_robot

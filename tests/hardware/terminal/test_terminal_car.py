@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.emulation.car_physics import CAR
 from hardware.robot import Connection
 from hardware.terminal.faults import Fault
 from hardware.terminal.journal import read_journal
 from hardware.terminal.terminal_car import TerminalCar
+from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.registry import make_robot
 
