@@ -57,11 +57,23 @@ class Connection(Session):
 
 
 class Robot(ABC):
-    """What the registry of robots holds. ``dynamics`` is None for a physical robot."""
+    """What the registry of robots holds: a thing with a ``system`` that a session can be opened with.
+
+    ``name`` is what people call it, ``system`` its states, controls and sampling time, ``dynamics``
+    its physics at that rate if it only exists as a program, None for a physical robot. A constructor
+    takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
+    process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
+    """
 
     name: str
     system: System
     dynamics: Dynamics | None
+
+    def check(self) -> None:  # noqa: B027  (most robots need nothing but their arguments)
+        """Raise what `connect` would raise and what can be known without opening anything.
+
+        A port that is not there is a `LinkLost`, a package that is not installed a `MissingExtra`.
+        """
 
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:

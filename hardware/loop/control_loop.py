@@ -217,5 +217,7 @@ class ControlLoop:
         return math.inf if self._seen is None else now - self._seen
 
     def _why_no_pose(self, what: str) -> str:
+        """Return ``what`` with the frames that were not used, and the limit that they go beyond, if they do."""
         counts = ", ".join(f"{count} {why}" for why, count in self._rejected.most_common())
-        return f"{what}; frames not used: {counts}" if counts else what
+        beyond = "" if self._gate is None else self._gate.excess
+        return what + (f"; frames not used: {counts}" if counts else "") + (f" ({beyond})" if beyond else "")

@@ -25,7 +25,8 @@ import numpy as np
 
 from hardware.measurement import Measurement
 from hardware.trackers.tracker import Tracker, TrackerStream
-from sysid_evo.errors import LinkLost, MissingExtra
+from sysid_evo.errors import LinkLost
+from sysid_evo.extras import missing_extra
 
 RECORD = 512  # bytes: what POSIX promises to write whole into a pipe
 PATIENCE = 10.0  # s for the source to answer
@@ -34,7 +35,7 @@ PATIENCE = 10.0  # s for the source to answer
 class ProcessTracker(Tracker):
     """A tracker whose frames are made in a process of its own; a frozen dataclass of JSON values.
 
-    ``package`` is the optional package it needs there, from the extra of the same name.
+    ``package`` is the optional package that it needs there, by the name of its module.
     """
 
     package: ClassVar[str | None] = None
@@ -48,13 +49,14 @@ class ProcessTracker(Tracker):
         `LinkLost`; the end of the iterator is the end of the stream.
         """
 
+    def check(self) -> None:
+        """Raise `MissingExtra` if the package is not installed."""
+        if self.package is not None and importlib.util.find_spec(self.package) is None:
+            raise missing_extra(f"tracker {self.name!r}", self.package)
+
     def open(self) -> TrackerStream:
         """Start the process and wait for its source. Raises `LinkLost`, `MissingExtra`."""
-        if self.package is not None and importlib.util.find_spec(self.package) is None:
-            raise MissingExtra(
-                f"tracker {self.name!r} needs the package {self.package!r}, which is not installed. "
-                f'Install it with: pip install "sysid-evo[{self.package}]"'
-            )
+        self.check()
         return ProcessStream(self)
 
     def describe(self) -> dict[str, Any]:

@@ -28,10 +28,16 @@ class TrackerStream(Session):
 
 
 class Tracker(ABC):
-    """A source of poses of one ``body``, described by its arguments and opened for a session."""
+    """A source of poses of one ``body``, described by its arguments and opened for a session.
+
+    The constructor checks its arguments and touches nothing else: no network, no device, no file.
+    """
 
     name: str
     body: str
+
+    def check(self) -> None:  # noqa: B027  (most trackers need nothing but their arguments)
+        """Raise what `open` would raise and what can be known without opening anything: a package, a file."""
 
     @abstractmethod
     def open(self) -> TrackerStream:
