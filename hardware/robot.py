@@ -10,6 +10,8 @@ from hardware.session import Session
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 
 
@@ -78,3 +80,17 @@ class Robot(ABC):
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+
+
+def find_robot(spec: str) -> Robot:
+    """Return the robot that ``spec`` names: as `sysid_evo.registry.make_robot` does, and it is a `Robot`.
+
+    Raises what `make_robot` raises, and `InvalidArgument` if a plugin registered something else.
+    """
+    made = make_robot(spec)
+    if not isinstance(made, Robot):
+        raise InvalidArgument(
+            f"robot {spec!r}: expected a hardware.robot.Robot, got a {type(made).__name__}; "
+            "derive the registered class from Robot, or let the registered function return one"
+        )
+    return made

@@ -13,7 +13,7 @@ REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 
 @register_robot("emulated_car")
 def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
-    """The toy car of the paper in simulation; with a seed another of its kind, see `CarParameters.perturbed`."""
+    """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
     nominal, seed = CarParameters(), checked_seed("robot emulated_car", seed)
     if seed is None:
         return EmulatedRobot("emulated_car", CarPhysics(nominal), repeats=REPEATS)

@@ -10,6 +10,8 @@ import numpy as np
 
 from hardware.measurement import Measurement
 
+SHARE = 0.9
+NOTHING = (0.0, 0.0)
 REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run goes on without a pose
 WORDS = {
     "speed": ("it moves at {:.1f} m/s", "m/s"),
@@ -24,13 +26,14 @@ class Excess:
     """Remembers how the body moved while its frames were not believed; ``limits`` are the four of `WORDS`.
 
     One frame far away is a mistake of the tracker; a robot that is faster than its limits is fast from
-    every frame to the next. So speeds are medians over the steps between neighbouring frames.
+    frame to frame. So a speed counts if a tenth of the steps between neighbouring frames, and at least
+    one other, are as fast; the robot brakes as soon as it is lost.
     """
 
     def __init__(self, limits: Mapping[str, float]) -> None:
         self._limits = limits
         self._steps: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
-        self._away = (0.0, 0.0)
+        self._away = NOTHING
 
     def clear(self) -> None:
         """Forget everything: a frame was believed."""
@@ -48,7 +51,8 @@ class Excess:
         """What was seen, the limit it is beyond and the key that sets it; "" if nothing is beyond one."""
         if not self._steps:
             return ""
-        seen = (*np.median(np.array(self._steps), axis=0).tolist(), *self._away)
+        fast = np.quantile(np.array(self._steps), SHARE, axis=0, method="lower").tolist()
+        seen = (*(fast if len(self._steps) > 1 else NOTHING), *self._away)
         for value, (key, (words, unit)) in zip(seen, WORDS.items(), strict=True):
             if value > self._limits[key]:
                 return (

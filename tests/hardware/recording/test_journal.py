@@ -144,7 +144,7 @@ def header(**fields: object) -> bytes:
         (MAGIC + record(1, b"[]"), "an object"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/2"}'), "schema"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/1", "system": {"states": 3}}'), "a system"),
-        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: expected speed"),
+        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: speed: expected a number"),
         (MAGIC + record(1, header(limits={"pace": 1.0})), "the gate's limits"),
         (MAGIC + record(1, header(limits={"speed": "9"})), "the gate's limits"),
         (MAGIC + record(2, b""), "header, and first"),
