@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from hardware.robot import Robot
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.controllers import Controller
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.extras import missing_extra
+from sysid_evo.extras import check_installed
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task
 
@@ -52,9 +51,7 @@ def check_driving_by_hand(robot: Robot, task: Task) -> None:
     Raises what `check_driving` raises, `InvalidArgument` for controls that keys cannot move and
     `MissingExtra` if the page cannot be served.
     """
-    for module in PAGE:
-        if find_spec(module) is None:
-            raise missing_extra("driving by hand", module)
+    check_installed("driving by hand", PAGE)
     control_of(0, robot.system)
     key_life(robot.system)
     check_driving(robot, task)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
@@ -11,6 +12,7 @@ from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.extras import check_installed
 from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 
@@ -65,17 +67,20 @@ class Robot(ABC):
     its physics at that rate if it only exists as a program, None for a physical robot. A constructor
     takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
     process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
+    ``requires`` are the modules that it imports only then.
     """
 
+    requires: ClassVar[tuple[str, ...]] = ()
     name: str
     system: System
     dynamics: Dynamics | None
 
-    def check(self) -> None:  # noqa: B027  (most robots need nothing but their arguments)
+    def check(self) -> None:
         """Raise what `connect` would raise and what can be known without opening anything.
 
         A port that is not there is a `LinkLost`, a package that is not installed a `MissingExtra`.
         """
+        check_installed(f"robot {self.name!r}", self.requires)
 
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:

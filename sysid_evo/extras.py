@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, requires
+from importlib.util import find_spec
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -46,6 +48,13 @@ def missing_extra(what: str, module: str | None, distribution: str = DISTRIBUTIO
         f"{what} needs the package {PACKAGES.get(top, top)!r}, which is not installed. "
         f'Install it with: pip install "{wanted}"'
     )
+
+
+def check_installed(what: str, modules: Iterable[str], distribution: str = DISTRIBUTION) -> None:
+    """Raise `missing_extra` for the first of ``modules`` that is not there; nothing is imported."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise missing_extra(what, module, distribution)
 
 
 def _requirements(distribution: str) -> list[Requirement]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from hardware.arguments import number, text
-from hardware.link.port import NO_DEVICE, only_port
-from hardware.link.serial_connection import SerialConnection, open_session
 from hardware.robot import Robot
 from hardware.toy_car import CAR
 from hardware.trackers.gates import GateLimits
 from hardware.trackers.tracker import Tracker
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.registry import register_robot, trackers
+
+if TYPE_CHECKING:
+    from hardware.link.serial_connection import SerialConnection
 
 PATIENCE = 5.0  # s
 
@@ -30,6 +31,7 @@ class SerialRobot(Robot):
     The constructor opens nothing. Raises `InvalidArgument`, `UnknownName`.
     """
 
+    requires: ClassVar[tuple[str, ...]] = ("cobs", "serial")
     dynamics = None
 
     def __init__(
@@ -50,6 +52,9 @@ class SerialRobot(Robot):
 
     def check(self) -> None:
         """Raise `LinkLost` or `InvalidArgument` if there is no such port, and what the tracker finds missing."""
+        super().check()
+        from hardware.link.port import NO_DEVICE, only_port
+
         port = self.port or only_port()
         if not Path(port).exists():
             raise LinkLost(f"port {port}: {NO_DEVICE}")
@@ -57,7 +62,11 @@ class SerialRobot(Robot):
             self.tracker.check()
 
     def connect(self, *, seed: int | None = None) -> SerialConnection:
-        """Open a session in neutral. Raises `LinkLost`, `IncompatibleRobot`, `InvalidArgument`."""
+        """Open a session in neutral. Raises `LinkLost`, `IncompatibleRobot`, `InvalidArgument`, `MissingExtra`."""
+        super().check()
+        from hardware.link.port import only_port
+        from hardware.link.serial_connection import SerialConnection, open_session
+
         stream = None if self.tracker is None else self.tracker.open()
         try:
             port, session = open_session(self.port or only_port(), self.patience)

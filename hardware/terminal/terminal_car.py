@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hardware.arguments import seed as checked_seed
 from hardware.arguments import text
 from hardware.firmware.build import compiler
-from hardware.link.serial_connection import SerialConnection
 from hardware.link.serial_robot import SerialRobot
 from hardware.measurement import Measurement
 from hardware.robot import Robot
@@ -22,6 +21,9 @@ from hardware.trackers.tracker import Tracker, TrackerStream
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_robot
+
+if TYPE_CHECKING:
+    from hardware.link.serial_connection import SerialConnection
 
 BODY = "car"
 
@@ -36,6 +38,7 @@ class TerminalCar(Robot):
     nothing. Raises `InvalidArgument`.
     """
 
+    requires = SerialRobot.requires
     dynamics = None
 
     def __init__(
@@ -60,6 +63,7 @@ class TerminalCar(Robot):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if there is no C compiler, which the firmware needs."""
+        super().check()
         compiler()
 
     def connect(self, *, seed: int | None = None) -> SerialConnection:

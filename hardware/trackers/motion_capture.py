@@ -40,7 +40,7 @@ class MotionCaptureTracker(ProcessTracker):
     scale: float = 1.0
     heading_offset: float = 0.0
     latency: float = 0.0
-    package: ClassVar[str | None] = "motioncapture"
+    requires: ClassVar[tuple[str, ...]] = ("motioncapture",)
     kind: ClassVar[str]
     polls: ClassVar[bool] = False
 

@@ -48,7 +48,7 @@ class NatNetTracker(ProcessTracker):
     heading_offset: float = 0.0
     latency: float = 0.0
     name = "natnet"
-    package: ClassVar[str | None] = "natnet"
+    requires: ClassVar[tuple[str, ...]] = ("natnet",)
 
     def __post_init__(self) -> None:
         for name in ("body", "server", "local", "multicast_address"):

@@ -9,7 +9,6 @@ process ends in any way, the system closes it, and the other is ended by a signa
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import math
 import os
@@ -26,19 +25,14 @@ import numpy as np
 from hardware.measurement import Measurement
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import LinkLost
-from sysid_evo.extras import missing_extra
 
 RECORD = 512  # bytes: what POSIX promises to write whole into a pipe
 PATIENCE = 10.0  # s for the source to answer
 
 
 class ProcessTracker(Tracker):
-    """A tracker whose frames are made in a process of its own; a frozen dataclass of JSON values.
+    """A tracker whose frames are made in a process of its own; a frozen dataclass of JSON values."""
 
-    ``package`` is the optional package that it needs there, by the name of its module.
-    """
-
-    package: ClassVar[str | None] = None
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
     @abstractmethod
@@ -48,11 +42,6 @@ class ProcessTracker(Tracker):
         Times are on `time.monotonic`. The first item, and any while nothing comes, is None. Raises
         `LinkLost`; the end of the iterator is the end of the stream.
         """
-
-    def check(self) -> None:
-        """Raise `MissingExtra` if the package is not installed."""
-        if self.package is not None and importlib.util.find_spec(self.package) is None:
-            raise missing_extra(f"tracker {self.name!r}", self.package)
 
     def open(self) -> TrackerStream:
         """Start the process and wait for its source. Raises `LinkLost`, `MissingExtra`."""

@@ -114,8 +114,27 @@ def test_a_robot_asks_its_tracker_what_is_missing():
         robot.check()
 
 
+def test_without_its_packages_a_robot_can_be_made_and_says_what_to_install_when_it_is_checked() -> None:
+    program = """
+import sys
+sys.modules.update(dict.fromkeys(("serial", "cobs")))
+from sysid_evo.registry import robots
+robot, car = robots.make("serial", port="/dev/null"), robots.make("terminal_car")
+for attempt in (robot.check, robot.connect, car.check):
+    try:
+        attempt()
+    except ImportError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    advice = 'which is not installed. Install it with: pip install "sysid-evo[hardware]"'
+    assert done.stdout.splitlines() == [
+        f"robot {name!r} needs the package 'cobs', {advice}" for name in ("serial", "serial", "terminal_car")
+    ]
+
+
 def test_a_tracker_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trackers.get("natnet"), "package", "no_such_package")
+    monkeypatch.setattr(trackers.get("natnet"), "requires", ("no_such_package",))
     with pytest.raises(MissingExtra, match="tracker 'natnet' needs the package 'no_such_package'"):
         trackers.make("natnet", body="car").check()
 

@@ -22,9 +22,10 @@ from hardware.loop.report import Reason
 from hardware.recording.excitation import Manoeuvre
 from hardware.recording.scripted import ManoeuvrePilot, NewestPose
 from hardware.robot import find_robot
+from hardware.trackers.gates import GateLimits
 from hardware.trackers.message import FrameMessage, format_message
 from sysid_evo.data import Dataset
-from sysid_evo.registry import load_plugin, robots
+from sysid_evo.registry import load_plugin, robot_spec, robots
 
 PAGE = (Path(__file__).parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
 
@@ -152,3 +153,12 @@ def test_the_boat_on_the_network_is_driven_by_the_loop_and_left_in_neutral(folde
     finally:
         robots._entries.pop("real_boat", None)
         sys.modules.pop("sysid_evo_plugin_real_boat", None)
+
+
+def test_the_robot_file_of_the_page_on_the_car_makes_a_robot(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    (description,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my_car.toml").write_text(description)
+    robot = robots.make(robot_spec(str(tmp_path / "my_car.toml")))
+    assert (robot.name, robot.port, robot.tracker.port) == ("red car", "/dev/rcb", 5005)
+    assert robot.gate == GateLimits()
