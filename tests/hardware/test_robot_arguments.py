@@ -73,6 +73,15 @@ def test_making_a_robot_or_tracker_opens_nothing_starts_nothing_and_reads_nothin
         (robots, "serial", {"patience": 0}, "serial robot: patience: expected a number above 0, got 0"),
         (robots, "serial", {"patience": "long"}, "serial robot: patience: expected a number above 0, got 'long'"),
         (robots, "serial", {"tracker": "udp"}, "serial robot: expected tracker = {driver"),
+        (robots, "serial", {"seed": 3}, "robot 'serial' has no parameter 'seed'. It takes port"),
+        (robots, "serial", {"prot": "/dev/rcb"}, "robot 'serial' has no parameter 'prot'. Did you mean 'port'?"),
+        (
+            robots,
+            "serial",
+            {"tracker": {"driver": "udp", "body": "car", "prot": 5005}},
+            "tracker 'udp' has no parameter 'prot'. Did you mean 'port'?",
+        ),
+        (robots, "serial", {"tracker": {"driver": "udp", "body": "car"}}, "tracker 'udp' needs port"),
         (robots, "serial", {"tracker": {"body": "car"}}, "serial robot: expected tracker = {driver"),
         (trackers, "udp", {"body": 5, "port": 1}, "tracker udp: body: expected a text in quotes, got 5"),
         (
