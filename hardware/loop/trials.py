@@ -51,6 +51,12 @@ class Tape:
     poses: list[Array] = field(default_factory=list)
     controls: list[Array] = field(default_factory=list)
 
+    def note(self, tick: int, state: Array, pose: Array) -> None:
+        """Write down where the robot is at ``tick``; the control that is decided on then goes to ``controls``."""
+        self.ticks.append(tick)
+        self.states.append(state)
+        self.poses.append(pose)
+
     def trajectory(self, dt: float, name: str) -> Trajectory:
         """Return the trial at every sample; at a missing one states lie on the line between, and the control stays."""
         grid = np.arange(self.ticks[-1] + 1)
@@ -139,9 +145,7 @@ class TrialSeries(Pilot):
             moved, _ = task.advance(here, before, np.tile(state, (len(only), 1)), pose=np.tile(pose, (len(only), 1)))
             here = here.keep(moved, only)
         self._states[candidate] = here
-        tape.ticks.append(step)
-        tape.states.append(state)
-        tape.poses.append(pose)
+        tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
             return None
         states = np.where(only[:, None], state, self.system.neutral_state)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hardware.loop.control_loop import TIME_TO_LIVE
+from hardware.loop.demands import TIME_TO_LIVE
 from hardware.measurement import Measurement
 from hardware.recording.journal import Journal
 from hardware.recording.records import TimedCommand

@@ -116,15 +116,12 @@ def drive_by_hand(
 
 
 def _server_class() -> type[PageServer]:
-    from sysid_evo.errors import MissingExtra
+    from sysid_evo.extras import missing_extra
 
     try:
         from hardware.driving.server import PageServer
     except ModuleNotFoundError as error:
-        raise MissingExtra(
-            f"driving by hand needs the package {error.name!r}, which is not installed. "
-            'Install it with: pip install "sysid-evo[drive]"'
-        ) from error
+        raise missing_extra("driving by hand", error.name) from error
     return PageServer
 
 
