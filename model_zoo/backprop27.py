@@ -9,7 +9,7 @@ import numpy as np
 
 from model_zoo.command_cells import CommandCells
 from model_zoo.network import random_network
-from model_zoo.standardise import positive
+from model_zoo.standardise import deviation
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -77,8 +77,8 @@ class Backprop27(DynamicsModel):
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
-        centre, scale = inputs.mean(axis=0), positive(inputs.std(axis=0))
-        target_centre, target_scale = data.after.mean(axis=0), positive(data.after.std(axis=0))
+        centre, scale = inputs.mean(axis=0), deviation(inputs)
+        target_centre, target_scale = data.after.mean(axis=0), deviation(data.after)
         standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
         trained = []
         counter = Counter(progress, len(self.filled_) * self.epochs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +18,7 @@ class CommandCells:
 
     Discrete channels bring their levels; a continuous one gets ``n_levels`` equal steps between its
     limits. ``exact`` lists the continuous channels, whose value is a further input in each cell.
+    A system without controls has one cell.
     """
 
     levels: tuple[Array, ...]
@@ -45,7 +47,7 @@ class CommandCells:
     @property
     def centres(self) -> Array:
         """The levels of each cell, (count, nu)."""
-        return np.stack([axis.ravel() for axis in np.meshgrid(*self.levels, indexing="ij")], axis=1)
+        return np.array(list(product(*self.levels)), dtype=np.float64).reshape(self.count, len(self.levels))
 
     def index(self, control: Array) -> IntArray:
         """Return the cell of each control, (B, nu) -> (B,)."""

@@ -215,7 +215,22 @@ class GaussianProcess(DynamicsModel):
             square = self.noise_[channel] ** 2
             own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
             cross = self._kernel(points, inputs, channel)
-            posterior = cholesky(own + cross @ cross.T / square, lower=True)
+            posterior = factor(own + cross @ cross.T / square)
             self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
-            prior = cho_solve((cholesky(own, lower=True), True), identity)
+            prior = cho_solve((factor(own), True), identity)
             self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
+
+
+def factor(matrix: Array) -> Array:
+    """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
+
+    Data without noise make the covariance singular in double precision: the diagonal then grows by
+    1e-12 of its mean, and tenfold until it is positive definite.
+    """
+    raised, jitter = matrix, 1e-13 * float(np.trace(matrix)) / len(matrix)
+    while True:
+        try:
+            return cholesky(raised, lower=True)
+        except np.linalg.LinAlgError:
+            jitter *= 10.0
+            raised = matrix + jitter * np.eye(len(matrix))

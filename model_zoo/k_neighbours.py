@@ -97,7 +97,7 @@ class KNeighbours(DynamicsModel):
         nx, nu = dataset.system.nx, dataset.system.nu
         weight = np.full(len(scale), 0.5)
         weight[:nx] = 1.0
-        weight[-nu:] = self.control_weight
+        weight[len(weight) - nu :] = self.control_weight
         self.metric_ = weight / scale
         self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
         self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)

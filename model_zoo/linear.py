@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from model_zoo.standardise import deviation
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -53,8 +54,7 @@ class Linear(DynamicsModel):
         regressors = np.concatenate([data.carry, data.control], axis=1)
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
-        scale = regressors.std(axis=0)
-        scale[scale <= 1e-12 * np.abs(regressors).max(axis=0)] = 1.0  # constant but for rounding
+        scale = deviation(regressors)
         penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
         left = np.concatenate([(regressors - centre) / scale, penalty])
         right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])

@@ -59,7 +59,8 @@ def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: 
     model = SINDy(optimizer=STLSQ(threshold=threshold, alpha=ridge), feature_library=PolynomialLibrary(degree=degree))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
-        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=regressors[:, nx:])
+        others = regressors[:, nx:] if regressors.shape[1] > nx else None
+        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=others)
     exponents = np.asarray(model.feature_library.powers_, dtype=np.int64)
     coefficients = model.coefficients().T * target_scale / np.prod(scale**exponents, axis=1)[:, None]
     return np.asarray(coefficients, dtype=np.float64), exponents
