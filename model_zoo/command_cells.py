@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.system import Channel, System
 
 
@@ -26,9 +26,7 @@ class CommandCells:
 
     @classmethod
     def of(cls, system: System, n_levels: int) -> CommandCells:
-        """Return the cells of ``system``. Raises `IncompatibleSystem`, or `InvalidArgument` for ``n_levels``."""
-        if n_levels < 2:
-            raise InvalidArgument(f"levels: expected at least 2 for a continuous control, got {n_levels}")
+        """Return the cells of ``system``. Raises `IncompatibleSystem`."""
         return cls(
             tuple(_levels(channel, n_levels) for channel in system.controls),
             tuple(i for i, channel in enumerate(system.controls) if channel.levels is None),

@@ -10,8 +10,8 @@ from model_zoo.standardise import Standard
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
@@ -37,6 +37,10 @@ class Evolved3(DynamicsModel):
 
     knowledge = "dark grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 150}}
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("hidden", "generations", "windows", "horizon")},
+        "spread": above(0),
+    }
 
     def __init__(
         self,
@@ -60,8 +64,6 @@ class Evolved3(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.hidden < 1:
-            raise InvalidArgument(f"evolved3: expected at least one hidden unit, got {self.hidden}")
         standard = Standard.of(dataset)
         self.centre_, self.scale_ = standard.of_inputs(self.lags)
         self.output_scale_ = standard.change / dataset.system.dt

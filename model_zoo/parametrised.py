@@ -11,6 +11,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -54,6 +55,7 @@ class Parametrised(DynamicsModel):
 
     knowledge = "grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 300}}
+    limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
     def __init__(
         self,
