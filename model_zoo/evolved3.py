@@ -85,17 +85,18 @@ class Evolved3(DynamicsModel):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
 
-    def kernel(self) -> DynamicsKernel:
-        return self._kernels(self.parameters_[None])[0]
+    def kernel(self) -> DynamicsKernel | None:
+        compiled = self._kernels(self.parameters_[None])
+        return None if compiled is None else compiled[0]
 
-    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
-        """Return a kernel and its flat parameters (P, m) for parameter vectors (P, n)."""
+    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
+        """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
         from sysid_evo.engine.kernels import network_predictor, stepping_kernel
 
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
         own = np.repeat(np.eye(nx), hidden, axis=0)
-        kernels = []
+        predictors = []
         for one in parameters:
             first, first_bias, last, last_bias = np.split(one, cut)
             weights = first.reshape(n, nx * hidden) / self.scale_[:, None]
@@ -103,11 +104,13 @@ class Evolved3(DynamicsModel):
                 (weights, first_bias - self.centre_ @ weights),
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
-            predictor = network_predictor([layers], self.n_carry, self.system.nu)
-            kernels.append(
-                stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-            )
-        return kernels[0], np.stack([kernel.parameters for kernel in kernels])
+            predictors.append(network_predictor([layers], self.n_carry, self.system.nu))
+        kernel = stepping_kernel(
+            predictors[0], self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band
+        )
+        if kernel is None:
+            return None
+        return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))
 
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Step parameter vectors (P, n) from carries (P, B, n_carry) under controls (B, nu)."""

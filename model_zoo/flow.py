@@ -29,7 +29,7 @@ from model_zoo.validation import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
-from sysid_evo.motion import PlanarBody
+from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
 Physics = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -41,6 +41,7 @@ class Flow:
     """dx/dt = network(x, lagged samples, control) + physics + rotation of the frame, controls held."""
 
     system: System
+    motion: TorchMotion
     lags: tuple[int, int]
     centre: Tensor
     scale: Tensor
@@ -61,7 +62,7 @@ class Flow:
             result = forward_pass(self.parameters[: self.n_network], inputs) * self.rate_scale
             if self.physics is not None:
                 result = result + self.physics(state, control, self.parameters[-1][:, :, :])
-            return result + turning(self.system, state)
+            return self.motion.turned(state, result)
 
         times = torch.tensor([0.0, self.system.dt])
         after = odeint(rate, carry[..., :nx], times, method="rk4", options={"perturb": False})[-1]
@@ -97,7 +98,9 @@ def train_flow(
     if physical is not None:
         parameters.append(single(physical[None, None]).requires_grad_(True))
     rates = standard.change / system.dt
-    model = Flow(system, lags, single(centre), single(scale), single(rates), parameters, n_network, physics)
+    model = Flow(
+        system, torch_motion(system), lags, single(centre), single(scale), single(rates), parameters, n_network, physics
+    )
     learned, held = time_blocks(dataset, 0, 5)
     windows = Shots.from_windows(judging_windows(held, history))
 
@@ -122,15 +125,3 @@ def train_flow(
     network = as_network(best[:n_network]).folded(centre, scale, rates)
     last = np.zeros(0) if physical is None else best[-1].detach().numpy().astype(np.float64).ravel()
     return FittedFlow(network, last, float(judge(best)[0]))
-
-
-def turning(system: System, state: Tensor) -> Tensor:
-    """Return how the turning frame of a planar body changes its velocities; as `frame_rotation`."""
-    if not isinstance(system.motion, PlanarBody):
-        return torch.zeros_like(state)
-    forward, lateral, yaw_rate = system.motion.indices(system.state_names)
-    columns = [torch.zeros_like(state[..., 0]) for _ in range(system.nx)]
-    if lateral is not None:
-        columns[forward] = state[..., yaw_rate] * state[..., lateral]
-        columns[lateral] = -state[..., yaw_rate] * state[..., forward]
-    return torch.stack(columns, dim=-1)

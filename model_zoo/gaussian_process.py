@@ -118,7 +118,7 @@ class GaussianProcess(DynamicsModel):
             self.n_carry,
         )
         shell = stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-        return replace(shell, precision="float64")  # its large weights cancel
+        return None if shell is None else replace(shell, precision="float64")  # its large weights cancel
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""

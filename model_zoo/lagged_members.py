@@ -17,7 +17,6 @@ from model_zoo.multistep import (
     as_tensors,
     forward_pass,
     free_run,
-    integrate,
     lagged_shift,
     lagged_start,
     single,
@@ -29,6 +28,7 @@ from model_zoo.validation import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
+from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
 
@@ -40,6 +40,7 @@ class LaggedMembers:
     """
 
     system: System
+    motion: TorchMotion
     lags: tuple[int, int]
     centre: Tensor
     scale: Tensor
@@ -56,7 +57,7 @@ class LaggedMembers:
         inputs = (torch.cat([carry, control], dim=2) - self.centre) / self.scale
         inputs = torch.cat([inputs, self.flag.expand(*inputs.shape[:2], 1)], dim=2)
         change = forward_pass(self.parameters, inputs) * self.change
-        after = integrate(self.system, carry[..., : self.system.nx], change)
+        after = self.motion.integrate(carry[..., : self.system.nx], change, self.system.dt)
         return lagged_shift(carry, control, after, self.lags)
 
     def augment(self, batch: list[Tensor]) -> list[Tensor]:
@@ -98,6 +99,7 @@ def train_members(
     start = random_network([n_inputs, *hidden, system.nx], members, rng)
     model = LaggedMembers(
         system,
+        torch_motion(system),
         lags,
         single(centre),
         single(scale),

@@ -19,8 +19,6 @@ from torch import Tensor
 from model_zoo.network import Network
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
-from sysid_evo.motion import PlanarBody
-from sysid_evo.system import System
 
 Report: TypeAlias = Callable[[int], None]
 """Told how many updates are done."""
@@ -185,22 +183,6 @@ def lagged_shift(carry: Tensor, control: Tensor, after: Tensor, lags: tuple[int,
     remembered = nx * (1 + lags[0])
     controls = torch.cat([control, carry[..., remembered : remembered + nu * lags[1]]], dim=2)
     return torch.cat([after, carry[..., : nx * lags[0]], controls[..., : nu * lags[1]]], dim=2)
-
-
-def integrate(system: System, state: Tensor, change: Tensor) -> Tensor:
-    """Return state + change with the rotation of a planar body's frame; as `System.integrate`."""
-    after = state + change
-    if not isinstance(system.motion, PlanarBody):
-        return after
-    forward, lateral, yaw_rate = system.motion.indices(system.state_names)
-    if lateral is None:
-        return after
-    angle = state[..., yaw_rate] * system.dt
-    cos, sin = torch.cos(angle), torch.sin(angle)
-    columns = list(torch.unbind(after, dim=-1))
-    u, v = columns[forward], columns[lateral]
-    columns[forward], columns[lateral] = cos * u + sin * v, cos * v - sin * u
-    return torch.stack(columns, dim=-1)
 
 
 def forward_pass(parameters: Sequence[Tensor], values: Tensor) -> Tensor:

@@ -68,11 +68,11 @@ class NearestNeighbour(DynamicsModel):
                 result[asked] = self.accelerations_[rows][nearest]
         return result
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         return self._compiled
 
     @cached_property
-    def _compiled(self) -> DynamicsKernel:
+    def _compiled(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
 
         cells, tables, serving = self._tables

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from model_zoo.network import Network
-from model_zoo.runge_kutta import frame_rotation, rk4
+from model_zoo.runge_kutta import rk4
 from model_zoo.validation import lag_candidates
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -103,7 +103,7 @@ class NetworkRate(DynamicsModel):
         """Return `known_rate` as a predictor of the fast engine, if there is one."""
         return None
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import (
             added,
             network_predictor,
@@ -118,7 +118,10 @@ class NetworkRate(DynamicsModel):
         )
         if known is not None:
             rate = added(rate, known, self.system.nx)
-        step = runge_kutta_predictor(turning_frame(rate, self.system), self.system, n_carry=self.n_carry)
+        turned = turning_frame(rate, self.system)
+        if turned is None:
+            return None
+        step = runge_kutta_predictor(turned, self.system, n_carry=self.n_carry)
         return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def next_state(self, carry: Array, control: Array) -> Array:
@@ -126,7 +129,7 @@ class NetworkRate(DynamicsModel):
         held = np.concatenate([carry[:, system.nx :], control], axis=1)
 
         def rate(state: Array) -> Array:
-            learned = network(np.concatenate([state, held], axis=1))[0] + frame_rotation(system, state)
+            learned = network(np.concatenate([state, held], axis=1))[0] + system.turning(state)
             known = self.known_rate(state, control)
             return learned if known is None else learned + known
 

@@ -117,8 +117,7 @@ class Parametrised(DynamicsModel):
             lags=self.lags,
             rest_band=self.rest_band,
         )
-        shell = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
-        return kernel, np.concatenate([np.tile(shell, (len(flat), 1)), flat], axis=1)
+        return kernel, kernel.of_candidates(flat)
 
     @property
     def roles(self) -> CarRoles:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from model_zoo.runge_kutta import frame_rotation, rk4
+from model_zoo.runge_kutta import rk4
 from model_zoo.sparse_regression import Regression, SparsePolynomial
 from model_zoo.stepwise import lagged_steps
 from sysid_evo.arrays import Array
@@ -28,17 +28,19 @@ class ContinuousSparse(SparsePolynomial):
         carry, control, after = lagged_steps(dataset, lags)
         before = carry[:, : system.nx]
         middle = 0.5 * (before + after)
-        rate = (after - before) / system.dt - frame_rotation(system, middle)
+        rate = (after - before) / system.dt - system.turning(middle)
         return Regression(np.concatenate([middle, carry[:, system.nx :], control], axis=1), rate)
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import runge_kutta_predictor, stepping_kernel, turning_frame
 
         nx = self.system.nx
         rate = turning_frame(self.predictor(), self.system, low=self.low_[:nx], high=self.high_[:nx])
+        if rate is None:
+            return None
         step = runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
         return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
@@ -48,7 +50,7 @@ class ContinuousSparse(SparsePolynomial):
 
         def rate(state: Array) -> Array:
             outside = state - np.clip(state, self.low_[: system.nx], self.high_[: system.nx])
-            known = frame_rotation(system, state) - outside / system.dt
+            known = system.turning(state) - outside / system.dt
             return self.polynomial(np.concatenate([state, held], axis=1)) + known
 
         return rk4(rate, carry[:, : system.nx], system.dt)

@@ -173,6 +173,7 @@ strategies: Registry[Any] = Registry("strategy", "sysid_evo.strategies")
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
 trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
+motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
 
 register_model = models.register
 register_task = tasks.register
@@ -181,6 +182,7 @@ register_strategy = strategies.register
 register_robot = robots.register
 register_tracker = trackers.register
 register_reader = readers.register
+register_motion = motions.register
 
 make_model = models.make
 make_task = tasks.make

@@ -189,6 +189,25 @@ class System:
             return state + acceleration * self.dt
         return self.motion.integrate(state, acceleration, self.dt, self.state_names)
 
+    def turning(self, state: Array) -> Array:
+        """Return w(x) (..., nx): how the motion's turning frame changes the state, per second; zero without one."""
+        if self.motion is None:
+            return np.zeros_like(state)
+        return self.motion.turning(state, self.state_names)
+
+    def move(self, pose: Array, before: Array, after: Array, dt: float | None = None) -> Array:
+        """Return the pose (..., n_pose) after ``dt`` s (default: the system's), given the states at both ends.
+
+        Without a motion there is no pose, and what came comes back.
+        """
+        if self.motion is None:
+            return pose
+        return self.motion.move(pose, before, after, self.dt if dt is None else dt, self.state_names)
+
+    def seen_from(self, origin: Array, pose: Array) -> Array:
+        """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); without a motion what came."""
+        return pose if self.motion is None else self.motion.seen_from(origin, pose)
+
     def with_dt(self, dt: float) -> System:
         """Return the same system sampled every ``dt`` seconds."""
         return System(self.states, self.controls, dt, self.motion, self.name)

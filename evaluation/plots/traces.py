@@ -11,6 +11,7 @@ from matplotlib.patheffects import withStroke
 from evaluation.plots.canvas import COLOURS, MEASURED, axes_or_new
 from evaluation.transfer import Trace
 from sysid_evo.errors import InvalidData
+from sysid_evo.motion import rotate
 
 FORWARD, BACKWARD = COLOURS[0], COLOURS[1]
 
@@ -26,7 +27,7 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax, 3.4, 3.4)
     ends = pose[:, :2]
     moved = np.diff(ends, axis=0)
-    along = moved[:, 0] * np.cos(pose[:-1, 2]) + moved[:, 1] * np.sin(pose[:-1, 2])
+    along, _ = rotate(moved[:, 0], moved[:, 1], -pose[:-1, 2])
     segments = np.stack([ends[:-1], ends[1:]], axis=1)
     colours = np.where(along >= 0, FORWARD, BACKWARD)
     ax.add_collection(LineCollection(list(segments), colors=list(colours), linewidths=1.0))

@@ -12,7 +12,6 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.trials import RestWatch, Tape
 from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
-from sysid_evo.motion import seen_from
 from sysid_evo.tasks import Task, TaskState
 
 
@@ -67,7 +66,7 @@ class HumanPilot(Pilot):
 
     def in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
-        return np.zeros_like(pose) if self.origin is None else seen_from(self.origin, pose)
+        return np.zeros_like(pose) if self.origin is None else self._task.system.seen_from(self.origin, pose)
 
     def decide(self, tick: int, estimate: Estimate) -> Array | None:
         phase, keys = self.progress.phase, self._keyboard.keys

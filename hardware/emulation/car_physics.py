@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from hardware.emulation.car_parameters import FINE_DT, CarParameters
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.motion import PlanarBody
+from sysid_evo.motion import PlanarBody, frame_change
 from sysid_evo.system import Channel, System
 
 if TYPE_CHECKING:
@@ -167,8 +167,9 @@ def fine_step(
     shake = speed / pace
 
     push = traction - p.rolling_drag * u - front * sine * p.inverse_mass
-    pushed = u + (push + v * r + force_noise * shake) * FINE_DT
-    v = v + ((across + rear) * p.inverse_mass - u * r) * FINE_DT
+    along_turning, across_turning = frame_change(u, v, r)
+    pushed = u + (push + along_turning + force_noise * shake) * FINE_DT
+    v = v + ((across + rear) * p.inverse_mass + across_turning) * FINE_DT
     r = r + ((p.front_axle * across - p.rear_axle * rear) * p.inverse_inertia + yaw_noise * shake) * FINE_DT
 
     creep = np.maximum(1.0 - speed * (1.0 / CREEP_SPEED), 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 
 from hardware.emulation.held_control import HeldControl
@@ -65,8 +63,7 @@ class EmulatedConnection(SimulatedConnection):
             self._noise = self._rng.standard_normal((NOISE_BLOCK, physics.n_noise))
         before, nx = self._carry, system.nx
         self._carry = physics.step(before, self.control[None], self._noise[row : row + 1])
-        motion = cast("PlanarBody", system.motion)
-        self.pose = motion.move(self.pose, before[0, :nx], self._carry[0, :nx], system.dt, system.state_names)
+        self.pose = system.move(self.pose, before[0, :nx], self._carry[0, :nx])
 
     def _look(self, time: float) -> Measurement:
         pose = self._tracker.observe(self.pose)

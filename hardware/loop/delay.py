@@ -84,7 +84,7 @@ def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: f
     poses = np.zeros((len(times), motion.n_pose))
     for k in range(1, len(times)):
         dt = float(times[k] - times[k - 1])
-        poses[k] = motion.move(poses[k - 1], states[k - 1], states[k], dt, system.state_names)
+        poses[k] = system.move(poses[k - 1], states[k - 1], states[k], dt)
     return states, poses
 
 

@@ -12,7 +12,6 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine import Rollouts
-from sysid_evo.motion import rotate
 from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
@@ -158,8 +157,7 @@ class TrialSeries(Pilot):
     def _in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) as seen from the origin."""
         assert self.origin is not None
-        x, y = rotate(pose[0] - self.origin[0], pose[1] - self.origin[1], -self.origin[2])
-        return np.array([x, y, pose[2] - self.origin[2]])
+        return self.system.seen_from(self.origin, pose)
 
     def rollouts(self, why_missing: str) -> Rollouts:
         """Return the trials that every candidate finished; the others are missing for the reason given."""

@@ -17,7 +17,6 @@ from sysid_evo.data.clock import Clock, fit_clock, pieces
 from sysid_evo.data.raw import RawLog
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
-from sysid_evo.motion import PlanarBody, rotate
 from sysid_evo.system import System
 
 CUTOFF = 0.3
@@ -167,20 +166,16 @@ def checked_pose(log: RawLog, system: System) -> Array:
     )
 
 
-def body_velocity(pose: Array, step: float) -> Array:
-    """Return forward speed, lateral speed (m/s) and yaw rate (rad/s), (N - 4, 3), of a planar pose (N, 3)."""
-    world = np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / step
-    forward, lateral = rotate(world[:, 0], world[:, 1], -pose[REACH:-REACH, 2])
-    return np.stack([forward, lateral, world[:, 2]], axis=1)
+def pose_rate(pose: Array, step: float) -> Array:
+    """Return the change per second, (N - 4, n_pose), of a pose (N, n_pose) every ``step`` s."""
+    return np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / step
 
 
 def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice, samples: IntArray) -> Array:
     """Return every state (N - 4, nx) on the uniform clock, before the filter."""
     derived: dict[str, Array] = {}
-    if isinstance(system.motion, PlanarBody) and pose.size:
-        velocity = body_velocity(pose, clock.step)
-        order = {"forward": 0, "lateral": 1, "yaw_rate": 2}
-        derived = {channel: velocity[:, order[role]] for role, channel in system.motion.roles().items()}
+    if system.motion is not None and pose.size and not log.extra.keys() >= set(system.state_names):
+        derived = system.motion.velocities(pose[REACH:-REACH], pose_rate(pose, clock.step))
     columns = []
     for name in system.state_names:
         if name in log.extra:

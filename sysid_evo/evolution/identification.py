@@ -24,8 +24,8 @@ PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
 Start: TypeAlias = Callable[[Array, Array], Array]
 """(W, L + 1, nx) measured states, (W, L, nu) controls before the last -> (W, n_carry) carries, see `Dynamics.start`."""
 
-PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array]"]
-"""(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate."""
+PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array] | None"]
+"""(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate; None without one."""
 
 CHOICE_WINDOWS = 500
 
@@ -85,9 +85,10 @@ class ModelEvolution:
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
             chosen = every[draw.integers(len(every), size=self.windows)]
-            if kernel is None:
+            compiled = None if kernel is None else kernel(population)
+            if compiled is None:
                 return -final_error(step, population, chosen, start)
-            return -kernel_error(kernel, population, chosen, start)
+            return -kernel_error(*compiled, chosen, start)
 
         for generation in evolve(strategy, objective, self.generations):
             if progress is not None:
@@ -112,15 +113,14 @@ def final_error(step: PopulationStep, population: Array, windows: Windows, start
     return np.where(np.isfinite(error), error, np.finfo(float).max)
 
 
-def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows, start: Start | None = None) -> Array:
-    """Return what `final_error` does, compiled, on all processors."""
+def kernel_error(kernel: DynamicsKernel, parameters: Array, windows: Windows, start: Start | None = None) -> Array:
+    """Return what `final_error` does, compiled, on all processors; ``parameters`` are the kernel's, (P, m)."""
     from sysid_evo.engine import available_processors
     from sysid_evo.engine.compiled.open_loop import final_errors
 
-    compiled, parameters = kernel(population)
     error = final_errors(
-        compiled.source,
-        compiled.n_scratch,
+        kernel.source,
+        kernel.n_scratch,
         parameters,
         starting_carries(windows, start),
         windows.controls,

@@ -20,6 +20,7 @@ from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.motion import frame_change
 
 REPEATS, HEADER = range(2)
 COMMANDS = BUFFER.start * LANES
@@ -93,8 +94,9 @@ def fine_step(state, body, command, noise, p):
         shake = speed * per_pace
 
         push = traction - rolling_drag * u - front * sine * inverse_mass
-        change = (push + v * r + force_noise * shake) * FINE_DT
-        v = v + ((across + rear) * inverse_mass - u * r) * FINE_DT
+        along_turning, across_turning = frame_change(u, v, r)
+        change = (push + along_turning + force_noise * shake) * FINE_DT
+        v = v + ((across + rear) * inverse_mass + across_turning) * FINE_DT
         r = r + ((front_axle * across - rear_axle * rear) * inverse_inertia + yaw_noise * shake) * FINE_DT
 
         creep = max(1.0 - speed * CREEP, 0.0)

@@ -41,6 +41,11 @@ class DynamicsKernel:
     n_scratch: int = 0
     precision: Precision = "float32"
 
+    def of_candidates(self, own: Array) -> Array:
+        """Return the flat parameters (P, n) of this kernel for candidates whose predictors have ``own`` (P, m)."""
+        shell = self.parameters[: len(self.parameters) - own.shape[1]]
+        return np.concatenate([np.tile(shell, (len(own), 1)), own], axis=1)
+
 
 @dataclass(frozen=True)
 class ControllerKernel:
