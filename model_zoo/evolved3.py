@@ -11,6 +11,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.evolution.identification import Weights
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
@@ -30,13 +31,17 @@ class Evolved3(DynamicsModel):
     outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
     (none in the paper) are further inputs of every network.
 
-    The error is the plain square in the states' own units and only that of the last step, as in the
-    paper: the lateral speed, small in numbers, hardly counts, and may be further off than a state that
-    does not change (192 % in the paper's table 1), most of all after one step.
+    The error is the square of the last step only. With ``weights="spread"`` every state is divided by its
+    standard deviation; with "paper", the preset of that name, states count in their own units: the lateral
+    speed, small in numbers, hardly counts then, and may be further off than a state that does not change
+    (192 % in the paper's table 1), most of all after one step.
     """
 
     knowledge = "dark grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 150}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"generations": 150},
+        "paper": {"weights": "paper"},
+    }
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "generations", "windows", "horizon")},
         "spread": above(0),
@@ -50,6 +55,7 @@ class Evolved3(DynamicsModel):
         windows: int = 100,
         horizon: int = 10,
         spread: float = 0.5,
+        weights: Weights = "spread",
         state_lags: int = 0,
         control_lags: int = 0,
         rest_hold: bool = False,
@@ -59,6 +65,7 @@ class Evolved3(DynamicsModel):
         self.windows = windows
         self.horizon = horizon
         self.spread = spread
+        self.weights = weights
         self.state_lags = state_lags
         self.control_lags = control_lags
         self.rest_hold = rest_hold
@@ -68,7 +75,9 @@ class Evolved3(DynamicsModel):
         self.centre_, self.scale_ = standard.of_inputs(self.lags)
         self.output_scale_ = standard.change / dataset.system.dt
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
-        search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
+        search = ModelEvolution(
+            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+        )
         self.parameters_ = search.run(
             self._advance,
             dataset,

@@ -199,19 +199,19 @@ def restore(carry, n_carry, task, n_task, kept, dead):
 
 OPEN_LOOP = (
     "types.void(types.FunctionType(types.void(R, R, R, R, R)), I, R, R, R, R, types.int64, types.int64, "
-    "R, R, R, R, R, R)"
+    "R, R, R, R, R, R, R)"
 )
 CANDIDATES, WINDOWS, STEPS, OPEN_CARRY, OPEN_NX, OPEN_NU, OPEN_PARAMETERS = range(7)
 
 
 def open_loop(
     dynamics, sizes, parameters_of, start, controls, truth, first, last,
-    carry, control, noise, parameters, scratch, error,
+    weight, carry, control, noise, parameters, scratch, error,
 ):  # fmt: skip
     """Simulate every window under recorded controls for candidates ``first`` to ``last``.
 
     ``error`` of a candidate is the mean over windows and states of the square difference
-    after the last step; not a number where a simulation diverged.
+    after the last step times the state's ``weight``; not a number where a simulation diverged.
     """
     windows, steps, n_carry = sizes[WINDOWS], sizes[STEPS], sizes[OPEN_CARRY]
     nx, nu, n_parameters = sizes[OPEN_NX], sizes[OPEN_NU], sizes[OPEN_PARAMETERS]
@@ -234,7 +234,7 @@ def open_loop(
             for row in range(nx):
                 for lane in range(used):
                     off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
-                    total += off * off
+                    total += off * off * weight[row]
         error[candidate] = total / float(windows * nx)
 
 

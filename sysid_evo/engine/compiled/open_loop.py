@@ -27,6 +27,7 @@ def final_errors(
     start: Array,
     controls: Array,
     truth: Array,
+    weight: Array | None = None,
     *,
     precision: Precision = "float32",
     threads: int = 1,
@@ -35,12 +36,15 @@ def final_errors(
 
     ``source`` is a dynamics kernel that needs ``n_scratch`` rows; ``parameters`` (P, m) are its flat
     parameters for every candidate; ``start`` (W, n_carry), ``controls`` (W, H, nu), ``truth``
-    (W, nx) at the end.
+    (W, nx) at the end; the square of state i counts ``weight[i]`` times (nx,), once by default.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (windows, None))
     truth = check_shape("truth", truth, (windows, None))
     real = np.dtype(precision)
+    weights = aligned(
+        np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:]), real
+    )
 
     sizes = np.zeros(16, np.int64)
     sizes[: loops.OPEN_PARAMETERS + 1] = (
@@ -56,7 +60,7 @@ def final_errors(
         own, scratch = empty_lines(parameters.shape[1], real), empty_lines(n_scratch * LANES, real)
 
         def work(first: int, last: int) -> None:
-            loop(kernel, *shared, first, last, *buffers, own, scratch, error)
+            loop(kernel, *shared, first, last, weights, *buffers, own, scratch, error)
 
         return work
 
