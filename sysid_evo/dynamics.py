@@ -97,9 +97,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
 
     What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
-    anything else is derived from them when needed. Every `fit` also records ``system_`` and
+    anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
+    forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped; ``fit_seconds`` is how long it took.
+    ranges, beyond which a simulation is clipped (a periodic state has no limits); ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -114,8 +115,12 @@ class DynamicsModel(Dynamics, BaseEstimator):
     system_: System
     envelope_: Array
 
+    _derived: ClassVar[frozenset[str]] = frozenset()
+
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
+        cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
             cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
         if "__init__" in cls.__dict__:
@@ -144,6 +149,12 @@ class DynamicsModel(Dynamics, BaseEstimator):
     def check_installed(cls) -> None:
         """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
         require_packages(cls, cls.requires)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
+        for derived in self._derived:
+            self.__dict__.pop(derived, None)
+        super().__setattr__(name, value)
 
     @property
     def system(self) -> System:  # type: ignore[override]  # known only after fit
@@ -200,6 +211,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.envelope_ = training_envelope(states, self.envelope_multiple)
+        for i in dataset.system.periods:
+            self.envelope_[:, i] = -np.inf, np.inf
 
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.
@@ -236,7 +249,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
         if not self.rest_hold:
             return None
-        return REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        ranges = (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        for i, period in self.system.periods.items():
+            ranges[i] = period
+        return REST_BAND * ranges
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
         """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and all controls are neutral.

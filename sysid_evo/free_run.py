@@ -80,13 +80,14 @@ def simulation_error(model: DynamicsModel, windows: Windows) -> float:
     Steps count alike, so that neither the first nor the last alone decides. 0 is perfect, about 1 is no
     better than the mean of the truth; infinite if a state is not finite.
     """
-    return relative_error(model.simulate(windows.past_states, windows.past_controls, windows.controls), windows)
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    return relative_error(model.system.difference(simulated, windows.states), windows)
 
 
-def relative_error(simulated: Array, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / standard deviation; inf if not finite."""
+def relative_error(off: Array, windows: Windows) -> float:
+    """Return the mean over channels and steps of RMSE / standard deviation of ``off`` (N, H, nx); inf if not finite."""
     spread = windows.states.std(axis=(0, 1))
     spread = np.where(spread > 0, spread, 1.0)
     with np.errstate(all="ignore"):
-        error = float(np.mean(np.sqrt(np.mean((simulated - windows.states) ** 2, axis=0)) / spread))
+        error = float(np.mean(np.sqrt(np.mean(off**2, axis=0)) / spread))
     return error if np.isfinite(error) else float("inf")
