@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.command_cells import CommandCells
-from model_zoo.network import random_network
-from model_zoo.standardise import deviation
+from model_zoo.channels.command_cells import CommandCells
+from model_zoo.channels.standard import deviation
+from model_zoo.networks.network import random_network
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

@@ -12,10 +12,10 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 from sklearn.base import clone
 
-from model_zoo.spread import conformal_scale, unseen_parts
-from model_zoo.standardise import Standard, positive
+from model_zoo.channels.standard import Standard, positive
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import lag_candidates, time_blocks
+from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.spread import conformal_scale, unseen_parts
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

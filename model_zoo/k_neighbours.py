@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sklearn.base import clone
 
-from model_zoo.standardise import Standard
+from model_zoo.channels.standard import Standard
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, time_blocks
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

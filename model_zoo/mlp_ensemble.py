@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.mirror import Mirror
-from model_zoo.network import Network
-from model_zoo.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
-from model_zoo.validation import lag_candidates, time_blocks
+from model_zoo.channels.mirror import Mirror
+from model_zoo.networks.network import Network
+from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -97,8 +97,8 @@ class MlpEnsemble(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.lagged_members import Trained, train_members
-        from model_zoo.multistep import Plan
+        from model_zoo.networks.members import Trained, train_members
+        from model_zoo.networks.multistep import Plan
 
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         search = Plan(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.polynomial import equation, evaluate, lagged_names, monomials
+from model_zoo.sparse.polynomial import equation, evaluate, lagged_names, monomials
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, time_blocks
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from model_zoo.sparse_flow import ContinuousSparse
-from model_zoo.sparse_regression import sparse_coefficients
+from model_zoo.sparse.flow import ContinuousSparse
+from model_zoo.sparse.regression import sparse_coefficients
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least

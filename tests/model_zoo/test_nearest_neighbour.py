@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.command_cells import CommandCells
+from model_zoo.channels.command_cells import CommandCells
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.polynomial import equation, evaluate, lagged_names
-from model_zoo.validation import diverges, lag_candidates, time_blocks
+from model_zoo.sparse.polynomial import equation, evaluate, lagged_names
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

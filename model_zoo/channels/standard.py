@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model_zoo.mirror import Mirror
+from model_zoo.channels.mirror import Mirror
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.validation import time_blocks
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import EpisodeFold, recording
 from sysid_evo.data import Dataset, Windows

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.network import Network
-from model_zoo.runge_kutta import rk4
-from model_zoo.validation import lag_candidates
+from model_zoo.flows.runge_kutta import rk4
+from model_zoo.networks.network import Network
+from model_zoo.validation.held_out import lag_candidates
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -17,8 +17,8 @@ from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
-    from model_zoo.flow import FittedFlow
-    from model_zoo.multistep import Plan, Report
+    from model_zoo.flows.training import FittedFlow
+    from model_zoo.networks.multistep import Plan, Report
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.engine.kernels import Predictor
 
@@ -58,7 +58,7 @@ class NetworkRate(DynamicsModel):
         return None
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.multistep import Plan
+        from model_zoo.networks.multistep import Plan
 
         final = Plan(
             self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate, check_every=50

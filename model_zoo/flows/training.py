@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from model_zoo.multistep import (
+from model_zoo.channels.standard import Standard
+from model_zoo.networks.multistep import (
     Plan,
     Report,
     Shots,
@@ -23,9 +24,8 @@ from model_zoo.multistep import (
     single,
     train,
 )
-from model_zoo.network import Network, random_network
-from model_zoo.standardise import Standard
-from model_zoo.validation import time_blocks
+from model_zoo.networks.network import Network, random_network
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
