@@ -18,6 +18,7 @@ from sysid_evo.data.moving import moving_rows
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.data.windows import Windows, cut_windows
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
+from sysid_evo.lags import CarryLayout
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
@@ -169,6 +170,12 @@ class Dataset:
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.episodes)
 
+    def __getitem__(self, chosen: int | slice | Sequence[int]) -> Dataset:
+        """Return the data set of these episodes only, by number."""
+        if isinstance(chosen, slice):
+            return self.with_episodes(self.episodes[chosen])
+        return self.with_episodes([self.episodes[i] for i in np.atleast_1d(chosen)])
+
     @property
     def n_steps(self) -> int:
         """Number of steps in all episodes."""
@@ -240,15 +247,19 @@ class Dataset:
         rows = self.moving if moving else None
         return cut_windows(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
-    def transitions(self, *, state_lags: int = 0, control_lags: int = 0) -> Transitions:
-        """Return every single step with that many earlier states and controls."""
-        history = max(state_lags, control_lags)
-        w = self.windows(1, history=history)
-        parts = [w.past_states[:, -1 - lag] for lag in range(state_lags + 1)]
-        parts += [w.past_controls[:, -1 - lag] for lag in range(control_lags)]
+    def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
+        """Return every single step with that many earlier states and controls.
+
+        With ``moving``, only those that are no standstill, unless there is nothing else.
+        """
+        layout = CarryLayout(self.system.nx, self.system.nu, state_lags, control_lags)
+        w = self.windows(1, history=layout.history, moving=moving)
+        if moving and not len(w):
+            w = self.windows(1, history=layout.history)
         if not len(w):
-            raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
-        return Transitions(np.concatenate(parts, axis=1), w.controls[:, 0], w.states[:, 0])
+            raise InvalidData(f"data set: no episode is longer than {layout.history} steps, the history asked for")
+        carry = np.concatenate(layout.started(w.past_states, w.past_controls), axis=1)
+        return Transitions(carry, w.controls[:, 0], w.states[:, 0])
 
     def save(self, path: str | Path) -> Path:
         """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""

@@ -6,17 +6,19 @@ import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.polynomial import equation, evaluate, lagged_names
-from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.sparse.polynomial import equation, evaluate, lagged_names
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
+from sysid_evo.errors import InvalidData
+from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
@@ -45,12 +47,10 @@ def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: 
     pysindy sees regressors and targets divided by their root mean squares, so that ``threshold`` is
     a share of a target's size; the coefficients returned are those of the raw quantities.
     """
-    try:
-        from pysindy import SINDy
-        from pysindy.feature_library import PolynomialLibrary
-        from pysindy.optimizers import STLSQ
-    except ImportError as error:
-        raise MissingExtra("the SINDy families are fitted with pysindy: pip install 'sysid-evo[sindy]'") from error
+    from pysindy import SINDy
+    from pysindy.feature_library import PolynomialLibrary
+    from pysindy.optimizers import STLSQ
+
     if len(data.regressors) < 2:
         raise InvalidData("data set: a sparse regression needs at least two steps")
     scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
@@ -59,7 +59,8 @@ def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: 
     model = SINDy(optimizer=STLSQ(threshold=threshold, alpha=ridge), feature_library=PolynomialLibrary(degree=degree))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
-        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=regressors[:, nx:])
+        others = regressors[:, nx:] if regressors.shape[1] > nx else None
+        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=others)
     exponents = np.asarray(model.feature_library.powers_, dtype=np.int64)
     coefficients = model.coefficients().T * target_scale / np.prod(scale**exponents, axis=1)[:, None]
     return np.asarray(coefficients, dtype=np.float64), exponents
@@ -80,6 +81,8 @@ class SparsePolynomial(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    requires = ("pysindy",)
+    limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     degree: int | None
     threshold: float | None
     ridge: float
@@ -91,14 +94,6 @@ class SparsePolynomial(DynamicsModel):
     @abstractmethod
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
-
-    def check_options(self) -> None:
-        """Raise `InvalidArgument` if a hyper-parameter cannot be."""
-        if self.ridge < 0 or (self.threshold or 0.0) < 0 or (self.degree is not None and self.degree < 1):
-            raise InvalidArgument(
-                f"sparse regression: expected degree >= 1, threshold >= 0 and ridge >= 0, "
-                f"got {self.degree}, {self.threshold}, {self.ridge}"
-            )
 
     def learn(
         self,
@@ -125,7 +120,6 @@ class SparsePolynomial(DynamicsModel):
         self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        self.check_options()
         settings = self._settings(dataset)
         chosen = settings[0]
         searched = len(settings) if len(settings) > 1 else 0
@@ -141,7 +135,7 @@ class SparsePolynomial(DynamicsModel):
                 error = 0.0
                 for learned, held in folds:
                     trial.learn_once(learned, degree, threshold)
-                    windows = validation_windows(held, trial.n_lags)
+                    windows = judging_windows(held, trial.n_lags)
                     error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
                     counter.advance()
                 errors.append(error)

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model_zoo.mirror import Mirror
+from model_zoo.channels.mirror import Mirror
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+
+CONSTANT = 1e-12
+"""Share of its size below which the deviation of a channel is rounding."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +38,9 @@ class Standard:
             control_centre = np.where(mirror.controls < 0, 0.0, control_centre)
         return cls(
             state_centre,
-            positive(states.std(axis=0)),
+            deviation(states),
             control_centre,
-            positive(controls.std(axis=0)),
+            deviation(controls),
             positive(np.sqrt(np.mean(change**2, axis=0))),
         )
 
@@ -54,3 +57,12 @@ class Standard:
 def positive(values: Array) -> Array:
     """Return ``values`` with 1 in place of 0, to divide by."""
     return np.where(values > 0, values, 1.0)
+
+
+def deviation(values: Array) -> Array:
+    """Return the standard deviation of each column of (N, n), 1 for a column that never changes.
+
+    The deviation of a constant such as 0.3 is 1e-17 by rounding, which must not become a gain.
+    """
+    spread, size = values.std(axis=0), np.abs(values).max(axis=0)
+    return np.where(spread > CONSTANT * size, spread, 1.0)

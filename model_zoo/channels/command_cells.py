@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.system import Channel, System
 
 
@@ -17,6 +18,7 @@ class CommandCells:
 
     Discrete channels bring their levels; a continuous one gets ``n_levels`` equal steps between its
     limits. ``exact`` lists the continuous channels, whose value is a further input in each cell.
+    A system without controls has one cell.
     """
 
     levels: tuple[Array, ...]
@@ -24,9 +26,7 @@ class CommandCells:
 
     @classmethod
     def of(cls, system: System, n_levels: int) -> CommandCells:
-        """Return the cells of ``system``. Raises `IncompatibleSystem`, or `InvalidArgument` for ``n_levels``."""
-        if n_levels < 2:
-            raise InvalidArgument(f"levels: expected at least 2 for a continuous control, got {n_levels}")
+        """Return the cells of ``system``. Raises `IncompatibleSystem`."""
         return cls(
             tuple(_levels(channel, n_levels) for channel in system.controls),
             tuple(i for i, channel in enumerate(system.controls) if channel.levels is None),
@@ -45,7 +45,7 @@ class CommandCells:
     @property
     def centres(self) -> Array:
         """The levels of each cell, (count, nu)."""
-        return np.stack([axis.ravel() for axis in np.meshgrid(*self.levels, indexing="ij")], axis=1)
+        return np.array(list(product(*self.levels)), dtype=np.float64).reshape(self.count, len(self.levels))
 
     def index(self, control: Array) -> IntArray:
         """Return the cell of each control, (B, nu) -> (B,)."""

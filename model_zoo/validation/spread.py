@@ -7,10 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.validation import time_blocks, validation_windows
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import EpisodeFold, recording
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.free_run import judging_windows
 
 SAMPLES = 30
 SHARE = 0.9
@@ -91,11 +93,11 @@ def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> 
 
 def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
     """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
-    recordings = list(dict.fromkeys(name.split("[")[0] for name in dataset.names))
-    if len(recordings) < 2:
+    recordings = len({recording(name) for name in dataset.names})
+    if recordings < 2:
         return []
-    groups = np.array_split(np.array(recordings, dtype=object), min(MOST_GROUPS, len(recordings)))
-    return [dataset.split(list(group)) for group in groups]
+    folds = EpisodeFold(min(MOST_GROUPS, recordings)).split(dataset)
+    return [(dataset[list(seen)], dataset[list(held)]) for seen, held in folds]
 
 
 def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
@@ -130,7 +132,7 @@ def growth_on_unseen_recordings(
 
 def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
     """Return the absolute errors (N, nx) after one second."""
-    windows = validation_windows(held, model.n_lags)
+    windows = judging_windows(held, model.n_lags)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])
 

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from model_zoo.mirror import Mirror
-from model_zoo.multistep import (
+from model_zoo.channels.mirror import Mirror
+from model_zoo.channels.standard import Standard
+from model_zoo.networks.multistep import (
     Plan,
     Report,
     Shots,
@@ -22,11 +23,11 @@ from model_zoo.multistep import (
     single,
     train,
 )
-from model_zoo.network import Network, random_network
-from model_zoo.standardise import Standard
-from model_zoo.validation import time_blocks, validation_windows
+from model_zoo.networks.network import Network, random_network
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.free_run import judging_windows
 from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
@@ -109,7 +110,7 @@ def train_members(
         torch.ones(1, 1, 1),
     )
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
-    held = [validation_windows(split[1], history) for split in splits]
+    held = [judging_windows(split[1], history) for split in splits]
 
     def judge(parameters: list[Tensor]) -> Array:
         trained, model.parameters, model.flag = model.parameters, parameters, torch.ones(1, 1, 1)

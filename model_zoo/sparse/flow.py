@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from model_zoo.runge_kutta import rk4
-from model_zoo.sparse_regression import Regression, SparsePolynomial
+from model_zoo.flows.runge_kutta import rk4
+from model_zoo.sparse.regression import Regression, SparsePolynomial
 from model_zoo.stepwise import lagged_steps
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset

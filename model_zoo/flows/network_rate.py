@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.network import Network
-from model_zoo.runge_kutta import rk4
-from model_zoo.validation import lag_candidates
+from model_zoo.flows.runge_kutta import rk4
+from model_zoo.networks.network import Network
+from model_zoo.validation.held_out import lag_candidates
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument, MissingExtra
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
-    from model_zoo.flow import FittedFlow
-    from model_zoo.multistep import Plan, Report
+    from model_zoo.flows.training import FittedFlow
+    from model_zoo.networks.multistep import Plan, Report
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.engine.kernels import Predictor
 
@@ -35,6 +35,11 @@ class NetworkRate(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    requires = ("torch", "torchdiffeq")
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
+        "learning_rate": above(0),
+    }
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
     hidden: list[int] | None
     one_step_updates: int
@@ -53,15 +58,8 @@ class NetworkRate(DynamicsModel):
         return None
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        try:
-            from model_zoo.multistep import Plan
-        except ImportError as error:
-            raise MissingExtra("neural ODEs are trained with torch: pip install 'sysid-evo[neural]'") from error
-        if min(self.one_step_updates, self.updates, self.horizon) < 1 or self.learning_rate <= 0:
-            raise InvalidArgument(
-                "neural ODE: expected one_step_updates, updates, horizon >= 1 and learning_rate > 0, got "
-                f"{self.one_step_updates}, {self.updates}, {self.horizon}, {self.learning_rate}"
-            )
+        from model_zoo.networks.multistep import Plan
+
         final = Plan(
             self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate, check_every=50
         )

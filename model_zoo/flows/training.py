@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from model_zoo.multistep import (
+from model_zoo.channels.standard import Standard
+from model_zoo.networks.multistep import (
     Plan,
     Report,
     Shots,
@@ -23,11 +24,11 @@ from model_zoo.multistep import (
     single,
     train,
 )
-from model_zoo.network import Network, random_network
-from model_zoo.standardise import Standard
-from model_zoo.validation import time_blocks, validation_windows
+from model_zoo.networks.network import Network, random_network
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.free_run import judging_windows
 from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
@@ -101,7 +102,7 @@ def train_flow(
         system, torch_motion(system), lags, single(centre), single(scale), single(rates), parameters, n_network, physics
     )
     learned, held = time_blocks(dataset, 0, 5)
-    windows = Shots.from_windows(validation_windows(held, history))
+    windows = Shots.from_windows(judging_windows(held, history))
 
     def judge(candidate: list[Tensor]) -> Array:
         trained, model.parameters = model.parameters, candidate

@@ -20,7 +20,7 @@ def require_car(model: DynamicsModel, family: str, system: System, drive: str, s
         if name not in system.control_names:
             raise IncompatibleSystem(
                 f"{family} needs a control for the role {role}: there is no {name!r} among "
-                f"{', '.join(system.control_names)}; name it with {role}=..."
+                f"{', '.join(system.control_names) or 'no controls'}; name it with {role}=..."
             )
 
 

@@ -7,15 +7,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidData
 
 BLOCKS = 6
 SHORTEST = 30
-HORIZON_TIME = 1.0  # s
 Choice = TypeVar("Choice")
 
 
@@ -42,34 +39,6 @@ def time_blocks(dataset: Dataset, fold: int = 0, folds: int = 3) -> tuple[Datase
     if not held or not learned:
         return dataset, dataset
     return dataset.with_episodes(learned), dataset.with_episodes(held)
-
-
-def validation_windows(dataset: Dataset, history: int, *, stride: int = 4, time: float = HORIZON_TIME) -> Windows:
-    """Return windows of one second (or the longest the data have) wherever the body moves."""
-    horizon = max(1, round(time / dataset.system.dt))
-    longest = max(len(episode) for episode in dataset.episodes) - history
-    horizon = min(horizon, longest)
-    if horizon < 1:
-        raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
-    windows = dataset.windows(horizon, stride=stride, history=history, moving=True)
-    return windows if len(windows) else dataset.windows(horizon, stride=1, history=history)
-
-
-def simulation_error(model: DynamicsModel, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / standard deviation of the truth, in free run.
-
-    Steps count alike, so that neither the first nor the last of the second alone decides.
-    """
-    return relative_error(model.simulate(windows.past_states, windows.past_controls, windows.controls), windows)
-
-
-def relative_error(simulated: Array, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / standard deviation; inf if not finite."""
-    spread = windows.states.std(axis=(0, 1))
-    spread = np.where(spread > 0, spread, 1.0)
-    with np.errstate(all="ignore"):
-        error = float(np.mean(np.sqrt(np.mean((simulated - windows.states) ** 2, axis=0)) / spread))
-    return error if np.isfinite(error) else float("inf")
 
 
 def diverges(model: DynamicsModel, windows: Windows, training: Dataset) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from model_zoo.network import Network
+from model_zoo.networks.network import Network
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
 
