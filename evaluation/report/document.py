@@ -17,7 +17,7 @@ from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, Transfe
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
-SCHEMA = "sysid-evo/report/1"
+SCHEMA = "sysid-evo/report/2"
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def _summary(summary: TransferSummary) -> dict[str, Any]:
 
 
 def _controller(controller: ControllerSummary) -> dict[str, Any]:
-    return {**asdict(controller), "kept": controller.kept}
+    return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:

@@ -12,7 +12,15 @@ from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
 from evaluation.report.contents import EpisodeSummary, Report
 from evaluation.report.sheets import Sheet, lines, listed, number, percent, three_digits
 from evaluation.report.verdict import horizon_name
-from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, Estimate, TransferMatrix, TransferSummary
+from evaluation.transfer import (
+    NOT_RUN,
+    Cell,
+    ControllerSummary,
+    Estimate,
+    TransferMatrix,
+    TransferSummary,
+    seed_spread,
+)
 
 
 def prediction_sheet(prediction: Prediction) -> Sheet:
@@ -109,9 +117,9 @@ def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
     rows = [
         (
             lines(model.model, "" if model.controllers == (model.model,) else f"({listed(model.controllers)})"),
-            number(model.claimed),
-            number(model.others),
-            number(model.achieved),
+            lines(_estimate_cell(model.claimed), seed_spread(model.seed_fitness)),
+            _estimate_cell(model.others),
+            _estimate_cell(model.achieved),
             lines(percent(model.outside_visited), _on_robot(model.outside_robot)),
             percent(model.outside_held_out),
             percent(model.clipped_share),
