@@ -71,7 +71,8 @@ class Report:
     """Everything a comparison found. Parts that were not computed are None or empty.
 
     ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
-    are in seconds and the only thing that differs between two equal runs.
+    are in seconds and the only thing that differs between two equal runs. ``controllers`` gives the file
+    of each controller, relative to the folder of the run.
     """
 
     title: str
@@ -84,6 +85,7 @@ class Report:
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
+    controllers: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def transfer(self) -> TransferSummary | None:

@@ -39,6 +39,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "failures": [asdict(failure) for failure in report.all_failures],
         "settings": report.settings,
@@ -123,6 +124,7 @@ def _champion(champion: Champion) -> dict[str, Any]:
         "task_parameters": champion.task_parameters,
         "parameters": champion.parameters,
         "history": champion.history,
+        "seed_fitness": getattr(champion, "seed_fitness", ()),
         "estimator_delay": champion.estimator_delay,
     }
 

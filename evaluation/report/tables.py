@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from evaluation.exploitability import ModelExploitability
-from evaluation.labels import folded
+from evaluation.labels import folded, percent
 from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
 from evaluation.report.contents import EpisodeSummary, Report
-from evaluation.report.sheets import Sheet, lines, listed, number, percent, three_digits
-from evaluation.report.verdict import horizon_name
+from evaluation.report.predicting import N_IN_WORDS, horizon_name
+from evaluation.report.sheets import Sheet, lines, listed, number, plus_minus, three_digits
+from evaluation.report.transferring import ONE_SEED
 from evaluation.transfer import (
     NOT_RUN,
     Cell,
     ControllerSummary,
-    Estimate,
     TransferMatrix,
     TransferSummary,
     seed_spread,
@@ -40,10 +40,11 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
     ]
     protocol = prediction.cases.protocol
     return Sheet(
-        title="Prediction error N (RMSE / std of the truth, mean over channels; 0 is perfect)",
+        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
         columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
         rows=tuple(rows),
         note=(
+            "N: RMSE / standard deviation of the truth, mean over channels. "
             f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
             f"free run: each whole episode from sample {protocol.first}. "
             "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
@@ -99,15 +100,20 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     """Claimed and achieved fitness, and the gaps between them."""
     robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
     rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    seeds = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
+    spread = (
+        "below a claim: the fitness of the champions of several evolution seeds. " if max(seeds, default=0) > 1 else ""
+    )
+    unknown = f" {ONE_SEED}" if min(seeds, default=2) < 2 else ""
     return Sheet(
         title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
         columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
         rows=tuple(rows),
         note=(
-            "claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. "
+            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            "chosen: without the robot, the best on other families."
+            f"chosen: without the robot, the best on other families.{unknown}"
         ),
     )
 
@@ -117,9 +123,9 @@ def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
     rows = [
         (
             lines(model.model, "" if model.controllers == (model.model,) else f"({listed(model.controllers)})"),
-            lines(_estimate_cell(model.claimed), seed_spread(model.seed_fitness)),
-            _estimate_cell(model.others),
-            _estimate_cell(model.achieved),
+            plus_minus(model.claimed),
+            plus_minus(model.others),
+            plus_minus(model.achieved),
             lines(percent(model.outside_visited), _on_robot(model.outside_robot)),
             percent(model.outside_held_out),
             percent(model.clipped_share),
@@ -275,15 +281,11 @@ def _fitness_cell(cell: Cell, own: bool) -> str:
 def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
     row = [
         lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-        _estimate_cell(controller.claimed),
-        _estimate_cell(controller.others),
-        _estimate_cell(controller.exploitation_gap),
-        _estimate_cell(controller.other_families),
+        lines(plus_minus(controller.claimed), seed_spread(controller.seed_fitness).replace(" evolution", "")),
+        plus_minus(controller.others),
+        plus_minus(controller.exploitation_gap),
+        plus_minus(controller.other_families),
     ]
     if robot:
-        row += [_estimate_cell(controller.achieved), _estimate_cell(controller.reality_gap)]
+        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
     return tuple(row)
-
-
-def _estimate_cell(estimate: Estimate | None) -> str:
-    return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
