@@ -8,7 +8,7 @@ from pathlib import Path
 from evaluation.prediction import Prediction
 from evaluation.report.contents import Report
 from evaluation.report.predicting import N_IN_WORDS, horizon_name, main_horizon
-from evaluation.report.sheets import Sheet, lines, number, plus_minus, three_digits
+from evaluation.report.sheets import Sheet, lines, number, plus_minus, seed_range, three_digits
 from evaluation.transfer import ControllerSummary
 
 EXPLOITED = {True: "yes", False: "no", None: "–"}
@@ -99,9 +99,8 @@ def _n(prediction: Prediction, name: str) -> str:
 def _controller_cells(controller: ControllerSummary | None) -> list[str]:
     if controller is None:
         return ["–"] * 3
-    seeds = controller.seed_fitness
     return [
-        lines(plus_minus(controller.claimed), f"{min(seeds):.1f} to {max(seeds):.1f}" if len(seeds) > 1 else ""),
+        lines(plus_minus(controller.claimed), seed_range(controller)),
         plus_minus(controller.elsewhere),
         EXPLOITED[controller.exploited],
     ]

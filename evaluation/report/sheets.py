@@ -7,7 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.transfer import Estimate
+from evaluation.transfer import ControllerSummary, Estimate
+
+
+@dataclass(frozen=True)
+class Heat:
+    """What the page paints behind the cells of a table, without its first column.
+
+    ``shades`` (rows, columns) from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
+    a line stands left of the ``divided`` column. ``alarm`` paints in the colour of warnings.
+    """
+
+    shades: tuple[tuple[float | None, ...], ...]
+    framed: frozenset[tuple[int, int]] = frozenset()
+    divided: int | None = None
+    alarm: bool = False
 
 
 @dataclass(frozen=True)
@@ -15,7 +29,7 @@ class Sheet:
     """A table: the first column names the rows. A cell may hold several lines.
 
     ``note`` says how the numbers came about; ``details`` asks the page to fold the table away, ``prose``
-    to set its cells as text rather than as numbers, ``code`` as commands to copy.
+    to set its cells as text rather than as numbers, ``code`` as commands to copy; ``heat`` paints them.
     """
 
     title: str
@@ -25,6 +39,7 @@ class Sheet:
     details: bool = False
     prose: bool = False
     code: bool = False
+    heat: Heat | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
@@ -44,6 +59,12 @@ def three_digits(value: float) -> str:
 def plus_minus(estimate: Estimate | None) -> str:
     """Return ``11.5 ±0.3``, the value and its standard error; a dash for None."""
     return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
+
+
+def seed_range(controller: ControllerSummary) -> str:
+    """Return the fitness of the worst and the best champion of several evolution seeds; empty for fewer than two."""
+    found = controller.seed_fitness
+    return f"{min(found):.1f} to {max(found):.1f}" if len(found) > 1 else ""
 
 
 def lines(*parts: str) -> str:
