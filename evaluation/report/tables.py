@@ -6,13 +6,24 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from evaluation.exploitability import ModelExploitability
-from evaluation.labels import folded
+from evaluation.labels import folded, percent
 from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
 from evaluation.report.contents import EpisodeSummary, Report
-from evaluation.report.sheets import Sheet, lines, listed, number, percent, three_digits
-from evaluation.report.verdict import horizon_name
-from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, Estimate, TransferMatrix, TransferSummary
+from evaluation.report.predicting import N_IN_WORDS, horizon_name
+from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range, three_digits
+from evaluation.report.transferring import ONE_SEED
+from evaluation.transfer import (
+    NOT_RUN,
+    Cell,
+    ControllerSummary,
+    TransferMatrix,
+    TransferSummary,
+)
+
+LEAST_SHARE = 1e-3
 
 
 def prediction_sheet(prediction: Prediction) -> Sheet:
@@ -32,10 +43,11 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
     ]
     protocol = prediction.cases.protocol
     return Sheet(
-        title="Prediction error N (RMSE / std of the truth, mean over channels; 0 is perfect)",
+        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
         columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
         rows=tuple(rows),
         note=(
+            "N: RMSE / standard deviation of the truth, mean over channels. "
             f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
             f"free run: each whole episode from sample {protocol.first}. "
             "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
@@ -76,6 +88,19 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         for champion in matrix.champions
     ]
     unit = matrix.unit or "fitness"
+    means = matrix.means()
+    known = means[np.isfinite(means)]
+    low, top = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
+    shades = tuple(
+        tuple((m - low) / (top - low) if np.isfinite(m) and top > low else None for m in row) for row in means
+    )
+    own = frozenset(
+        (i, j)
+        for i, champion in enumerate(matrix.champions)
+        for j, column in enumerate(matrix.columns)
+        if column in champion.against
+    )
+    robots = len(matrix.columns) - len(matrix.models)
     return Sheet(
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
@@ -84,6 +109,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
             f"{_trials(matrix)} = evolved against this model. "
             "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
         ),
+        heat=Heat(shades, own, len(matrix.models) if robots and matrix.models else None),
     )
 
 
@@ -91,15 +117,18 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     """Claimed and achieved fitness, and the gaps between them."""
     robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
     rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    seeds = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
+    spread = f"below a claim: its range over {max(seeds)} evolution seeds. " if max(seeds, default=0) > 1 else ""
+    unknown = f" {ONE_SEED}" if min(seeds, default=2) < 2 else ""
     return Sheet(
         title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
         columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
         rows=tuple(rows),
         note=(
-            "claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. "
+            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            "chosen: without the robot, the best on other families."
+            f"chosen: without the robot, the best on other families.{unknown}"
         ),
     )
 
@@ -109,9 +138,9 @@ def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
     rows = [
         (
             lines(model.model, "" if model.controllers == (model.model,) else f"({listed(model.controllers)})"),
-            number(model.claimed),
-            number(model.others),
-            number(model.achieved),
+            plus_minus(model.claimed),
+            plus_minus(model.others),
+            plus_minus(model.achieved),
             lines(percent(model.outside_visited), _on_robot(model.outside_robot)),
             percent(model.outside_held_out),
             percent(model.clipped_share),
@@ -131,21 +160,26 @@ def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
 
 
 def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
-    """The limit of every probe, and the shares of steps beyond it."""
+    """The limit of every probe, and the shares of steps beyond it, outside the data first."""
     first = models[0].probes
     limits = [f"> {probe.limit:.3g} {probe.unit}" if probe.limit is not None else "no data" for probe in first]
     heads = [lines(folded(p.name).replace("_", " "), limit) for p, limit in zip(first, limits, strict=True)]
-    rows = []
-    for model in models:
-        cells = [lines(percent(p.visited), _on_robot(p.robot)) for p in model.probes]
-        rows.append((model.model, *cells))
-    rows.append(("held-out data", *(percent(probe.held_out) for probe in first)))
+    shares = [(model.outside_visited, *(probe.visited for probe in model.probes)) for model in models]
+    on_robot = [(model.outside_robot, *(probe.robot for probe in model.probes)) for model in models]
+    normal = (models[0].outside_held_out, *(probe.held_out for probe in first))
+    rows = [
+        (model.model, *(lines(percent(s), _on_robot(r)) for s, r in zip(seen, robot, strict=True)))
+        for model, seen, robot in zip(models, shares, on_robot, strict=True)
+    ]
     return Sheet(
-        title="Probes: share of visited steps beyond the 99.9 % quantile of the training data",
-        columns=("model", *heads),
-        rows=tuple(rows),
-        note="Controllers evolved on each model, run on it; below, the same controllers on the robot.",
-        details=True,
+        title="What controllers do that the data do not show: shares of visited steps",
+        columns=("model", "outside\nthe data", *heads),
+        rows=(*rows, ("held-out data", *(percent(share) for share in normal))),
+        note=(
+            "Beyond the 99.9 % quantile of each probe in the training data. Controllers evolved on each model, run on "
+            "it; below, the same controllers on the robot."
+        ),
+        heat=Heat(tuple(tuple(_depth(share) for share in row) for row in (*shares, normal)), alarm=True),
     )
 
 
@@ -222,6 +256,11 @@ def _on_robot(share: float | None) -> str:
     return f"robot {percent(share)}" if share else ""
 
 
+def _depth(share: float | None) -> float | None:
+    """Return the shade of a share, from 0 at 0.1 % to 1 at all; the scale is logarithmic."""
+    return None if share is None or share <= LEAST_SHARE else 1.0 - float(np.log10(share) / np.log10(LEAST_SHARE))
+
+
 def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
     if model.failed:
         return "failed"
@@ -267,15 +306,11 @@ def _fitness_cell(cell: Cell, own: bool) -> str:
 def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
     row = [
         lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-        _estimate_cell(controller.claimed),
-        _estimate_cell(controller.others),
-        _estimate_cell(controller.exploitation_gap),
-        _estimate_cell(controller.other_families),
+        lines(plus_minus(controller.claimed), seed_range(controller)),
+        plus_minus(controller.others),
+        plus_minus(controller.exploitation_gap),
+        plus_minus(controller.other_families),
     ]
     if robot:
-        row += [_estimate_cell(controller.achieved), _estimate_cell(controller.reality_gap)]
+        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
     return tuple(row)
-
-
-def _estimate_cell(estimate: Estimate | None) -> str:
-    return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"

@@ -114,6 +114,16 @@ def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Pat
     assert (found["anna"].cell.missing, found["anna"].on_robot) == (("interrupted",), False)
 
 
+def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    save_measured(run, driven(ROWS[0], "car", 4.0))
+    save_measured(run, driven(ROWS[0], "truck", 9.0))
+    matrix = with_measured(computed(), load_measured(run))
+    assert matrix is not None
+    assert matrix.columns == ("a", "b", "c", "car", "truck")
+    assert [matrix.cell("a", column).mean for column in ("car", "truck")] == [4.0, 9.0]
+
+
 def test_damaged_cell_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     path = save_measured(RunFolder(tmp_path), driven(ROWS[0], "car", 4.0))
     path.write_text(path.read_text().replace('"cell"', '"sell"'))

@@ -208,7 +208,7 @@ def test_nothing_but_names_and_failures_is_still_a_page(report: Report) -> None:
         report, prediction=None, matrix=None, exploitability=(), models=(), settings={}, versions={}, timings={}
     )
     assert "Nothing was compared" in to_html(empty)
-    assert to_json(empty)["verdict"] == []
+    assert to_json(empty)["verdict"] == [{"question": "What was found?", "answers": ["Nothing was compared."]}]
 
 
 def test_clipping_is_shown_beside_the_score() -> None:

@@ -15,7 +15,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
 from sysid_evo.registry import make_controller, make_task
 from sysid_evo.tasks import Task
-from tests.evaluation.known_models import Boxed, Known, Undefined, Weak, fitted
+from tests.evaluation.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
 
 TABLE_2 = {
     "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),
@@ -96,6 +96,11 @@ def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
     summary = summarise(matrix).controller("c")
     assert summary.achieved is None
     assert summary.reality_gap is None
+
+
+def test_ctrl_c_while_a_controller_runs_is_no_failed_cell() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_cell(champion("c", ("s",)), "s", DynamicsRunner(fitted(Stopped())), transfer_seeds(0, 2))
 
 
 def test_trials_that_diverge_are_counted() -> None:
