@@ -3,9 +3,17 @@ from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .errors import SysidEvoError
-from .evolution import Champion, ControllerEvolution, EvolutionStrategy, MuPlusLambda, evolve, evolve_controller
+from .evolution import (
+    Aggregate,
+    Champion,
+    ControllerEvolution,
+    EvolutionStrategy,
+    MuPlusLambda,
+    evolve,
+    evolve_controller,
+)
 from .interoperation import to_control
-from .motion import PlanarBody
+from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
 from .registry import (
     Spec,
@@ -31,6 +39,7 @@ from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState
 
 __all__ = [
+    "Aggregate",
     "Champion",
     "Channel",
     "Controller",
@@ -40,6 +49,7 @@ __all__ = [
     "DynamicsModel",
     "DynamicsRunner",
     "EvolutionStrategy",
+    "Motion",
     "MuPlusLambda",
     "PlanarBody",
     "PointToPoint",
