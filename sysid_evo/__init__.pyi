@@ -4,9 +4,17 @@ from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .errors import SysidEvoError
-from .evolution import Champion, ControllerEvolution, EvolutionStrategy, MuPlusLambda, evolve, evolve_controller
+from .evolution import (
+    Aggregate,
+    Champion,
+    ControllerEvolution,
+    EvolutionStrategy,
+    MuPlusLambda,
+    evolve,
+    evolve_controller,
+)
 from .interoperation import to_control
-from .motion import PlanarBody
+from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
 from .registry import (
     Spec,
@@ -32,6 +40,7 @@ from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState
 
 __all__ = [
+    "Aggregate",
     "Champion",
     "Channel",
     "Controller",
@@ -42,6 +51,7 @@ __all__ = [
     "DynamicsRunner",
     "EpisodeFold",
     "EvolutionStrategy",
+    "Motion",
     "MuPlusLambda",
     "PlanarBody",
     "PointToPoint",
