@@ -49,7 +49,7 @@ class ControlUse:
 
 @dataclass(frozen=True)
 class StateUse:
-    """How a state moves: root mean square, range, bandwidth, and how far it can be foretold.
+    """How a state moves: root mean square, range (of a periodic one within a turn), bandwidth, how far it is foretold.
 
     ``bandwidth`` is the frequency in Hz below which 95 % of its power lies, ``explained`` the share of its
     variance that the sample before and the controls explain (`fit_linear`).
@@ -126,7 +126,7 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
         _control_use(channel, values, index, starts, dataset.duration)
         for channel, values, index in zip(system.controls, levels, level, strict=True)
     )
-    cell = _cells(states)
+    cell = _cells(system.wrapped(states))
     visited = len(np.unique(cell))
     combinations = list(product(*(range(len(use.levels)) for use in uses)))
     if len(combinations) > MOST_COMMANDS:
@@ -198,7 +198,7 @@ def _control_use(
 
 def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
     channel = dataset.system.states[i]
-    values = np.concatenate([episode.states[:, i] for episode in dataset])
+    values = np.concatenate([dataset.system.wrapped(episode.states)[:, i] for episode in dataset])
     return StateUse(
         channel.name,
         channel.unit,

@@ -14,6 +14,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from sysid_evo.angles import TURN
 from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.motion import PlanarBody
@@ -57,13 +58,23 @@ class TimeColumn(Column):
 class StateColumn(_Scaled):
     """A state: from a column, or, without one, by differentiating the pose.
 
-    ``low``, ``high`` and ``neutral``, its value at rest, are in SI units.
+    ``low``, ``high`` and ``neutral``, its value at rest, are in SI units. A ``periodic`` one is an angle
+    that comes round after a full turn.
     """
 
     column: str | None = None
     low: float | None = None
     high: float | None = None
     neutral: float | None = None
+    periodic: bool = False
+
+    @model_validator(mode="after")
+    def _angle(self) -> Self:
+        if self.periodic:
+            _expect_unit("periodic", self.unit, "rad")
+            if self.low is not None or self.high is not None:
+                raise ValueError("a periodic state has no limits: leave out low and high, or periodic")
+        return self
 
 
 class ControlColumn(Column):
@@ -171,6 +182,7 @@ class ColumnMap(_Strict):
                 low=-math.inf if state.low is None else state.low,
                 high=math.inf if state.high is None else state.high,
                 neutral=math.nan if state.neutral is None else state.neutral,
+                period=TURN if state.periodic else None,
             )
             for name, state in self.states.items()
         )

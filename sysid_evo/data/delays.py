@@ -18,7 +18,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.linear_fit import fit_linear
+from sysid_evo.data.linear_fit import fit_linear, state_terms
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.motion import PlanarBody
 
@@ -72,7 +72,7 @@ def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
     changes = [system.acceleration(episode.states[:-1], episode.states[1:]) for episode in episodes]
     fit = fit_linear(dataset, latest)
     if fit is not None:
-        changes = [a - e.states[:-1] @ fit.rate for a, e in zip(changes, episodes, strict=True)]
+        changes = [a - state_terms(system, e.states[:-1]) @ fit.rate for a, e in zip(changes, episodes, strict=True)]
     forward, speeds = -1, None
     if isinstance(system.motion, PlanarBody):
         forward = system.motion.indices(system.state_names)[0]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.motion import PlanarBody
@@ -24,10 +25,11 @@ INTEGRATES = 0.3
 class LinearFit:
     """The least-squares fit of a data set's changes.
 
-    ``rate`` (nx, nx): change of state j per second is ``states @ rate[:, j]`` plus the answer to the
-    controls. ``explained`` (nx,) is the share of the variance of the next state that states and
-    controls explain, 0 to 1. ``scales`` are the time scales 1 / |eigenvalue| in s of the decaying
-    modes, rising: decay time of a plain mode, 1 / angular frequency of an oscillation.
+    ``rate`` (nx + one for each periodic state, nx): the change of state j per second is
+    ``state_terms(states) @ rate[:, j]`` plus the answer to the controls. ``explained`` (nx,) is the
+    share of the variance of the next state that states and controls explain, 0 to 1. ``scales`` are
+    the time scales 1 / |eigenvalue| in s of the decaying modes, rising: decay time of a plain mode,
+    1 / angular frequency of an oscillation.
     """
 
     rate: Array
@@ -49,16 +51,31 @@ def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
     states = np.concatenate([e.states[lags:-1] for e in episodes])
     inputs = [acting_controls(system, e.states[:-1], e.controls) for e in episodes]
     past = [np.concatenate([u[lags - lag : len(u) - lag] for u in inputs]) for lag in range(lags + 1)]
-    regressors = np.concatenate([states, np.ones((len(states), 1)), *past], axis=1)
+    terms = state_terms(system, states)
+    regressors = np.concatenate([terms, np.ones((len(states), 1)), *past], axis=1)
     if len(regressors) < 3 * regressors.shape[1]:
         return None
     weights = _least_squares(regressors, changes)
     left = system.dt**2 * (changes - regressors @ weights).var(axis=0)
     total = states.var(axis=0)
     explained = 1.0 - np.divide(left, total, out=np.zeros_like(left), where=total > 0.0)
-    rate = weights[: system.nx]
     longest = max(episode.duration for episode in episodes)
-    return LinearFit(rate, np.clip(explained, 0.0, 1.0), _scales(rate, system.dt, INTEGRATES * longest))
+    scales = _scales(weights[: system.nx], system.dt, INTEGRATES * longest)
+    return LinearFit(weights[: terms.shape[1]], np.clip(explained, 0.0, 1.0), scales)
+
+
+def state_terms(system: System, states: Array) -> Array:
+    """Return the terms of ``states`` (T, nx) that changes are fitted to, (T, nx + one for each periodic state).
+
+    They are the states; of a periodic one the sine, scaled so that it is the angle near neutral, and,
+    after all the others, the cosine.
+    """
+    terms, cosines = states.copy(), []
+    for i, period in system.periods.items():
+        angle = (states[:, i] - system.neutral_state[i]) * TURN / period
+        terms[:, i] = np.sin(angle) * period / TURN
+        cosines.append(np.cos(angle))
+    return np.column_stack([terms, *cosines])
 
 
 def _least_squares(regressors: Array, targets: Array) -> Array:

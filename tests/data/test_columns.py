@@ -20,6 +20,12 @@ from sysid_evo.errors import InvalidArgument, InvalidData
         (('unit = "rad/s"', 'unit = "m/s"'), "map", "states.yaw_rate.unit: expected one of rad/s, deg/s, rpm, got"),
         (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, mrad, deg"),
         (('forward = "forward_speed"', 'forward = "u"'), "map", "motion.forward names 'u', but the states are"),
+        (
+            ('column = "u"', 'column = "u", periodic = true'),
+            "states.forward_speed",
+            "periodic.unit: expected one of rad",
+        ),
+        (('unit = "rad/s" }', 'unit = "deg", periodic = true, low = 0.0 }'), "states.yaw_rate", "has no limits"),
         ((", high = 1.0", ""), "controls.drive", "both low and high, or neither"),
         (('x = { column = "x", unit = "m" }', ""), "map", "pose: expected x, y, heading, got y, heading"),
         (('column = "t"', 'column = "t"\nunit = "min"'), "time.unit", "'s', 'ms', 'us' or 'ns'"),
@@ -137,3 +143,15 @@ def test_what_is_true_of_some_logs_names_them():
     prepared = [Prepared(f"run{i}", (), ("late", *(["early"] if i < 5 else []))) for i in range(6)]
     assert said_once(prepared) == ["all 6 logs: late", "run0, run1, run2, run3 and 1 more: early"]
     assert said_once(prepared[:1]) == ["run0: late", "run0: early"]
+
+
+def test_a_periodic_angle_in_degrees_comes_round_after_two_pi(write_csv, tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text(
+        'name = "wheel"\ndt = 0.1\n[states]\nangle = { column = "a", unit = "deg", periodic = true }\n[controls]\n'
+        'push = { column = "p", low = -1.0, high = 1.0 }\n'
+    )
+    angle = (np.arange(50.0) * 30.0 + 180.0) % 360.0 - 180.0
+    data = Dataset.read(write_csv({"a": angle, "p": np.linspace(-1.0, 1.0, 50)}), columns=path)
+    assert data.system.states[0].period == pytest.approx(2.0 * np.pi)
+    np.testing.assert_allclose(np.diff(data.episodes[0].states[:, 0]), np.radians(30.0))

@@ -70,6 +70,22 @@ def test_the_length_asked_for_follows_from_the_time_scale_and_the_number_of_chan
     assert "record 20 s in all" in told(pendulum(rng, seconds=10.0))
 
 
+def test_a_pendulum_that_goes_round_has_the_time_scale_of_its_swing(rng):
+    system = System((Channel("theta", "rad", period=2 * np.pi), PENDULUM.states[1]), PENDULUM.controls, 0.02)
+    torque = held(rng, (-1.0, 0.0, 1.0), 6000, 3, 25)
+    x = np.zeros((6001, 2))
+    for k in range(6000):
+        theta, rate = x[k]
+        for _ in range(10):
+            rate += 0.002 * (-20.0 * np.sin(theta) - 0.5 * rate + 15.0 * torque[k])
+            theta += 0.002 * rate
+        x[k + 1] = theta, rate
+    assert np.ptp(x[:, 0]) > 4.0 * np.pi
+    data = Dataset.from_arrays(system, x, torque)
+    np.testing.assert_allclose(fit_linear(data, 10).scales, np.sqrt(1 / 20), rtol=0.1)
+    assert told(data) == ""
+
+
 def test_a_battery_that_runs_down_asks_for_no_hours(rng):
     swinging = pendulum(rng)
     battery = np.linspace(8.4, 7.9, 5001)[:, None] + 1e-3 * rng.normal(size=(5001, 1))
