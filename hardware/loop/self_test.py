@@ -23,7 +23,7 @@ from sysid_evo.system import System
 
 SECONDS = 3.0
 STILL_DISTANCE = 0.02  # m and
-STILL_ANGLE = 0.1  # rad: a robot told nothing stays within
+STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ class TrialSeries(Pilot):
     """Lets every candidate (P, n_parameters) drive a trial of every seed (E,), all candidates before the next seed.
 
     Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
-    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. A
-    controller's output that is not a number becomes a control that is not one, which ends the run.
+    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
+    controller's output is not a number, neither is the control, and the loop ends the run.
     """
 
     def __init__(

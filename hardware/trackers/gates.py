@@ -36,10 +36,10 @@ class GateLimits:
 
     It moves at most ``speed`` dt + ``position_error`` and never over ``jump`` m; it turns at most
     ``yaw_rate`` dt + ``heading_error`` and never over ``turn`` rad. While it is told to drive, no
-    more than ``frozen`` poses in a row are equal to the last bit: a real tracker's noise sees to that
-    (None for one without noise). A body that jumped within reach, as after a dropout, is believed
-    again after ``confirm`` frames that agree with each other; beyond reach, where it can only be another
-    body or a flipped one, after ``recover`` s, which is longer than a run goes on without a pose.
+    more than ``frozen`` poses in a row are equal to the last bit: a real tracker is never that still
+    (None for one without noise). A body that turns up elsewhere is believed again when its frames agree
+    with each other: after ``confirm`` of them if it could have got there, as after a dropout; after
+    ``recover`` s if it could not, because then it is another body or a flipped one. A run ends before.
 
     A robot that can do more says so: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
     """
@@ -167,7 +167,8 @@ class PoseGate:
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
         """Count equal poses under a drive command; say whether there are too many.
 
-        A frozen pose stays frozen when the robot is stopped for it, or it would be believed and driven on.
+        A pose that was found frozen stays so when the robot is stopped: else it would be believed again,
+        and the robot driven on.
         """
         limit = self.limits.frozen
         bits = pose.tobytes()
@@ -199,7 +200,10 @@ class PoseGate:
         return ACCEPTED
 
     def _follows_rival(self, frame: Measurement) -> bool:
-        """Whether a frame continues the dropped ones rather than the track, which time brings within its reach."""
+        """Whether a frame continues the dropped frames rather than the track.
+
+        The track alone cannot tell: the longer ago its last frame, the more lies within its reach.
+        """
         if self._last is None or not self._rival or self._contradiction(self._rival[-1], frame) != ACCEPTED:
             return False
         return self._effort(self._rival[-1], frame) < self._effort(self._last, frame)
