@@ -19,14 +19,6 @@ def folded(text: str, width: int = 12) -> str:
     return "\n".join(lines)
 
 
-def shortened(name: str, width: int = 28) -> str:
-    """Leave out the middle of a name longer than ``width``."""
-    if len(name) <= width:
-        return name
-    head = (width - 1) // 2
-    return f"{name[:head]}…{name[head + 1 - width :]}"
-
-
 def percent(share: float | None) -> str:
     """Return a share as per cent, with a decimal below ten."""
     if share is None or not np.isfinite(share):

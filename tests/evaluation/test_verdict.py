@@ -176,6 +176,11 @@ def test_a_model_that_is_only_as_good_as_a_constant_is_never_called_best() -> No
     assert "best" not in told(useless)
 
 
+def test_a_model_predicts_from_an_n_just_below_one() -> None:
+    assert "linear is best" in told(report(prediction({"persistence": 1.4, "linear": 0.99})))
+    assert "No model predicts" in told(report(prediction({"persistence": 1.4, "linear": 1.01})))
+
+
 def test_a_best_model_that_persistence_matches_leaves_the_word_to_one_that_beats_it() -> None:
     both = {"persistence": 0.52, "lucky": 0.5, "steady": 0.51}
     wide = prediction(both, spread=0.001)

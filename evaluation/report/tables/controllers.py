@@ -1,83 +1,17 @@
-"""The tables of a report."""
+"""Tables of controllers: what each claims and achieves, and how models are exploited."""
 
 from __future__ import annotations
-
-import json
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from evaluation.exploitability import ModelExploitability
 from evaluation.labels import folded, percent
-from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
-from evaluation.report.contents import EpisodeSummary, Report
-from evaluation.report.predicting import N_IN_WORDS, horizon_name
-from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range, three_digits
+from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
 from evaluation.report.transferring import ONE_SEED
-from evaluation.transfer import (
-    NOT_RUN,
-    Cell,
-    ControllerSummary,
-    TransferMatrix,
-    TransferSummary,
-)
+from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, TransferMatrix, TransferSummary
 
-LEAST_SHARE = 1e-3
-
-
-def prediction_sheet(prediction: Prediction) -> Sheet:
-    """N of every model at every horizon and in free run, with intervals."""
-    horizons = prediction.horizons
-    leaders: dict[int | None, set[str]] = {}
-    for horizon in horizons:
-        ranking = prediction.ranking(horizon)
-        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
-        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
-    rows = [
-        (
-            lines(model.name, _divergence(model)),
-            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
-        )
-        for model in prediction.models
-    ]
-    protocol = prediction.cases.protocol
-    return Sheet(
-        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
-        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
-        rows=tuple(rows),
-        note=(
-            "N: RMSE / standard deviation of the truth, mean over channels. "
-            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
-            f"free run: each whole episode from sample {protocol.first}. "
-            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
-            "clip: windows in which the simulation reached its clip, and the median time until then."
-        ),
-    )
-
-
-def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
-    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
-    system = prediction.cases.system
-    heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
-    rows = []
-    for model in prediction.models:
-        score = model.score(horizon)
-        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
-        rows.append((model.name, *cells))
-    start = "from sample" if horizon is None else "from measured states,"
-    protocol = prediction.cases.protocol
-    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
-    return Sheet(
-        title=f"Error per channel, {horizon_name(prediction, horizon)}",
-        columns=("model", *heads),
-        rows=tuple(rows),
-        note=(
-            f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
-            f"truth). Simulated {start} {begin}; moving samples only."
-        ),
-        details=horizon is not None,
-    )
+FAINTEST = 1e-3
+"""The share from which on a cell is painted."""
 
 
 def transfer_sheet(matrix: TransferMatrix) -> Sheet:
@@ -183,107 +117,6 @@ def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
     )
 
 
-def failure_sheet(report: Report) -> Sheet:
-    """What could not be computed, and why."""
-    rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
-    return Sheet("Failed", ("what", "reason"), rows, prose=True)
-
-
-def episode_sheet(report: Report) -> Sheet:
-    """The episodes of the data set."""
-    rows = [
-        (e.name, part, f"{e.duration:.1f}", str(e.steps), percent(e.moving))
-        for part, episodes in (("training", report.data.training), ("test", report.data.test))
-        for e in _shown(episodes)
-    ]
-    return Sheet("Episodes", ("episode", "used for", "seconds", "steps", "moving"), tuple(rows), details=True)
-
-
-def channel_list(report: Report) -> Sheet:
-    """The channels of the system."""
-    system = report.data.system
-    rows = [
-        (
-            channel.name,
-            kind,
-            channel.unit or "–",
-            number(channel.low, 3),
-            number(channel.high, 3),
-            "–" if channel.levels is None else listed([f"{level:g}" for level in channel.levels]),
-        )
-        for kind, channels in (("state", system.states), ("control", system.controls))
-        for channel in channels
-    ]
-    return Sheet(
-        f"Channels, sampled every {system.dt:g} s",
-        ("channel", "kind", "unit", "lowest", "highest", "levels"),
-        tuple(rows),
-        details=True,
-    )
-
-
-def model_sheet(report: Report) -> Sheet:
-    """The models and their hyper-parameters."""
-    rows = [
-        (model.name, model.family, model.knowledge, listed([f"{k} = {v}" for k, v in model.parameters.items()]))
-        for model in report.models
-    ]
-    heads = ("model", "family", "knowledge", "hyper-parameters")
-    return Sheet("Models", heads, tuple(rows), details=True, prose=True)
-
-
-def key_sheet(title: str, values: Mapping[str, Any]) -> Sheet:
-    """Keys and values; what is nested gets a dotted key."""
-    return Sheet(title, ("name", "value"), tuple(_flat(values)), details=True, prose=True)
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    rows: list[tuple[str, str]] = []
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            rows += _flat(value, f"{prefix}{key}.")
-        else:
-            text = value if isinstance(value, str) else json.dumps(value, default=str)
-            rows.append((f"{prefix}{key}", text))
-    return rows
-
-
-def _shown(episodes: tuple[EpisodeSummary, ...], most: int = 40) -> tuple[EpisodeSummary, ...]:
-    return episodes[:most]
-
-
-def _on_robot(share: float | None) -> str:
-    return f"robot {percent(share)}" if share else ""
-
-
-def _depth(share: float | None) -> float | None:
-    """Return the shade of a share, from 0 at 0.1 % to 1 at all; the scale is logarithmic."""
-    return None if share is None or share <= LEAST_SHARE else 1.0 - float(np.log10(share) / np.log10(LEAST_SHARE))
-
-
-def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
-    if model.failed:
-        return "failed"
-    if score is None:
-        return "–"
-    low, high = score.interval
-    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
-
-
-def _divergence(model: ModelPrediction) -> str:
-    found = model.divergence
-    if found is None or found.share == 0:
-        return ""
-    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
-
-
-def _channel_cells(score: ErrorScore) -> list[str]:
-    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
-    return [
-        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
-    ]
-
-
 def _trials(matrix: TransferMatrix) -> str:
     """Say how many trials a cell has; on a robot that is driven there may be fewer."""
     counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
@@ -314,3 +147,12 @@ def _controller_row(controller: ControllerSummary, summary: TransferSummary, rob
     if robot:
         row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
     return tuple(row)
+
+
+def _on_robot(share: float | None) -> str:
+    return f"robot {percent(share)}" if share else ""
+
+
+def _depth(share: float | None) -> float | None:
+    """Return the shade of a share, from 0 at 0.1 % to 1 at all; the scale is logarithmic."""
+    return None if share is None or share <= FAINTEST else 1.0 - float(np.log10(share) / np.log10(FAINTEST))
