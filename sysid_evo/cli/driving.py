@@ -79,9 +79,10 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     from hardware.emulation.pacing import in_real_time
     from hardware.robot import find_robot
     from sysid_evo.cli.achieving import column_of
-    from sysid_evo.cli.evolving import find_dynamics
+    from sysid_evo.cli.evolving import dynamics_of, find_column
     from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.errors import InvalidArgument
+    from sysid_evo.plan import Store
 
     if model is not None and robot is not None:
         raise InvalidArgument("drive: expected one of --robot and --model, got both")
@@ -91,12 +92,10 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     if model is None:
         machine = find_robot(robot or DEFAULT_ROBOT)
         return Driven(in_real_time(machine), column_of(machine), where, on_robot=True, task=task)
-    stem = Path(model).stem if file else model
-    family, dash, number = stem.rpartition("-")
-    column = family if dash and number.isdecimal() else stem
-    return Driven(
-        in_real_time(ModelledRobot(column, find_dynamics(where or Path(), model))), column, where, False, task
-    )
+    store = Store(where or Path())
+    column = find_column(store, model)
+    modelled = ModelledRobot(column.label, dynamics_of(store, column))
+    return Driven(in_real_time(modelled), column.label, where, on_robot=False, task=task)
 
 
 def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | None]]) -> None:

@@ -173,12 +173,5 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
         traces=tuple(traces),
     )
     physical = driven.on_robot and driven.robot.dynamics is None
-    append(
-        driven.run,
-        Measured(
-            person(name, task=driven.task, system=driven.robot.system),
-            cell,
-            on_robot=driven.on_robot,
-            physical=physical,
-        ),
-    )
+    row = person(name, task=driven.task, system=driven.robot.system)
+    append(driven.run, Measured(row, cell, on_robot=driven.on_robot, physical=physical))
