@@ -268,7 +268,7 @@ class System:
             ("states", self.states, other.states),
             ("controls", self.controls, other.controls),
         ):
-            names = [", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in side) for side in (mine, theirs)]
+            names = [", ".join(map(_described, side)) for side in (mine, theirs)]
             if names[0] != names[1]:
                 found.append(f"{what} {names[0] or 'none'} against {names[1] or 'none'}")
         if len(self.controls) == len(other.controls):
@@ -326,6 +326,11 @@ class System:
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def _described(channel: Channel) -> str:
+    parts = [*([channel.unit] if channel.unit else []), *([f"period {channel.period:g}"] if channel.period else [])]
+    return f"{channel.name} ({', '.join(parts)})" if parts else channel.name
 
 
 def _legal(channel: Channel) -> str:

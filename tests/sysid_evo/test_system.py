@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -163,3 +164,25 @@ def test_a_system_that_contradicts_itself_is_refused(arguments: dict, message: s
 def test_an_unknown_motion_is_refused(car: System) -> None:
     with pytest.raises(InvalidSystem, match="expected one of planar_body, got 'balloon'"):
         System.from_dict({**car.to_dict(), "motion": {"kind": "balloon"}})
+
+
+def test_systems_differ_in_words_where_it_matters_to_a_controller(car: System) -> None:
+    assert car.differences(car.with_dt(car.dt)) == ()
+    assert car.differences(replace(car, name="another name")) == ()
+    assert car.differences(car.with_dt(0.1)) == ("20 Hz against 10 Hz",)
+    swapped = replace(car, states=(car.states[2], car.states[1], car.states[0]))
+    assert car.differences(swapped) == (
+        "states forward_speed (m/s), lateral_speed (m/s), yaw_rate (rad/s) against "
+        "yaw_rate (rad/s), lateral_speed (m/s), forward_speed (m/s)",
+    )
+    wider = replace(car, states=(replace(car.states[0], low=-1.0, high=1.0), *car.states[1:]))
+    assert car.differences(wider) == ()
+    smooth = replace(car, controls=(Channel("drive", low=-1.0, high=1.0), car.controls[1]))
+    assert car.differences(smooth) == ("legal values of drive: [-1.0, 0.0, 1.0] against [-1, 1]",)
+    still = replace(car, motion=None)
+    assert len(car.differences(still)) == 1
+    assert "against none" in car.differences(still)[0]
+    angle = System([Channel("theta", "rad", period=6.0)], [], dt=1.0)
+    assert angle.differences(System([Channel("theta", "rad")], [], dt=1.0)) == (
+        "states theta (rad, period 6) against theta (rad)",
+    )
