@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from evaluation.report import Report, tells_nothing, verdict
+from evaluation.report.predicting import main_horizon
 from tests.evaluation.made_up import matrix, prediction, report
 
 GOOD = {"persistence": 0.9, "linear": 0.3, "sindy": 0.6}
@@ -186,6 +188,16 @@ def test_a_best_model_that_persistence_matches_leaves_the_word_to_one_that_beats
     wide = prediction(both, spread=0.001)
     assert "lucky is best" in told(report(wide))
     assert "No model predicts here" in told(report(prediction(both, spread=0.1)))
+
+
+@pytest.mark.parametrize(
+    "horizons, chosen", [((1, 10, 20, 60), 20), ((1, 10), 10), ((40, 60), 40), ((), None), ((5, 19, 21), 19)]
+)
+def test_the_verdict_stands_at_the_longest_horizon_of_at_most_one_second(
+    horizons: tuple[int, ...], chosen: int | None
+) -> None:
+    made = prediction(GOOD)
+    assert main_horizon(replace(made, cases=replace(made.cases, horizons=horizons))) == chosen
 
 
 def test_n_is_spelled_out_where_it_first_stands() -> None:
