@@ -5,6 +5,7 @@ A map is a TOML file (``docs/data.md`` describes it); some are shipped beside th
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 
 from sysid_evo.angles import TURN
 from sysid_evo.data.units import to_si, units_of
@@ -219,10 +221,7 @@ def parse_columns(text: str, source: str) -> ColumnMap:
     except tomllib.TOMLDecodeError as error:
         raise InvalidData(f"{source}: not a TOML file: {error}") from error
     except ValidationError as error:
-        lines = [
-            f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item['type'], item['msg'])}"
-            for item in error.errors()
-        ]
+        lines = [f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item)}" for item in error.errors()]
         raise InvalidData("\n".join([f"{source}: not a column map:", *lines])) from error
 
 
@@ -266,5 +265,10 @@ def _expect_unit(where: str, unit: str, si_unit: str) -> None:
         raise ValueError(f"{where}.unit: expected one of {', '.join(units_of(si_unit))}, got {unit!r}")
 
 
-def _explain(kind: str, message: str) -> str:
-    return "unknown key" if kind == "extra_forbidden" else message.removeprefix("Value error, ")
+def _explain(error: ErrorDetails) -> str:
+    """Return what is wrong with a key, with a suggestion if there is no such key."""
+    if error["type"] != "extra_forbidden":
+        return error["msg"].removeprefix("Value error, ")
+    known = sorted({key for part in (ColumnMap, ControlColumn, StateColumn, MotionRoles) for key in part.model_fields})
+    close = difflib.get_close_matches(str(error["loc"][-1]), known, n=1)
+    return f"unknown key; did you mean {close[0]!r}?" if close else "unknown key"

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.data.moving import moving_rows
-from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.trajectory import Trajectory, as_columns
 from sysid_evo.data.windows import Windows, cut_windows
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.lags import CarryLayout
@@ -116,8 +116,8 @@ class Dataset:
         names = [f"episode-{i}" for i in range(len(states))] if names is None else names
         episodes = []
         for i, (x, u, name) in enumerate(zip(states, controls, names, strict=True)):
-            x = check_shape(f"states of {name!r}", _as_columns(x, system.nx), (None, system.nx))
-            u = check_shape(f"controls of {name!r}", _as_columns(u, system.nu), (None, system.nu))
+            x = check_shape(f"states of {name!r}", as_columns(x), (None, system.nx))
+            u = check_shape(f"controls of {name!r}", as_columns(u), (None, system.nu))
             u = u[:-1] if len(u) == len(x) else u
             pose = None if poses is None else np.asarray(poses[i], dtype=np.float64)
             episodes.append(Trajectory(x, u, system.dt, pose, name))
@@ -289,11 +289,6 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike]) -> Sequence[npt
         return arrays
     rows = np.asarray(arrays)
     return [rows] if rows.ndim < 3 else list(rows)
-
-
-def _as_columns(values: npt.ArrayLike, width: int) -> npt.ArrayLike:
-    """Return 1-D ``values`` of a single channel as one column, anything else as it is."""
-    return np.asarray(values)[:, None] if width == 1 and np.ndim(values) == 1 else values
 
 
 def _is_part(episode: str, name: str) -> bool:

@@ -14,7 +14,7 @@ from sysid_evo.errors import InvalidArgument, InvalidData
 @pytest.mark.parametrize(
     "change, where, what",
     [
-        (('column = "u"', 'colum = "u"'), "states.forward_speed.colum", "unknown key"),
+        (('column = "u"', 'colum = "u"'), "states.forward_speed.colum", "unknown key; did you mean 'column'?"),
         (("dt = 0.05", "dt = -1.0"), "dt", "greater than 0"),
         (("dt = 0.05", 'dt = "0.05"'), "dt", "valid number"),
         (('unit = "rad/s"', 'unit = "m/s"'), "map", "states.yaw_rate.unit: expected one of rad/s, deg/s, rpm, got"),

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from sysid_evo.cli.app import app
 from sysid_evo.data import Dataset, load_columns
-from sysid_evo.data.columns import shipped_names
+from sysid_evo.data.columns import parse_columns, shipped_names
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "data.md").read_text()
@@ -32,8 +32,7 @@ def workplace(tmp_path, monkeypatch, rng) -> Path:
     """A folder, made the current one, with two logs and the column map of the page."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "logs").mkdir()
-    (map_of_the_page,) = blocks(PAGE, "toml")
-    (tmp_path / "my_robot.toml").write_text(map_of_the_page)
+    (tmp_path / "my_robot.toml").write_text(blocks(PAGE, "toml")[0])
     time = 0.05 * np.arange(200)
     speed, yaw_rate = 1.0 + 0.5 * np.sin(time), 0.4 * np.cos(0.7 * time)
     heading = np.concatenate([[0.0], np.cumsum(0.05 * yaw_rate)])[:-1]
@@ -73,6 +72,12 @@ def test_the_column_map_of_the_page_is_read_and_its_defaults_are_those_of_its_ta
     assert (channels["battery"].low, channels["battery"].neutral) == (6.0, 7.4)
     assert channels["yaw_rate"].unit == "rad/s"
     assert channels["steer"].levels == (-1.0, 0.0, 1.0)
+
+
+def test_every_column_map_of_the_page_is_valid():
+    car, pendulum = (parse_columns(block, "docs/data.md") for block in blocks(PAGE, "toml"))
+    assert (car.name, pendulum.name) == ("my robot", "pendulum")
+    assert [channel.unit for channel in pendulum.system({}).states] == ["rad", "rad/s"]
 
 
 def test_a_state_that_is_never_0_needs_no_neutral_value(workplace):

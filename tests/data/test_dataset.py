@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.moving import moving_rows
-from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData
+from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -218,6 +218,10 @@ def test_one_array_is_one_episode_and_one_channel_may_be_flat():
     lists = Dataset.from_arrays(LINE, [[[0.0], [1.0], [2.0], [3.0], [4.0]]], [[0.0, 1.0, 2.0, 3.0]])
     assert flat.fingerprint == lists.fingerprint
     assert len(flat) == 1
+    alone = Trajectory(np.arange(5.0), np.arange(4.0), 0.1, None, "episode-0")
+    assert Dataset(LINE, [alone]).fingerprint == flat.fingerprint
+    with pytest.raises(ShapeError, match=r"states of 'episode-0': expected shape \(any, 2\), got \(5, 1\)"):
+        Dataset.from_arrays(System(("a", "b"), (), 0.1), np.arange(5.0))
     stacked = Dataset.from_arrays(LINE, np.zeros((3, 5, 1)), np.zeros((3, 4, 1)), names=["a", "b", "c"])
     assert stacked.names == ("a", "b", "c")
 
