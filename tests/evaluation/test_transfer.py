@@ -13,7 +13,7 @@ from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
-from sysid_evo.registry import make_controller, make_task
+from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.tasks import Task
 from tests.evaluation.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
 
@@ -30,7 +30,7 @@ COLUMNS = ("backprop27", "parametrised", "evolved3", "nearest_neighbour", "real"
 def champion(name: str, against: tuple[str, ...], *, seed: int = 0, aggregate: str = "min") -> Champion:
     parameters = np.random.default_rng(seed).normal(size=78)
     history = np.array([[1.0, 0.5, 0.0], [2.0, 1.0, 0.0]])
-    return Champion(name, parameters, against, aggregate, seed, history, task_parameters={"horizon": 60})
+    return Champion(name, parameters, against, aggregate, seed, history, task=Spec.parse("point_to_point(horizon=60)"))
 
 
 def paper_matrix() -> TransferMatrix:
