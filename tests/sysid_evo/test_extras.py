@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import distribution
+
 import pytest
 
 from sysid_evo.extras import extra_of, missing_extra
@@ -32,6 +34,11 @@ def test_a_module_that_is_always_there_or_never_belongs_to_no_extra(module: str)
 
 def test_a_distribution_that_is_not_installed_has_no_extras() -> None:
     assert extra_of("torch", "no-such-distribution") is None
+
+
+def test_a_distribution_may_be_given_as_itself() -> None:
+    assert extra_of("serial", distribution("sysid-evo")) == "hardware"
+    assert str(missing_extra("it", "serial", distribution("sysid-evo"))).endswith('pip install "sysid-evo[hardware]"')
 
 
 def test_the_error_names_the_package_and_the_command_that_installs_it() -> None:

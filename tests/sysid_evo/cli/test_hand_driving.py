@@ -26,8 +26,9 @@ from hardware.emulation.modelled_robot import ModelledRobot
 from hardware.loop.report import LoopReport, Reason
 from hardware.recording.journal import read_journal
 from hardware.trackers.gates import GateLimits
-from sysid_evo.cli.hand_driving import Driven, append_row
+from sysid_evo.cli.hand_driving import Driven, _server_class, append_row
 from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
@@ -156,3 +157,10 @@ def test_what_cannot_be_driven_is_told_in_a_sentence(tmp_path: Path, options: tu
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert said in "".join(done.stderr.split())
+
+
+def test_a_page_that_cannot_be_served_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "hardware.driving.server", raising=False)
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(MissingExtra, match=r"driving by hand needs the package 'uvicorn'.*sysid-evo\[drive\]"):
+        _server_class()
