@@ -16,7 +16,7 @@ from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import evolve
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import aggregates, make_controller, make_strategy, make_task
+from sysid_evo.registry import aggregates, controllers, make_controller, make_strategy, make_task, strategies, tasks
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -53,7 +53,13 @@ class ControllerEvolution:
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
-        aggregates.check(self.aggregate)
+        for registry, name, parameters in (
+            (tasks, self.task, self.task_parameters),
+            (controllers, self.controller, self.controller_parameters),
+            (strategies, self.strategy, self.strategy_parameters),
+            (aggregates, self.aggregate, {}),
+        ):
+            registry.check(name, **parameters)
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
