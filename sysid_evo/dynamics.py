@@ -89,7 +89,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped; ``fit_seconds`` is how long it took.
+    ranges, beyond which a simulation is clipped (a periodic state has no limits); ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -187,7 +187,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
         if not self.rest_hold:
             return None
-        return REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        ranges = (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        for i, period in self.system.periods.items():
+            ranges[i] = period
+        return REST_BAND * ranges
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
         """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and all controls are neutral.
@@ -301,6 +304,8 @@ def _recorded(fit: Any) -> Any:
             self.system_ = dataset.system
             states = np.concatenate([episode.states for episode in dataset.episodes])
             self.envelope_ = training_envelope(states, self.envelope_multiple)
+            for i in dataset.system.periods:
+                self.envelope_[:, i] = -np.inf, np.inf
             fitted: object = fit(self, dataset, rng=rng, progress=report)
             if fitted is not self:
                 raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")

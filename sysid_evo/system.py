@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
@@ -23,10 +24,12 @@ Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
 
 @dataclass(frozen=True)
 class Channel:
-    """One state or control: its name, unit, limits, discrete levels and neutral value.
+    """One state or control: its name, unit, limits, discrete levels, neutral value and period.
 
     ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
     continuous. ``neutral`` is the value at rest (a state) or without a command (a control).
+    ``period`` makes a state come round again, 2 pi for an angle in rad: values that differ by whole
+    periods are the same one, and there are no limits. None for all others.
     """
 
     name: str
@@ -35,10 +38,16 @@ class Channel:
     high: float = np.inf
     levels: tuple[float, ...] | None = None
     neutral: float = 0.0
+    period: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name:
             raise InvalidSystem("channel: expected a name, got an empty string")
+        if self.period is not None:
+            if not 0.0 < self.period < np.inf:
+                raise InvalidSystem(f"channel {self.name!r}: expected a finite period > 0, got {self.period}")
+            if self.levels is not None or (self.low, self.high) != (-np.inf, np.inf):
+                raise InvalidSystem(f"channel {self.name!r}: expected a period or limits, got both")
         if self.levels is not None:
             levels = tuple(float(level) for level in self.levels)
             if len(levels) < 2 or not all(a < b for a, b in pairwise(levels)):
@@ -69,6 +78,7 @@ class Channel:
             "high": self.high if np.isfinite(self.high) else None,
             "levels": None if self.levels is None else list(self.levels),
             "neutral": self.neutral,
+            "period": self.period,
         }
 
     @classmethod
@@ -81,6 +91,7 @@ class Channel:
             high=np.inf if value["high"] is None else value["high"],
             levels=None if value["levels"] is None else tuple(value["levels"]),
             neutral=value["neutral"],
+            period=value.get("period"),
         )
 
 
@@ -105,6 +116,9 @@ class System:
             raise InvalidSystem(f"system: channel names must differ, repeated: {', '.join(repeated)}")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt}")
+        for control in self.controls:
+            if control.period is not None:
+                raise InvalidSystem(f"control {control.name!r}: expected no period, which only states have")
         if self.motion is not None:
             self.motion.check(self.state_names)
 
@@ -176,12 +190,60 @@ class System:
         """Return the change from ``before`` to ``after`` per second, (..., nx) each.
 
         The motion takes the rotation of its frame out of the velocities it knows (paper,
-        footnote 1); all other channels are plain differences.
+        footnote 1); all other channels are plain differences, of periodic ones the shortest way round.
         """
         before, after = check_last("before", before, self.nx), check_last("after", after, self.nx)
+        if self.periods:
+            after = self.near(after, before)
         if self.motion is None:
             return (after - before) / self.dt
         return self.motion.acceleration(before, after, self.dt, self.state_names)
+
+    @cached_property
+    def periods(self) -> Mapping[int, float]:
+        """The period of each periodic state, by its place."""
+        return {i: channel.period for i, channel in enumerate(self.states) if channel.period is not None}
+
+    def difference(self, after: Array, before: Array) -> Array:
+        """Return ``after`` - ``before`` (..., nx), of periodic states the shortest way round."""
+        change = np.asarray(after - before, dtype=np.float64)
+        for i, period in self.periods.items():
+            change[..., i] = wrap(change[..., i], period)
+        return change
+
+    def near(self, states: Array, reference: Array) -> Array:
+        """Return ``states`` (..., nx) with periodic ones moved by whole periods to be nearest to ``reference``."""
+        return reference + self.difference(states, reference) if self.periods else states
+
+    def wrapped(self, states: Array) -> Array:
+        """Return ``states`` (..., nx) with periodic ones within half a period of their neutral value."""
+        return self.near(states, np.broadcast_to(self.neutral_state, np.shape(states)))
+
+    def unwrapped(self, states: Array) -> Array:
+        """Return the states of one run (T, nx) without the jumps of periodic ones; the first stays what it is."""
+        if not self.periods:
+            return states
+        smooth = np.array(states, dtype=np.float64)
+        for i, period in self.periods.items():
+            smooth[:, i] = np.unwrap(smooth[:, i], period=period)
+        return smooth
+
+    def regressors(self, states: Array) -> Array:
+        """Return ``states`` (..., nx) with each periodic one replaced by its sine and cosine, one beside the other."""
+        columns: list[Array] = []
+        for i in range(self.nx):
+            if i in self.periods:
+                angle = TURN / self.periods[i] * states[..., i]
+                columns += [np.sin(angle), np.cos(angle)]
+            else:
+                columns.append(states[..., i])
+        return np.stack(columns, axis=-1)
+
+    @cached_property
+    def regressor_names(self) -> tuple[str, ...]:
+        """The names of the columns of `regressors`."""
+        pairs = [(f"sin {c.name}", f"cos {c.name}") if c.period else (c.name,) for c in self.states]
+        return tuple(name for pair in pairs for name in pair)
 
     def integrate(self, state: Array, acceleration: Array) -> Array:
         """Return the state one ``dt`` later: the exact inverse of `acceleration`."""

@@ -43,6 +43,7 @@ class Transitions:
 class Dataset:
     """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
 
+    Periodic states run on without jumps within an episode, as if they were not.
     ``notes`` list what the preparation has to say about the recording.
     """
 
@@ -59,6 +60,9 @@ class Dataset:
         if repeated:
             raise InvalidData(f"data set: episode names must differ, repeated: {', '.join(map(repr, repeated))}")
         system = self.system
+        if system.periods:
+            smooth = [replace(episode, states=system.unwrapped(episode.states)) for episode in self.episodes]
+            object.__setattr__(self, "episodes", tuple(smooth))
         for episode in self.episodes:
             check_shape(f"states of {episode.name!r}", episode.states, (None, system.nx))
             check_shape(f"controls of {episode.name!r}", episode.controls, (None, system.nu))

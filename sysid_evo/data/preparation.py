@@ -177,9 +177,12 @@ def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice
     if system.motion is not None and pose.size and not log.extra.keys() >= set(system.state_names):
         derived = system.motion.velocities(pose[REACH:-REACH], pose_rate(pose, clock.step))
     columns = []
+    periods = {channel.name: channel.period for channel in system.states}
     for name in system.state_names:
         if name in log.extra:
-            columns.append(clock.interpolate(log.extra[name][:, None], rows, samples)[REACH:-REACH, 0])
+            period, values = periods.get(name), log.extra[name]
+            smooth = values if period is None else np.unwrap(values, period=period)
+            columns.append(clock.interpolate(smooth[:, None], rows, samples)[REACH:-REACH, 0])
         elif name in derived:
             columns.append(derived[name])
         else:
