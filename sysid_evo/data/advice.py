@@ -31,8 +31,9 @@ MOST_COMMANDS = 81
 BAND_SHARE = 0.95
 """Share of the power of a signal that lies within its bandwidth."""
 
-STANDING, STILL = 0.1, 0.01
-"""An episode in which nothing moves: less of its time in motion, or of the whole range of every state."""
+STANDING, STILL, FEWEST = 0.1, 0.01, 10
+"""Nothing moves in an episode if less than the first share of its time is in motion, or if every state stays
+within the second share of its range over all episodes; one of fewer steps is too short to tell."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ def _idle(dataset: Dataset) -> tuple[str, ...]:
     return tuple(
         episode.name
         for episode, moving in zip(dataset, dataset.moving, strict=True)
-        if moving.mean() < STANDING or (np.ptp(episode.states, axis=0) <= still).all()
+        if len(episode) >= FEWEST and (moving.mean() < STANDING or (np.ptp(episode.states, axis=0) <= still).all())
     )
 
 

@@ -39,8 +39,9 @@ def suggestions(advice: Advice) -> Iterator[str]:
         clear = [delay for delay in advice.delays if delay.control == use.name and delay.clear]
         if clear:
             yield from _about_delay(max(clear, key=lambda delay: abs(delay.strength)))
-    for state in advice.states:
-        yield from _about_band(state, 0.5 / advice.dt)
+    if not advice.unusable:
+        for state in advice.states:
+            yield from _about_band(state, 0.5 / advice.dt)
     yield from _about_stamps(advice)
 
 

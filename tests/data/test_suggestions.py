@@ -125,6 +125,8 @@ def test_episodes_in_which_nothing_moves_are_named(rng):
     data = Dataset.from_arrays(TANK, [moving.episodes[0].states, *still], [moving.episodes[0].controls, *still])
     sentence = "Nothing moves in 6 of 7 episodes: episode-1, episode-2, episode-3, episode-4 and 2 more."
     assert sentence in told(data)
+    pieces = moving.with_episodes([moving.episodes[0], moving.episodes[0][5:8]])
+    assert "Nothing moves" not in told(pieces)
 
 
 def test_a_car_that_stands_in_some_manoeuvres_is_told_which(car, rng):
