@@ -20,6 +20,8 @@ from evaluation.transfer import TransferMatrix, TransferSummary
 TEMPLATE = "page.html.j2"
 JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 """Where a long name may break."""
+SHORTEST = 0.05
+"""Seconds below which the time of a cell is left out."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def sections(report: Report) -> Iterable[Section]:
         for title, values in (
             ("Settings", report.settings),
             ("Versions", report.versions),
-            ("Timings (s)", {key: round(value, 2) for key, value in report.timings.items()}),
+            (f"Timings (s) from {SHORTEST:g} s", _timings(report)),
         )
         if values
     ]
@@ -140,6 +142,10 @@ def _data_sentence(report: Report) -> str:
         f"{name}{len(data.training)} training episodes of {seconds[0]:.0f} s, {len(data.test)} test episodes of "
         f"{seconds[1]:.0f} s, sampled every {data.system.dt:g} s. Training set SHA-256: {data.fingerprint}"
     )
+
+
+def _timings(report: Report) -> dict[str, float]:
+    return {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
 
 
 def _present(*items: Picture | Sheet | None) -> list[Picture | Sheet]:

@@ -90,6 +90,12 @@ def test_two_equal_runs_give_the_same_files(tmp_path: Path) -> None:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
+def test_the_page_leaves_out_times_too_short_to_matter(report: Report) -> None:
+    page = to_html(replace(report, timings={"fit linear": 0.051, "run linear on car": 0.049}))
+    assert "fit linear" in page
+    assert "run linear on car" not in page
+
+
 def test_timings_stand_under_one_key_alone(report: Report) -> None:
     one, two = to_json(report), to_json(replace(report, timings={"all": 99.0}))
     assert one.pop("timings") != two.pop("timings")
