@@ -75,9 +75,10 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     from hardware.emulation.modelled_robot import ModelledRobot
     from hardware.emulation.pacing import in_real_time
     from sysid_evo.cli.achieving import column_of
-    from sysid_evo.cli.evolving import find_dynamics
+    from sysid_evo.cli.evolving import dynamics_of, find_column
     from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.errors import InvalidArgument
+    from sysid_evo.plan import Store
     from sysid_evo.registry import make_robot
 
     if model is not None and robot is not None:
@@ -88,10 +89,10 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     if model is None:
         machine = make_robot(robot or DEFAULT_ROBOT)
         return Driven(in_real_time(machine), column_of(machine), where, on_robot=True)
-    stem = Path(model).stem if file else model
-    family, dash, number = stem.rpartition("-")
-    column = family if dash and number.isdecimal() else stem
-    return Driven(in_real_time(ModelledRobot(column, find_dynamics(where or Path(), model))), column, where, False)
+    store = Store(where or Path(model).absolute().parent.parent)
+    column = find_column(store, model)
+    robot_of = ModelledRobot(column.label, dynamics_of(store, column))
+    return Driven(in_real_time(robot_of), column.label, where, False)
 
 
 def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | None]]) -> None:
