@@ -30,6 +30,11 @@ class Column:
         """The cell of the model, if it is one."""
         return () if self.model is None else (self.model,)
 
+    @property
+    def registered(self) -> str:
+        """The registered name of the model's family or of the robot: it does not change with the label."""
+        return self.family if self.robot is None else self.robot.name
+
     def inputs(self) -> dict[str, Any]:
         """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
         return {"robot": None if self.robot is None else robots.identity(self.robot)}

@@ -45,14 +45,14 @@ def compare(
 
     Raises what `plan_comparison` does, before any work.
     """
-    for plugin in settings.get("plugins", ()):
-        load_plugin(plugin)
     folder = check_run_folder(out)
     dataset = data if isinstance(data, Dataset) else None
-    if data is not None and dataset is None:
+    if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
-        settings = {**settings, "data": tuple(str(path) for path in listed)}
+        settings = {**settings, "data": tuple(str(Path(path).resolve()) for path in listed)}
     experiment = Experiment.of({name: _plain(value) for name, value in settings.items()})
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
     if dataset is None and experiment.data is not None:
         dataset = Dataset.read(experiment.data, columns=experiment.columns)
     measured, _ = load_measured(folder)

@@ -75,16 +75,18 @@ class EvolveCell(Cell):
         dynamics = {member.label: member.dynamics(work) for member in self.members}
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
         system = next(iter(dynamics.values())).system
-        families = "+".join(member.family for member in self.members)
-        seed = cell_seed(self.seed, f"evolve {families}")
+        names = "+".join(member.registered for member in self.members)
+        seed = cell_seed(self.seed, f"evolve {names}")
         return evolve_controller(self.name, runners, system, self.settings, seed=seed, progress=work.progress)
 
     def save(self, value: Champion, path: Path) -> list[Path]:
         return files_of(save_champion(value, path))
 
     def load(self, path: Path) -> Champion:
-        against = tuple(member.label for member in self.members)
-        return replace(load_champion(path), name=self.name, against=against)
+        return load_champion(path)
+
+    def named(self, value: Champion) -> Champion:
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
 
     def seconds(self) -> float:
         settings = self.settings
@@ -147,8 +149,10 @@ class RunCell(Cell):
         return write_json(value.to_dict(), path)
 
     def load(self, path: Path) -> MatrixCell:
-        cell = MatrixCell.from_dict(read_json(path))
-        return replace(cell, champion=self.champion.name, column=self.column.label)
+        return MatrixCell.from_dict(read_json(path))
+
+    def named(self, value: MatrixCell) -> MatrixCell:
+        return replace(value, champion=self.champion.name, column=self.column.label)
 
     def seconds(self) -> float:
         return 0.05

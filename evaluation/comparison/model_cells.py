@@ -120,7 +120,10 @@ class PredictCell(Cell):
         return save_prediction(value, path)
 
     def load(self, path: Path) -> ModelPrediction:
-        return replace(load_prediction(path), name=self.label, family=self.family)
+        return load_prediction(path)
+
+    def named(self, value: ModelPrediction) -> ModelPrediction:
+        return replace(value, name=self.label, family=self.family)
 
     @classmethod
     def persistence(cls, data: Cell) -> PredictCell:
@@ -156,7 +159,13 @@ class StoredModel(Cell):
         return self.manifest.name
 
     def inputs(self) -> dict[str, Any]:
-        return {"tensors": self.manifest.sha256, "model": self.manifest.name, "learned": self.manifest.learned}
+        manifest = self.manifest
+        return {
+            "model": models.identity(Spec(manifest.name, manifest.parameters)),
+            "system": manifest.system,
+            "learned": manifest.learned,
+            "tensors": manifest.sha256,
+        }
 
     def compute(self, work: Work) -> DynamicsModel:
         return load_model(self.path)

@@ -126,6 +126,8 @@ def _made(registry: Registry[Any], spec: Spec) -> Any:
 
 
 def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
+    if experiment.yardstick and experiment.only is not None:
+        raise InvalidArgument(f"yardstick: no controller is evolved with only = {experiment.only!r}; leave one out")
     if experiment.robot is None:
         if experiment.yardstick and has_data:
             raise InvalidArgument("yardstick: name the emulated robot that it is evolved on with --robot")

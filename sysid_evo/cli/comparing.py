@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sysid_evo.cli.console import err, out, session, tell
+from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from evaluation.comparison import Comparison
     from evaluation.report import Report
-    from sysid_evo.plan import Outcome, Store
+    from sysid_evo.plan import Outcome, Plan, Store
 
 
 def compare(
@@ -122,6 +122,7 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
     from evaluation.comparison import check_run_folder, finished, plan_comparison
     from evaluation.transfer import load_measured
     from sysid_evo.cli.progress import Bars
+    from sysid_evo.errors import InvalidData
     from sysid_evo.plan import Store, execute
 
     load_plugins([Path(plugin) for plugin in experiment.plugins])
@@ -133,17 +134,25 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
     for remark in (*comparison.plan.remarks, *damaged):
         tell(remark, label="note: ", style="dim")
     if dry_run:
-        print_plan(comparison, store, json=json)
+        print_plan(comparison.plan, store, json=json)
         return
     session.run = path
     store_experiment(comparison, path)
     with Bars(path) as bars:
         outcomes = execute(comparison.plan, store, observer=bars)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
-    if experiment.only == "fit":
-        print_fits(comparison, store, outcomes, json=json)
-    else:
-        print_report(finished(comparison, store), path, json=json, verbose=verbose)
+    stopped = outcomes[comparison.data.digest].error
+    if isinstance(stopped, ConnectionError):  # no robot, no data, no report
+        raise stopped
+    try:
+        if experiment.only == "fit":
+            print_fits(comparison, store, outcomes, json=json)
+        else:
+            print_report(finished(comparison, store), path, json=json, verbose=verbose)
+    except InvalidData as error:
+        if not failed:
+            raise
+        complain(error)
     if failed:
         tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
         raise typer.Exit(SOME_FAILED)
@@ -175,18 +184,16 @@ def store_experiment(comparison: Comparison, path: Path) -> None:
     comparison.experiment.write(file)
 
 
-def print_plan(comparison: Comparison, store: Store, *, json: bool) -> None:
+def print_plan(plan: Plan, store: Store, *, json: bool) -> None:
     """Print the cells, about how long they take, and which are done."""
     from rich.table import Table
 
-    done = {cell.digest for cell in comparison.plan if store.done(cell)}
-    rows = [
-        (cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in comparison.plan
-    ]
+    done = {cell.digest for cell in plan if store.done(cell)}
+    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
     total = sum(seconds for _, seconds, _ in rows)
     if json:
         cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
-        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(comparison.plan.remarks)}
+        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
         out.print_json(json_format.dumps(document))
         return
     table = Table(box=None, pad_edge=False)
@@ -222,7 +229,7 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
             {
                 "model": label,
                 "seconds": round(outcome.seconds, 1),
-                "file": None if outcome.failed else f"{store.place(cell)}.json",
+                "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
             }
         )

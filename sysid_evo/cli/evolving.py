@@ -64,6 +64,7 @@ def evolve(
     so that controllers meet it in the models.
     """
     from evaluation.comparison import EvolveCell, Experiment, RunCell, check_run_folder
+    from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
     from sysid_evo.plan import Plan, Store, execute
 
@@ -92,14 +93,13 @@ def evolve(
     claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
     plan = Plan.of([champion, *claims])
     if dry_run:
-        for cell in plan:
-            out.print(f"{cell.title}: {'kept' if store.done(cell) else f'about {cell.seconds():.0f} s'}")
+        print_plan(plan, store, json=json)
         return
     session.run = store.path
     with Bars(store.path if run is not None else None) as bars:
         outcomes = execute(plan, store, observer=bars)
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
-    file = f"{store.place(champion)}.json"
+    file = f"{store.where(champion)}.json"
     found: dict[str, Any] = {"controller": champion.name, "file": file, "claims": {}}
     if champion not in failed:
         unit = ""
@@ -175,6 +175,9 @@ def find_column(store: Store, name: str) -> Column:
     from sysid_evo.registry import robot_spec
 
     if is_file(name):
+        own = record_of_file(store, Path(name))
+        if own is not None:
+            return Column(own.name, own.inputs["model"]["name"], model=StoredCell(own, FitCell))
         model = StoredModel(Path(name))
         return Column(model.name, model.family, model=model)
     if is_robot(name):
@@ -183,6 +186,15 @@ def find_column(store: Store, name: str) -> Column:
         return Column(spec.label, spec.label, robot=spec)
     record = find_model(store, name)
     return Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+
+
+def record_of_file(store: Store, file: Path) -> Record | None:
+    """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
+    stem = file.with_suffix("").resolve()
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and (store.path / record.artefact).resolve() == stem:
+            return record
+    return None
 
 
 def find_model(store: Store, name: str) -> Record:

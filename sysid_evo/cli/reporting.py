@@ -37,6 +37,7 @@ def report_again(run: Path) -> Report | None:
     """
     from evaluation.comparison import finished
     from sysid_evo.plan import Plan, Store, execute
+    from sysid_evo.plan.store import WAITING
 
     comparison, remarks = comparison_of(run)
     session.run = run
@@ -47,9 +48,9 @@ def report_again(run: Path) -> Report | None:
         return None
     assess = comparison.exploitability
     if assess is not None:
-        known = [cell for cell in comparison.plan if store.find(cell.digest) is not None]
-        if all(needed in known for needed in assess.needs):
-            execute(Plan.of(cell for cell in (*known, assess) if store.done(cell) or cell is assess), store)
+        tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
+        if all(needed.digest in tried for needed in assess.needs):
+            execute(Plan.of([assess]), store, only=[assess])
     return finished(comparison, store)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Collection
 from typing import Any, Protocol
 
-from sysid_evo.errors import ArtefactError, SysidEvoError
+from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
@@ -52,25 +53,29 @@ class Silent:
         pass
 
 
-def execute(plan: Plan, store: Store, *, observer: Observer | None = None) -> dict[str, Outcome]:
+def execute(
+    plan: Plan, store: Store, *, observer: Observer | None = None, only: Collection[Cell] | None = None
+) -> dict[str, Outcome]:
     """Compute every cell of ``plan`` that ``store`` does not have; return how each ended, by digest.
 
     A cell that fails is an outcome with its reason, and so is one whose needs failed; the rest goes on.
-    A cell that another process has claimed is left to it. Raises OSError if a result cannot be written.
+    A cell that another process has claimed is left to it. With ``only``, no others are computed: what
+    they gave is what the store knows. Raises OSError if a result cannot be written.
     """
-    return _Execution(plan, store, observer or Silent()).run()
+    return _Execution(plan, store, observer or Silent(), only).run()
 
 
 class _Execution:
-    def __init__(self, plan: Plan, store: Store, observer: Observer) -> None:
-        self.plan, self.store, self.observer = plan, store, observer
+    def __init__(self, plan: Plan, store: Store, observer: Observer, only: Collection[Cell] | None) -> None:
+        self.plan, self.store, self.observer, self.only = plan, store, observer, only
         self.ended: dict[str, Outcome] = {}
         self.told: set[str] = set()
 
     def run(self) -> dict[str, Outcome]:
-        kept = [cell for cell in self.plan if self.store.done(cell)]
+        kept = [cell for cell in self.plan if self.store.done(cell) and not self._without(cell)]
         self._remarks()
-        left = [cell for cell in self.plan if cell not in kept]
+        known = set(kept)
+        left = [cell for cell in self.plan if cell not in known]
         self.observer.plan(len(self.plan), len(kept), sum(cell.seconds() for cell in left))
         for cell in kept:
             self._end(cell, None, self._seconds(cell), cached=True)
@@ -89,10 +94,15 @@ class _Execution:
         if failed and not cell.tolerant:
             self._end(cell, blocked_by(failed[0]), 0.0)
             return True
+        if self.only is not None and cell not in self.only:
+            known = self.store.outcome(cell)
+            self._end(cell, known.reason, known.seconds, cached=True)
+            return True
         with self.store.claim(cell) as ours:
             if not ours:
                 return False
-            if self.store.done(cell):  # by another process, while this one was busy
+            if self.store.done(cell) and self._without(cell) == {needed.digest for needed in failed}:
+                # by another process, while this one was busy
                 self._end(cell, None, self._seconds(cell), cached=True)
             else:
                 self._compute(cell)
@@ -105,27 +115,40 @@ class _Execution:
         try:
             value = cell.compute(work)
         except Exception as error:  # whatever a plugin does, the other cells go on
-            reason = str(error) if isinstance(error, SysidEvoError) else f"{type(error).__name__}: {error}"
-            seconds = time.perf_counter() - began
-            self.store.fail(cell, reason=reason, traceback=traceback.format_exc(), seconds=seconds)
-            self._end(cell, reason, seconds)
+            self._fail(cell, error, time.perf_counter() - began)
             return
         seconds = time.perf_counter() - began
         try:
-            self.store.keep(cell, value, seconds=seconds)
-        except SysidEvoError as error:
-            self.store.fail(cell, reason=str(error), traceback=traceback.format_exc(), seconds=seconds)
-            self._end(cell, str(error), seconds)
+            without = [needed for needed in cell.needs if self.ended[needed.digest].failed]
+            self.store.keep(cell, value, seconds=seconds, without=without)
+        except OSError:  # a full disk stops all cells
+            raise
+        except Exception as error:  # a plugin's result may be such that it cannot be written
+            self._fail(cell, error, seconds)
             return
         self._end(cell, None, seconds)
 
+    def _fail(self, cell: Cell, error: Exception, seconds: float) -> None:
+        reason = str(error) if isinstance(error, SysidEvoError) else f"{type(error).__name__}: {error}"
+        self.store.fail(cell, reason=reason, traceback=traceback.format_exc(), seconds=seconds)
+        self._end(cell, reason, seconds, error=error)
+
+    def _without(self, cell: Cell) -> set[str]:
+        """Return the digests of the needed cells that a stored result did without: a tolerant cell's may be stale."""
+        record = self.store.find(cell.digest) if cell.tolerant else None
+        return set() if record is None else set(record.without)
+
     def _result(self, cell: Cell) -> Any:
         """Return the value of a needed cell; one that turns out to be unreadable is computed again."""
+        if cell.digest not in self.ended:
+            raise InvalidArgument(f"{cell.title} is not among the needs of the cell that asks for its result")
         if self.ended[cell.digest].failed:
             return None
         try:
             return self.store.load(cell)
         except ArtefactError as error:
+            if self.only is not None and cell not in self.only:
+                raise
             self.observer.remark(f"{error}: {cell.title} is computed again")
             self._compute(cell)
             ended = self.ended[cell.digest]
@@ -133,8 +156,10 @@ class _Execution:
                 raise ArtefactError(f"needs {cell.title}, which failed: {ended.reason}") from error
             return self.store.load(cell)
 
-    def _end(self, cell: Cell, reason: str | None, seconds: float, *, cached: bool = False) -> None:
-        self.ended[cell.digest] = Outcome(None, reason, seconds)
+    def _end(
+        self, cell: Cell, reason: str | None, seconds: float, *, cached: bool = False, error: Exception | None = None
+    ) -> None:
+        self.ended[cell.digest] = Outcome(None, reason, seconds, error)
         self.observer.finish(cell, cached=cached, reason=reason)
         self._remarks()
 

@@ -20,18 +20,19 @@ class Plan:
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
         """Return the plan of the ``wanted`` cells and all that they need. Raises `InvalidArgument` for a circle."""
         placed: dict[str, Cell] = {}
-        under_way: list[str] = []
+        under_way: dict[int, Cell] = {}
+        visited: dict[int, Cell] = {}
 
         def place(cell: Cell) -> None:
-            if cell.digest in placed:
-                return
-            if cell.digest in under_way:
+            if id(cell) in under_way:  # told by identity: in a circle nothing has a digest
                 raise InvalidArgument(f"plan: {cell.title} needs itself")
-            under_way.append(cell.digest)
+            if id(cell) in visited:
+                return
+            under_way[id(cell)] = visited[id(cell)] = cell
             for needed in cell.needs:
                 place(needed)
-            under_way.pop()
-            placed[cell.digest] = cell
+            del under_way[id(cell)]
+            placed.setdefault(cell.digest, cell)
 
         for cell in wanted:
             place(cell)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +31,7 @@ class Record(BaseModel):
     """What stands in ``cells/<digest>.json``: a cell that was tried, and where its result is.
 
     ``files`` maps each file of the result, relative to the run folder, to its SHA-256; ``artefact`` is
-    the path that they begin with.
+    the path that they begin with. ``without`` lists the needed cells that a tolerant cell did without.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -46,6 +46,7 @@ class Record(BaseModel):
     traceback: str | None = None
     inputs: dict[str, Any]
     needs: list[str]
+    without: list[str] = []
     artefact: str
     files: dict[str, str] = {}
     versions: dict[str, str]
@@ -59,11 +60,15 @@ class Record(BaseModel):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a cell gave: a value, or None and the reason; and the seconds it took when it was computed."""
+    """What a cell gave: a value, or None and the reason; and the seconds it took when it was computed.
+
+    ``error`` is what was raised, if that was now.
+    """
 
     value: Any
     reason: str | None
     seconds: float
+    error: Exception | None = None
 
     @property
     def failed(self) -> bool:
@@ -118,7 +123,7 @@ class Store:
                 self._values[cell.digest] = cell.load(self.path / record.artefact)
             except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
                 raise ArtefactError(f"{self.path / record.artefact}: cannot be read: {error}") from error
-        return self._values[cell.digest]
+        return cell.named(self._values[cell.digest])
 
     def outcome(self, cell: Cell) -> Outcome:
         """Return what is known of ``cell``: its value, or why there is none."""
@@ -148,8 +153,16 @@ class Store:
         name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
         return self.path / cell.place / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
 
-    def keep(self, cell: Cell, value: Any, *, seconds: float) -> Record:
-        """Write the result of ``cell``, then its record. Raises OSError if the disk is full."""
+    def where(self, cell: Cell) -> Path:
+        """Return where the result of ``cell`` stands, or would: one found again may have had another name."""
+        record = self.find(cell.digest)
+        return self.place(cell) if record is None or record.status != "done" else self.path / record.artefact
+
+    def keep(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[Cell] = ()) -> Record:
+        """Write the result of ``cell``, then its record; ``without`` are needed cells that had failed.
+
+        Raises OSError if the disk is full.
+        """
         place = self.place(cell)
         files = cell.save(value, place)
         record = self._of(
@@ -157,6 +170,7 @@ class Store:
             status="done",
             seconds=seconds,
             files={file.relative_to(self.path).as_posix(): _digest(file) or "" for file in files},
+            without=sorted(needed.digest for needed in without),
         )
         self._write(record)
         self._values[cell.digest] = value
@@ -169,10 +183,11 @@ class Store:
         return record
 
     def log(self, **event: Any) -> None:
-        """Append one line to ``log.jsonl``."""
+        """Append one line to ``log.jsonl``, in one write, so that lines of two processes never mix."""
         self.path.mkdir(parents=True, exist_ok=True)
-        with (self.path / LOG).open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"time": time.time(), **event}) + "\n")
+        line = json.dumps({"time": time.time(), **event}) + "\n"
+        with (self.path / LOG).open("ab", buffering=0) as file:
+            file.write(line.encode())
 
     @contextmanager
     def claim(self, cell: Cell) -> Iterator[bool]:
