@@ -253,12 +253,14 @@ def _missing(kind: str, name: str, module: str, requirement: str) -> MissingExtr
 
 
 def _extra_of(point: EntryPoint, module: str) -> str | None:
-    """Return ``distribution[extra]`` for the extra that brings ``module``, if there is one."""
+    """Return ``distribution[extra]`` for the smallest extra that brings ``module``, if there is one."""
     if point.dist is None:
         return None
-    for text in point.dist.requires or []:
-        requirement = Requirement(text)
-        found = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
-        if found and requirement.name.replace("-", "_").lower() == module.split(".")[0].lower():
-            return f"{point.dist.name}[{found.group(1)}]"
-    return None
+    brought: dict[str, set[str]] = {}
+    for requirement in map(Requirement, point.dist.requires or []):
+        extra = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
+        if extra:
+            brought.setdefault(extra.group(1), set()).add(requirement.name.replace("-", "_").lower())
+    wanted = module.split(".")[0].lower()
+    bringing = [extra for extra, packages in brought.items() if wanted in packages]
+    return f"{point.dist.name}[{min(bringing, key=lambda extra: len(brought[extra]))}]" if bringing else None
