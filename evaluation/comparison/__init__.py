@@ -7,7 +7,6 @@ from evaluation.comparison.data_cells import DataCell, GivenData, Parts, Recorde
 from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
 from evaluation.comparison.planning import Comparison, plan_comparison
-from evaluation.comparison.reporting import report_of
 
 __all__ = [
     "BUDGETS",
@@ -34,5 +33,4 @@ __all__ = [
     "finished",
     "is_run",
     "plan_comparison",
-    "report_of",
 ]

@@ -10,7 +10,6 @@ from typing import Any
 
 from evaluation.comparison.experiment import FILE, Experiment
 from evaluation.comparison.planning import Comparison, plan_comparison
-from evaluation.comparison.reporting import report_of
 from evaluation.report import Report, save_report
 from evaluation.transfer import load_measured
 from sysid_evo.data import Dataset
@@ -66,7 +65,7 @@ def compare(
 
 def finished(comparison: Comparison, store: Store) -> Report:
     """Return the report of what ``store`` holds, and write it into the run folder."""
-    report = report_of(comparison, store)
+    report = Report.of(comparison, store)
     save_report(report, store.path)
     return report
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +27,8 @@ from sysid_evo.registry import Spec, make_model, models
 from sysid_evo.store import load_model, save_model
 from sysid_evo.store.manifest import Manifest, read_artefact
 
+DIGEST = re.compile(r"-[0-9a-f]{8}$")
+"""What a store puts behind the name of a file."""
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
 
@@ -140,7 +143,7 @@ class StoredModel(Cell):
 
     @property
     def name(self) -> str:
-        return self.path.stem
+        return DIGEST.sub("", self.path.stem)
 
     @cached_property
     def manifest(self) -> Manifest:

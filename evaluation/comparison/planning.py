@@ -12,7 +12,7 @@ from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import DEFAULT_ROBOT, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset
 from evaluation.transfer import Measured
-from sysid_evo.data import Dataset
+from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, SysidEvoError
 from sysid_evo.evolution import ControllerEvolution
@@ -225,10 +225,15 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
             raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
         if share == 0.0 and experiment.only != "fit":
             raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
-        return RecordedData(robot or robot_spec(DEFAULT_ROBOT), experiment.seed, experiment.minutes, split)
+        recorded = robot or robot_spec(DEFAULT_ROBOT)
+        make_robot(recorded).check()
+        return RecordedData(recorded, experiment.seed, experiment.minutes, split)
     if share == 0.0 and experiment.test is None and experiment.only != "fit":
         raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
-    split.of(dataset)
+    parts = split.of(dataset)
+    check_usable(parts.training, name="the training data")
+    if parts.test is not None:
+        check_usable(parts.test, horizon=1, name="the test data")
     return GivenData(dataset, split)
 
 

@@ -104,7 +104,8 @@ def _score(
 ) -> ErrorScore:
     """Score the rows ``scored`` (N,) of (N, nx); blocks without such a row are not drawn."""
     protocol = cases.protocol
-    truth, guess = true[scored], predicted[scored]
+    truth = true[scored]
+    guess = cases.system.near(predicted[scored], truth)
     errors = BlockErrors.of(guess - truth, blocks[scored])
     resampled = errors.resampled_n(cases.std, protocol.resamples, protocol.seed)
     return ErrorScore(
@@ -121,7 +122,8 @@ def _score(
 
 def _curve(forecasts: Forecasts, cases: MeasuredCases) -> Array:
     """Return N (H,) after every step; nan at a step where no target moves."""
-    squares = np.where(cases.moving[:, :, None], (forecasts.windows - cases.windows.states) ** 2, 0.0).sum(axis=0)
+    errors = cases.system.difference(forecasts.windows, cases.windows.states)
+    squares = np.where(cases.moving[:, :, None], errors**2, 0.0).sum(axis=0)
     count = cases.moving.sum(axis=0)[:, None]
     mean = np.divide(squares, count, out=np.full_like(squares, np.nan), where=count > 0)
     return metrics.mean_over_channels(np.sqrt(mean) / np.where(cases.std > 0, cases.std, np.nan))

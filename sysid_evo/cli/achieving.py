@@ -41,19 +41,22 @@ def drive_controller(
     from hardware.loop.report import Reason
     from hardware.loop.robot_runner import RobotRunner
     from hardware.loop.stops import Stops
+    from hardware.preflight import check_driving
+    from hardware.robot import find_robot
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import LinkLost
-    from sysid_evo.registry import make_controller, make_robot, make_task
+    from sysid_evo.registry import make_controller, make_task
     from sysid_evo.store import load_champion
 
     champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
-    machine: Robot = make_robot(robot)
+    machine = find_robot(robot)
     champion.check_system(machine.system)
     folder = folder or owner_of(controller)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
     column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
-    task = make_task(champion.task)
+    task, law = make_task(champion.task), make_controller(champion.controller)
+    check_driving(machine, task, law, champion.parameters[None])
     with Bars() as bars, Stops() as stops:
         runner = RobotRunner(
             machine,
@@ -66,7 +69,7 @@ def drive_controller(
         bars.begin(title)
         try:
             rollouts, report = runner.drive(
-                make_controller(champion.controller),
+                law,
                 champion.parameters[None],
                 task,
                 transfer_seeds(seed, trials),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sysid_evo.cli import comparing, driving, evolving, models, plugins, recordings, reporting, robots, runs
+from sysid_evo.cli import comparing, driving, evolving, models, names, plugins, recordings, reporting, robots, runs
 from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
 from sysid_evo.errors import SysidEvoError
@@ -32,6 +32,7 @@ app.command("fit")(models.fit)
 app.command("evolve")(evolving.evolve)
 app.command("drive")(driving.drive)
 app.command("report")(reporting.report)
+app.command("names")(names.list_names)
 app.add_typer(runs.app, name="runs")
 app.add_typer(models.app, name="models")
 app.add_typer(plugins.app, name="plugin")

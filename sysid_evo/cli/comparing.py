@@ -205,7 +205,7 @@ def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> No
     if json:
         out.print_json(json_format.dumps(to_json(report)))
         return
-    for part in tables(report) if verbose else brief(report):
+    for part in tables(report) if verbose else brief(report, folder=path):
         out.print(part)
     err.print(where_time_went(report.timings), highlight=False)
     out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)

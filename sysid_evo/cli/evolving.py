@@ -203,14 +203,6 @@ def find_model(store: Store, name: str) -> Record:
     raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
 
 
-def find_dynamics(folder: Path, name: str) -> Dynamics:
-    """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`."""
-    from sysid_evo.plan import Store
-
-    store = Store(folder)
-    return dynamics_of(store, find_column(store, name))
-
-
 def dynamics_of(store: Store, column: Column) -> Dynamics:
     """Return the model or the emulated robot behind a column."""
     from evaluation.comparison import StoredModel, emulated

@@ -80,14 +80,16 @@ def record(
     link end the recording in neutral, and what was recorded until then is kept and prepared.
     """
     from hardware.loop.stops import Stops
+    from hardware.preflight import check_recording
     from hardware.recording.scripted import save_raw
+    from hardware.robot import find_robot
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.cli.progress import Bars
-    from sysid_evo.registry import make_robot
 
     load_plugins(plugin)
     check_new_folder(folder)
-    machine = make_robot(robot)
+    machine = find_robot(robot)
+    check_recording(machine, folder / "journal", duration=60.0 * minutes)
     title = f"record {robot}"
     with Bars() as bars, Stops() as stops:
         bars.begin(title)

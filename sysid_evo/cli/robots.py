@@ -53,10 +53,10 @@ def check_robot(
 
     from hardware.loop.self_test import self_test
     from hardware.loop.stops import Stops
-    from sysid_evo.registry import make_robot
+    from hardware.robot import find_robot
 
     load_plugins(plugin)
-    machine = make_robot(robot)
+    machine = find_robot(robot)
     with Stops() as stops:
         findings = self_test(machine, seconds=seconds, stops=stops)
     if as_json:

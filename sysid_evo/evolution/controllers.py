@@ -61,7 +61,13 @@ class ControllerEvolution:
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
-        aggregates.check(self.aggregate)
+        for registry, name, parameters in (
+            (tasks, self.task, self.task_parameters),
+            (controllers, self.controller, self.controller_parameters),
+            (strategies, self.strategy, self.strategy_parameters),
+            (aggregates, self.aggregate, {}),
+        ):
+            registry.check(name, **parameters)
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 

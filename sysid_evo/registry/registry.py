@@ -6,16 +6,14 @@ import difflib
 import importlib.util
 import inspect
 import math
-import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from packaging.requirements import Requirement
-
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
 from sysid_evo.registry.plugin_files import source_digest
 from sysid_evo.registry.spec import Spec
 
@@ -161,8 +159,8 @@ class Registry(Generic[T]):
         points = self._points(name)
         for module in getattr(factory, "requires", ()):
             if importlib.util.find_spec(module) is None:
-                extra = _extra_of(points[0], module) if points else None
-                return _missing(self.kind, name, module, extra or module)
+                distribution = _distribution(points[0]) if points else DISTRIBUTION
+                return missing_extra(f"{self.kind} {name!r}", module, distribution)
         return None
 
     def load_all(self) -> Iterator[tuple[str, Callable[..., T]]]:
@@ -233,10 +231,9 @@ def _load(point: EntryPoint, kind: str) -> None:
     try:
         point.load()
     except ModuleNotFoundError as error:
-        extra = _extra_of(point, error.name or "")
-        if extra is None:
+        if extra_of(error.name or "", _distribution(point)) is None:
             raise PluginError(f"{kind} {point.name!r} ({point.value}) cannot be imported: {error}") from error
-        raise _missing(kind, point.name, error.name or "", extra) from error
+        raise missing_extra(f"{kind} {point.name!r}", error.name, _distribution(point)) from error
     except RegistrationError:
         raise
     except Exception as error:  # a plugin may fail in any way while it is imported
@@ -245,22 +242,5 @@ def _load(point: EntryPoint, kind: str) -> None:
         ) from error
 
 
-def _missing(kind: str, name: str, module: str, requirement: str) -> MissingExtra:
-    return MissingExtra(
-        f"{kind} {name!r} needs the package {module!r}, which is not installed. "
-        f'Install it with: pip install "{requirement}"'
-    )
-
-
-def _extra_of(point: EntryPoint, module: str) -> str | None:
-    """Return ``distribution[extra]`` for the smallest extra that brings ``module``, if there is one."""
-    if point.dist is None:
-        return None
-    brought: dict[str, set[str]] = {}
-    for requirement in map(Requirement, point.dist.requires or []):
-        extra = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
-        if extra:
-            brought.setdefault(extra.group(1), set()).add(requirement.name.replace("-", "_").lower())
-    wanted = module.split(".")[0].lower()
-    bringing = [extra for extra, packages in brought.items() if wanted in packages]
-    return f"{point.dist.name}[{min(bringing, key=lambda extra: len(brought[extra]))}]" if bringing else None
+def _distribution(point: EntryPoint) -> str | Distribution:
+    return DISTRIBUTION if point.dist is None else point.dist

@@ -21,7 +21,8 @@ def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:
         raise ContractViolation(f"{name}: expected an array {shape} float64, got {type(array).__name__}")
     if array.shape != shape or array.dtype != np.float64:
         raise ContractViolation(f"{name}: expected {shape} float64, got {array.shape} {array.dtype}")
-    expect(np.isfinite(array).all(), f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+    if not np.isfinite(array).all():
+        raise ContractViolation(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
 
 
 def twice(name: str, function: Callable[..., Result], *arguments: Any) -> Result:

@@ -87,22 +87,10 @@ class ExampleDynamics(Dynamics):
     def kernel(self) -> DynamicsKernel:
         from sysid_evo.engine.compiled.dialect import KernelSource
         from sysid_evo.engine.compiled.kernel import DynamicsKernel
+        from sysid_evo.testing.kernels.example_step import HEAD, decay_and_push
 
-        sizes = [self.system.nx, self.system.nu, DECAY]
-        return DynamicsKernel(KernelSource(decay_and_push), np.concatenate([sizes, self.offset, self.push.ravel()]))
-
-
-# Numba reads the types, and all kernels of dynamics share a signature.
-def decay_and_push(carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # noqa: ARG001
-    """Step one block of `ExampleDynamics`."""
-    nx, nu = int(parameters[0]), int(parameters[1])
-    lanes = 64
-    for i in range(nx):
-        for lane in range(lanes):
-            after = parameters[2] * carry[i * lanes + lane] + parameters[3 + i]
-            for j in range(nu):
-                after += control[j * lanes + lane] * parameters[3 + nx + i * nu + j]
-            carry[i * lanes + lane] = after
+        parameters = HEAD.pack(self.offset, self.push, nx=self.system.nx, nu=self.system.nu, decay=DECAY)
+        return DynamicsKernel(KernelSource(decay_and_push), parameters)
 
 
 def _car(drive: Channel, steer: Channel) -> System:

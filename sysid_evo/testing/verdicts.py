@@ -7,6 +7,7 @@ that must hold, and it raises `ContractViolation` with a reason where the senten
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
@@ -26,11 +27,17 @@ class CheckResult:
     failure: str | None
 
 
+class DoesNotApply(Exception):
+    """What a check raises whose sentence says nothing about its subject."""
+
+
 def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
-    """Run one check on ``subject`` and return its result, whatever it raises."""
+    """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply`."""
     sentence = (check.__doc__ or check.__name__).strip()
     try:
         check(*subject)
+    except DoesNotApply:
+        raise
     except ContractViolation as error:
         return CheckResult(sentence, str(error))
     except Exception as error:  # a plugin may fail in any way: that is what is being found out
@@ -39,7 +46,7 @@ def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
 
 
 def verdicts(make: Callable[[], Subject], checks: Iterable[Check[Subject]]) -> Iterator[CheckResult]:
-    """Yield the result of making a subject and of every check on it.
+    """Yield the result of making a subject and of every check that applies to it.
 
     If it cannot be made, that is the only result. Errors of this library that are raised while it is
     made (an unknown name, a parameter out of range) are the caller's, and are passed on.
@@ -56,7 +63,8 @@ def verdicts(make: Callable[[], Subject], checks: Iterable[Check[Subject]]) -> I
         return
     yield CheckResult(MADE, None)
     for check in checks:
-        yield verdict(check, subject)
+        with suppress(DoesNotApply):
+            yield verdict(check, subject)
 
 
 def raise_broken(kind: str, name: str, results: Iterable[CheckResult]) -> None:

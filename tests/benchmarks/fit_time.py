@@ -13,8 +13,8 @@ import sys
 import time
 
 import numpy as np
-
 from sysid_evo.experiment import make_with_preset
+
 from sysid_evo.registry import models
 from tests.benchmarks.prediction import EMULATED, TEST_EPISODE, recording
 

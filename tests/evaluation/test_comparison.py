@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sysid_evo.experiment import Silent
 
 from evaluation.comparison import ComparisonSettings, compare
 from evaluation.report import Report, save_report, to_json
@@ -18,7 +19,6 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.evolution import ControllerEvolution
-from sysid_evo.experiment import Silent
 from sysid_evo.registry import Registry, models
 from sysid_evo.store import RunFolder
 from sysid_evo.testing import example_dataset
