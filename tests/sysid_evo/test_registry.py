@@ -121,7 +121,8 @@ def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions: Di
 
 
 def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions: Distributions) -> None:
-    requires = 'Requires-Dist: numpy\nRequires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
+    optional = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
+    requires = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *optional))
     distributions.install(
         "made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires
     )
