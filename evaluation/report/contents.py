@@ -168,7 +168,7 @@ def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
     if comparison.matrix is None:
         return {}
     return {
-        cell.name: f"{store.place(cell).relative_to(store.path).as_posix()}.json"
+        cell.name: f"{store.where(cell).relative_to(store.path).as_posix()}.json"
         for cell in comparison.matrix.champions
         if store.find(cell.digest) is not None
     }
