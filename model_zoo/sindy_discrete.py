@@ -30,7 +30,8 @@ class SindyDiscrete(SparsePolynomial):
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
         features = self.features_of(dataset.system, lags)
-        return Regression(features(data.carry, data.control), data.after - features.anchor(data.state), data.state)
+        seen = features(data.carry, data.control)
+        return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in self.system.states]

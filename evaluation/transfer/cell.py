@@ -26,9 +26,9 @@ NOT_RUN = "not run"
 
 @dataclass(frozen=True)
 class Trace:
-    """One recorded trial. ``waypoints`` (k, 2) in m are those passed, in order, and the next one.
+    """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
 
-    ``waypoint_radius`` is in m; a task without waypoints has none.
+    ``waypoint_radius`` is in m; a task without markers has none.
     """
 
     trajectory: Trajectory
@@ -161,20 +161,16 @@ def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, 
         diverged_share=float((fitness < task.worst).mean()),
         unit=task.fitness_unit,
         engine=rollouts.engine,
-        traces=_traces(rollouts, traces, float(getattr(task, "waypoint_radius", 0.0))),
+        traces=_traces(rollouts, traces, task),
         missing=rollouts.missing,
     )
 
 
-def _traces(rollouts: Rollouts, wanted: int, radius: float) -> tuple[Trace, ...]:
+def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
     """Return the first trials that were recorded; a trial without a step has no trajectory."""
-    waypoints = getattr(rollouts.task_state, "waypoints", None)
-    passed = getattr(rollouts.task_state, "passed", None)
     trials = np.flatnonzero(rollouts.survived[0] > 0)
     kept = []
     for trial, trajectory in list(zip(trials, rollouts.trajectories, strict=False))[:wanted]:
-        seen = np.empty((0, 2))
-        if waypoints is not None and passed is not None:
-            seen = waypoints[trial, : passed[trial] + 1].copy()
-        kept.append(Trace(trajectory, float(rollouts.fitness[0, trial]), seen, radius))
+        scene = task.scene(rollouts.task_state, int(trial))
+        kept.append(Trace(trajectory, float(rollouts.fitness[0, trial]), scene.markers, scene.radius))
     return tuple(kept)

@@ -118,10 +118,9 @@ class HumanPilot(Pilot):
         return control
 
     def _progress(self, phase: Phase) -> Progress:
-        waypoint = getattr(self._state, "waypoint", None)
         return Progress(
             phase=phase,
             steps=self._tape.ticks[-1] if self._tape.ticks else 0,
             score=float(self._task.fitness(self._state)[0]),
-            waypoint=None if waypoint is None else waypoint[0].copy(),
+            waypoint=self._task.scene(self._state, 0).next_marker,
         )

@@ -13,6 +13,7 @@ from sysid_evo.controllers import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine import Rollouts
 from sysid_evo.progress import Progress
+from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 
@@ -94,6 +95,7 @@ class TrialSeries(Pilot):
         self._progress = progress
         began = task.begin(seeds)
         self._states = [began for _ in parameters]
+        self._noise = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
         self._memory = np.zeros((len(parameters), len(seeds), controller.n_memory))
         self._began: int | None = None
         self._waiting_since = 0
@@ -145,7 +147,8 @@ class TrialSeries(Pilot):
         if not here.alive[trial] or step >= task.horizon:
             return None
         states = np.where(only[:, None], state, self.system.neutral_state)
-        view = View(task.observe(here, states)[None], states[None], here)
+        noise = self._noise[None, :, step] if self.controller.n_noise else None
+        view = View(task.observe(here, states)[None], states[None], here, noise)
         raw, memory = self.controller.act(self.parameters[[candidate]], self._memory[[candidate]], view)
         self._memory[candidate, trial] = memory[0, trial]
         if not np.isfinite(raw[0, trial]).all():

@@ -28,7 +28,8 @@ class ContinuousSparse(SparsePolynomial):
         middle = 0.5 * (data.state + data.after)
         rate = (data.after - data.state) / system.dt - system.turning(middle)
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
-        return Regression(self.features_of(system, lags)(carry, data.control), rate, middle)
+        features = self.features_of(system, lags)
+        return Regression(features(carry, data.control), rate, features(data.carry, data.control), data.state)
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         super().adopt(data, coefficients, exponents)

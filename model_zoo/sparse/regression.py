@@ -32,14 +32,15 @@ MOST_TERMS = 250
 
 @dataclass(frozen=True)
 class Regression:
-    """Regressors (N, n), n at least nx, targets (N, nx), and the states (N, nx) that they belong to."""
+    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx)."""
 
     regressors: Array
     targets: Array
+    measured: Array
     states: Array
 
     def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(self.regressors[rows], self.targets[rows], self.states[rows])
+        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows])
 
 
 def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
@@ -154,7 +155,7 @@ class SparsePolynomial(DynamicsModel):
         used = used if len(used) else np.array([0])
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
         self.exponents_ = np.ascontiguousarray(exponents[used])
-        self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)
+        self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings, sizes = self._settings(dataset), dict[Setting, int]()

@@ -14,6 +14,7 @@ from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.scene import Scene
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
@@ -125,6 +126,13 @@ class PointToPoint(Task):
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("PointToPointState", task_state).passed.astype(np.float64)
+
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        """Return the waypoints passed, in order, and the next one."""
+        here = cast("PointToPointState", task_state)
+        passed = int(here.passed[trial])
+        markers = here.waypoints[here.trial[trial], : passed + 1].copy()
+        return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
 
     def kernel(self) -> TaskKernel | None:
         from sysid_evo.engine.kernels.waypoints import waypoints_kernel

@@ -34,6 +34,7 @@ import numba
 
 from sysid_evo.engine.compiled import elementary, lanes
 from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder, write_atomically
 
@@ -110,12 +111,14 @@ class Lifted:
 Source: TypeAlias = KernelSource | Lifted
 
 
-def compile_kernel(source: Source, signature: str, precision: Precision, *, pointer: bool = True) -> Any:
-    """Return ``source`` compiled for ``signature``: text in terms of R (real array), I (int64 array), types.
+def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
+    """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
 
     With ``pointer`` the result can be passed to compiled code as a first-class function; without it,
     it is called from Python and releases the interpreter lock.
     """
+    if isinstance(source, KernelSource):
+        signature.check(_plain(source.function))
     decorator = "@cfunc" if pointer else "@njit"
     options = "" if pointer else ", nogil=True"
     options = f"cache=True, fastmath={FASTMATH}, error_model='numpy'{options}"

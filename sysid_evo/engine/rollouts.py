@@ -106,7 +106,8 @@ def rollout(
         raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
     if engine == "reference":
         return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
-    of_dynamics, of_controller, of_task = dynamics.kernel(), controller.kernel(), task.kernel()
+    of_dynamics, of_task = dynamics.kernel(), task.kernel()
+    of_controller = None if controller.n_noise else controller.kernel()
     if of_controller is not None and of_task is not None:
         if of_dynamics is not None and engine != "mixed":
             from sysid_evo.engine.compiled import run
