@@ -1,3 +1,4 @@
+from .comparison import Experiment, compare, plan_comparison
 from .exploitability import ModelExploitability, assess_exploitability
 from .prediction import Prediction, PredictionProtocol, assess_prediction
 from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_html, to_json
@@ -6,6 +7,7 @@ from .transfer import Cell, TransferMatrix, TransferSummary, run_cell, summarise
 __all__ = [
     "Cell",
     "DataSummary",
+    "Experiment",
     "Failure",
     "ModelExploitability",
     "ModelSummary",
@@ -16,6 +18,8 @@ __all__ = [
     "TransferSummary",
     "assess_exploitability",
     "assess_prediction",
+    "compare",
+    "plan_comparison",
     "run_cell",
     "save_report",
     "summarise",

@@ -12,14 +12,15 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 from sklearn.base import clone
 
-from model_zoo.spread import conformal_scale, unseen_parts
-from model_zoo.standardise import Standard, positive
+from model_zoo.channels.standard import Standard, positive
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.spread import conformal_scale, unseen_parts
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -52,6 +53,7 @@ class GaussianProcess(DynamicsModel):
         "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
         "paper": {"inducing": 400},
     }
+    limits: ClassVar[dict[str, Limit]] = {"inducing": at_least(2)}
 
     def __init__(
         self,
@@ -73,8 +75,6 @@ class GaussianProcess(DynamicsModel):
         return self.system.nx if self.stochastic else 0
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.inducing < 2:
-            raise InvalidArgument(f"gaussian_process: expected at least 2 inducing points, got {self.inducing}")
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         learned, held = time_blocks(dataset)
         searched = len(options) if len(options) > 1 else 0
@@ -84,7 +84,7 @@ class GaussianProcess(DynamicsModel):
             errors = []
             for option in options:
                 trial = self._trial(learned, option, rng, counter)
-                errors.append(simulation_error(trial, validation_windows(held, trial.n_lags)))
+                errors.append(simulation_error(trial, judging_windows(held, trial.n_lags)))
             lags = options[int(np.argmin(errors))]
         if self.state_lags is None:
             self.state_lags_ = lags[0]
@@ -92,9 +92,7 @@ class GaussianProcess(DynamicsModel):
             self.control_lags_ = lags[1]
         self._learn(dataset, rng, counter)
         self.noise_scale_ = np.ones(self.system.nx)
-        cases = [
-            (self._without(seen), validation_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)
-        ]
+        cases = [(self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)]
         self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
         return self
 
@@ -215,7 +213,22 @@ class GaussianProcess(DynamicsModel):
             square = self.noise_[channel] ** 2
             own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
             cross = self._kernel(points, inputs, channel)
-            posterior = cholesky(own + cross @ cross.T / square, lower=True)
+            posterior = factor(own + cross @ cross.T / square)
             self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
-            prior = cho_solve((cholesky(own, lower=True), True), identity)
+            prior = cho_solve((factor(own), True), identity)
             self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
+
+
+def factor(matrix: Array) -> Array:
+    """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
+
+    Data without noise make the covariance singular in double precision: the diagonal then grows by
+    1e-12 of its mean, and tenfold until it is positive definite.
+    """
+    raised, jitter = matrix, 1e-13 * float(np.trace(matrix)) / len(matrix)
+    while True:
+        try:
+            return cholesky(raised, lower=True)
+        except np.linalg.LinAlgError:
+            jitter *= 10.0
+            raised = matrix + jitter * np.eye(len(matrix))

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from model_zoo.car_roles import CarRoles, car_roles, require_car
-from model_zoo.network_rate import NetworkRate
+from model_zoo.car.roles import CarRoles, car_roles, require_car
+from model_zoo.flows.network_rate import NetworkRate
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.registry import register_model
@@ -16,8 +16,8 @@ from sysid_evo.system import System
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from model_zoo.flow import FittedFlow
-    from model_zoo.multistep import Plan, Report
+    from model_zoo.flows.training import FittedFlow
+    from model_zoo.networks.multistep import Plan, Report
     from sysid_evo.engine.kernels import Predictor
 
 INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 3.0, 0.2])
@@ -90,7 +90,7 @@ class HybridOde(NetworkRate):
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
     ) -> FittedFlow:
-        from model_zoo.flow import FittedFlow, train_flow
+        from model_zoo.flows.training import FittedFlow, train_flow
 
         fitted = train_flow(
             dataset,

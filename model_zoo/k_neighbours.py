@@ -10,13 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sklearn.base import clone
 
-from model_zoo.standardise import Standard
+from model_zoo.channels.standard import Standard
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -46,6 +47,7 @@ class KNeighbours(DynamicsModel):
 
     knowledge = "dark grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
+    limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 
     def __init__(
         self,
@@ -63,11 +65,6 @@ class KNeighbours(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if (self.neighbours is not None and self.neighbours < 1) or self.control_weight <= 0:
-            raise InvalidArgument(
-                f"k_neighbours: expected neighbours >= 1 and control_weight > 0, "
-                f"got {self.neighbours}, {self.control_weight}"
-            )
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
         settings = [(count, pair) for pair in lags for count in counts]
@@ -82,7 +79,7 @@ class KNeighbours(DynamicsModel):
                 error = 0.0
                 for learned, held in folds:
                     trial.fit(learned, rng=rng)
-                    windows = validation_windows(held, trial.n_lags, stride=8)
+                    windows = judging_windows(held, trial.n_lags, stride=8)
                     error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
                     counter.advance()
                 errors.append(error)
@@ -97,7 +94,7 @@ class KNeighbours(DynamicsModel):
         nx, nu = dataset.system.nx, dataset.system.nu
         weight = np.full(len(scale), 0.5)
         weight[:nx] = 1.0
-        weight[-nu:] = self.control_weight
+        weight[len(weight) - nu :] = self.control_weight
         self.metric_ = weight / scale
         self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
         self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)

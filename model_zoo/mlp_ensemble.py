@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.mirror import Mirror
-from model_zoo.network import Network
-from model_zoo.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
-from model_zoo.validation import lag_candidates, time_blocks, validation_windows
+from model_zoo.channels.mirror import Mirror
+from model_zoo.networks.network import Network
+from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument, MissingExtra
+from sysid_evo.free_run import judging_windows
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
@@ -59,6 +60,12 @@ class MlpEnsemble(DynamicsModel):
         },
         "paper": {"members": 10, "one_step_updates": 8000, "updates": 2000},
     }
+    requires = ("torch",)
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("members", "hidden", "one_step_updates", "updates", "horizon")},
+        "input_noise": at_least(0),
+        "folds": at_least(2),
+    }
 
     def __init__(
         self,
@@ -90,15 +97,9 @@ class MlpEnsemble(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        try:
-            from model_zoo.lagged_members import Trained, train_members
-            from model_zoo.multistep import Plan
-        except ImportError as error:
-            raise MissingExtra("mlp_ensemble is trained with torch: pip install 'sysid-evo[neural]'") from error
-        if min(self.members, self.updates, self.one_step_updates, self.horizon) < 1 or self.folds < 2:
-            raise InvalidArgument(
-                "mlp_ensemble: expected members, updates, one_step_updates, horizon >= 1 and folds >= 2"
-            )
+        from model_zoo.networks.members import Trained, train_members
+        from model_zoo.networks.multistep import Plan
+
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         search = Plan(
             min(SEARCH_UPDATES[0], self.one_step_updates),
@@ -195,7 +196,7 @@ class MlpEnsemble(DynamicsModel):
         together = self._deterministic(self.network)
         for member in range(self.members):
             still()
-            windows = validation_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
+            windows = judging_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
             own = slice(member, member + 1)
             alone = self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
             history = windows.past_states, windows.past_controls, windows.controls

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from sklearn.base import clone
 
-from model_zoo.polynomial import equation, evaluate, lagged_names, monomials
+from model_zoo.sparse.polynomial import equation, evaluate, lagged_names, monomials
 from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -37,6 +38,7 @@ class Narx(DynamicsModel):
 
     knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
+    limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
     def __init__(
         self,
@@ -54,8 +56,6 @@ class Narx(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.degree < 1 or (self.terms is not None and self.terms < 1):
-            raise InvalidArgument(f"narx: expected degree and terms >= 1, got {self.degree}, {self.terms}")
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
         counts = COUNTS if self.terms is None else (self.terms,)
         chosen = (counts[0], pairs[0])
@@ -67,7 +67,7 @@ class Narx(DynamicsModel):
             for lags in pairs:
                 errors = np.zeros(len(counts))
                 for learned, held in folds:
-                    windows = validation_windows(held, max(lags))
+                    windows = judging_windows(held, max(lags))
                     order = self._selection(learned, lags, max(counts))
                     for index, count in enumerate(counts):
                         trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])

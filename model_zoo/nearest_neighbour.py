@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from model_zoo.command_cells import CommandCells
+from model_zoo.channels.command_cells import CommandCells
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -31,6 +32,7 @@ class NearestNeighbour(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
     def __init__(self, *, levels: int = 3, state_lags: int = 0, control_lags: int = 0, rest_hold: bool = False) -> None:
         self.levels = levels

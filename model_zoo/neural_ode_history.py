@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from model_zoo.network_rate import NetworkRate
+from model_zoo.flows.network_rate import NetworkRate
 from sysid_evo.data import Dataset
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
-    from model_zoo.flow import FittedFlow
-    from model_zoo.multistep import Plan, Report
+    from model_zoo.flows.training import FittedFlow
+    from model_zoo.networks.multistep import Plan, Report
 
 
 @register_model("neural_ode_history")
@@ -62,6 +62,6 @@ class NeuralOdeHistory(NetworkRate):
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
     ) -> FittedFlow:
-        from model_zoo.flow import train_flow
+        from model_zoo.flows.training import train_flow
 
         return train_flow(dataset, lags, hidden=tuple(self.hidden or (32, 32)), plan=plan, rng=rng, report=report)

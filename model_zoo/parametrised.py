@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.car_roles import CarRoles, car_roles, require_car
+from model_zoo.car.roles import CarRoles, car_roles, require_car
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.evolution.identification import Weights
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -46,14 +48,19 @@ class Parametrised(DynamicsModel):
     A speed below its minimum without a command is zero; speeds are clipped to their maxima; the
     lateral speed is zero (Equation 1, read by its intent). The twelve parameters are encoded in
     units of the data's own scale and evolved with ``generations`` of a 50+50 strategy on the error
-    after ``horizon`` steps from ``windows`` random starts.
+    after ``horizon`` steps from ``windows`` random starts, every state divided by its standard deviation;
+    in the states' own units with ``weights="paper"``, the preset of that name.
 
     ``drive`` and ``steer`` name the controls with these roles. With ``control_lags`` the equation is
     driven by the command of that many samples ago, a dead time (none in the paper).
     """
 
     knowledge = "grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 300}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"generations": 300},
+        "paper": {"weights": "paper"},
+    }
+    limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
     def __init__(
         self,
@@ -61,6 +68,7 @@ class Parametrised(DynamicsModel):
         generations: int = 1000,
         windows: int = 100,
         horizon: int = 10,
+        weights: Weights = "spread",
         drive: str = "drive",
         steer: str = "steer",
         control_lags: int = 0,
@@ -69,6 +77,7 @@ class Parametrised(DynamicsModel):
         self.generations = generations
         self.windows = windows
         self.horizon = horizon
+        self.weights = weights
         self.drive = drive
         self.steer = steer
         self.control_lags = control_lags
@@ -79,7 +88,9 @@ class Parametrised(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
-        search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
+        search = ModelEvolution(
+            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+        )
         best = search.run(
             lambda population, carry, control: self._advance(np.abs(population) * scale, carry, control),
             dataset,

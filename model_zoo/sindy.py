@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from model_zoo.sparse_flow import ContinuousSparse
+from model_zoo.sparse.flow import ContinuousSparse
 from sysid_evo.registry import register_model
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from model_zoo.sparse_regression import Regression, SparsePolynomial
+from model_zoo.sparse.regression import Regression, SparsePolynomial
 from model_zoo.stepwise import lagged_steps
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset

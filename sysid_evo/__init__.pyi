@@ -1,4 +1,5 @@
 from .controllers import Controller, RecurrentNetwork, View
+from .cross_validation import EpisodeFold
 from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
@@ -48,6 +49,7 @@ __all__ = [
     "Dynamics",
     "DynamicsModel",
     "DynamicsRunner",
+    "EpisodeFold",
     "EvolutionStrategy",
     "Motion",
     "MuPlusLambda",

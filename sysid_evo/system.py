@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -27,9 +27,10 @@ class Channel:
     """One state or control: its name, unit, limits, discrete levels, neutral value and period.
 
     ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
-    continuous. ``neutral`` is the value at rest (a state) or without a command (a control).
-    ``period`` makes a state come round again, 2 pi for an angle in rad: values that differ by whole
-    periods are the same one, and there are no limits. None for all others.
+    continuous. ``neutral`` is the value at rest (a state) or without a command (a control): by
+    default 0, or the limit nearest to it. ``period`` makes a state come round again, 2 pi for an
+    angle in rad: values that differ by whole periods are the same one, and there are no limits.
+    None for all others.
     """
 
     name: str
@@ -37,7 +38,7 @@ class Channel:
     low: float = -np.inf
     high: float = np.inf
     levels: tuple[float, ...] | None = None
-    neutral: float = 0.0
+    neutral: float = np.nan
     period: float | None = None
 
     def __post_init__(self) -> None:
@@ -59,6 +60,8 @@ class Channel:
                 raise InvalidSystem(f"channel {self.name!r}: levels {levels} lie outside [{self.low}, {self.high}]")
         if not self.low < self.high:
             raise InvalidSystem(f"channel {self.name!r}: expected low < high, got [{self.low}, {self.high}]")
+        if np.isnan(self.neutral):
+            object.__setattr__(self, "neutral", float(min(max(0.0, self.low), self.high)))
         if not (np.isfinite(self.neutral) and self.low <= self.neutral <= self.high):
             raise InvalidSystem(
                 f"channel {self.name!r}: expected a neutral value within [{self.low}, {self.high}], got {self.neutral}"
@@ -70,7 +73,7 @@ class Channel:
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the channel as strict JSON (an absent limit is null)."""
+        """Return the channel as strict JSON (an absent limit is null, without a period there is no such key)."""
         return {
             "name": self.name,
             "unit": self.unit,
@@ -78,7 +81,7 @@ class Channel:
             "high": self.high if np.isfinite(self.high) else None,
             "levels": None if self.levels is None else list(self.levels),
             "neutral": self.neutral,
-            "period": self.period,
+            **({} if self.period is None else {"period": self.period}),
         }
 
     @classmethod
@@ -97,7 +100,10 @@ class Channel:
 
 @dataclass(frozen=True)
 class System:
-    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose."""
+    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose.
+
+    A name in place of a `Channel` is a channel without unit and limits.
+    """
 
     states: tuple[Channel, ...]
     controls: tuple[Channel, ...]
@@ -106,8 +112,8 @@ class System:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "states", tuple(self.states))
-        object.__setattr__(self, "controls", tuple(self.controls))
+        object.__setattr__(self, "states", _channels("states", self.states))
+        object.__setattr__(self, "controls", _channels("controls", self.controls))
         if not self.states:
             raise InvalidSystem("system: expected at least one state channel, got none")
         names = [channel.name for channel in (*self.states, *self.controls)]
@@ -251,6 +257,32 @@ class System:
             return state + acceleration * self.dt
         return self.motion.integrate(state, acceleration, self.dt, self.state_names)
 
+    def differences(self, other: System) -> tuple[str, ...]:
+        """Return in what ``other`` is another system for a controller, in words; empty if it is the same.
+
+        Names, units and order of the channels count, legal controls, the sampling time and the motion.
+        Limits of states do not: they are what a recording happened to show.
+        """
+        found = []
+        for what, mine, theirs in (
+            ("states", self.states, other.states),
+            ("controls", self.controls, other.controls),
+        ):
+            names = [", ".join(map(_described, side)) for side in (mine, theirs)]
+            if names[0] != names[1]:
+                found.append(f"{what} {names[0] or 'none'} against {names[1] or 'none'}")
+        if len(self.controls) == len(other.controls):
+            for own, its in zip(self.controls, other.controls, strict=True):
+                legal = [(c.low, c.high, c.levels, c.neutral) for c in (own, its)]
+                if own.name == its.name and legal[0] != legal[1]:
+                    found.append(f"legal values of {own.name}: {_legal(own)} against {_legal(its)}")
+        if not np.isclose(self.dt, other.dt, rtol=1e-9, atol=0.0):
+            found.append(f"{1 / self.dt:g} Hz against {1 / other.dt:g} Hz")
+        if self.motion != other.motion:
+            kinds = ["none" if s.motion is None else str(s.motion.to_dict()) for s in (self, other)]
+            found.append(f"motion {kinds[0]} against {kinds[1]}")
+        return tuple(found)
+
     def turning(self, state: Array) -> Array:
         """Return w(x) (..., nx): how the motion's turning frame changes the state, per second; zero without one."""
         if self.motion is None:
@@ -294,6 +326,25 @@ class System:
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def _described(channel: Channel) -> str:
+    parts = [*([channel.unit] if channel.unit else []), *([f"period {channel.period:g}"] if channel.period else [])]
+    return f"{channel.name} ({', '.join(parts)})" if parts else channel.name
+
+
+def _legal(channel: Channel) -> str:
+    return str(list(channel.levels)) if channel.levels else f"[{channel.low:g}, {channel.high:g}]"
+
+
+def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
+    """Return ``given`` with every name made a channel; one name alone is one channel."""
+    listed = [given] if isinstance(given, (str, Channel)) else list(given)
+    channels = [Channel(entry) if isinstance(entry, str) else entry for entry in listed]
+    for channel in channels:
+        if not isinstance(channel, Channel):
+            raise InvalidSystem(f"system: expected Channel(...) or names as {what}, got {type(channel).__name__}")
+    return tuple(channels)
 
 
 @cache

@@ -42,7 +42,7 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel("horizon (s)")
-    ax.set_ylabel("N = RMSE / std, mean over channels")
+    ax.set_ylabel("N (standard deviations)")
     if drawn:
         values = np.concatenate(drawn)
         ax.set_ylim(max(FLOOR, 0.8 * values.min()), 1.25 * values.max())

@@ -52,12 +52,17 @@ def assess_prediction(
 def assess_model(
     name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
 ) -> ModelPrediction:
-    """Measure one model; whatever it raises becomes the reason of a failed row."""
+    """Measure one model, see `score_model`; whatever it raises becomes the reason of a failed row."""
     family = family or type(model).__name__
     try:
-        forecasts = forecast(model, cases)
+        return score_model(name, model, cases, family=family)
     except Exception as error:  # a plugin may fail in any way; the other rows must go on
         return ModelPrediction(name, family, reason=f"{type(error).__name__}: {error}")
+
+
+def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
+    """Simulate the measured cases with one model and condense the errors."""
+    forecasts = forecast(model, cases)
     notes = []
     if model.n_lags > cases.protocol.history:
         notes.append(

@@ -134,16 +134,17 @@ def transfer_seeds(seed: int, trials: int) -> Seeds:
 
 
 def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
-    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept.
-
-    Whatever is raised becomes the reason of a failed cell.
-    """
+    """Run ``champion``, see `run_on`; whatever is raised becomes the reason of a failed cell."""
     try:
-        controller = make_controller(champion.controller, **champion.controller_parameters)
-        task = make_task(champion.task, **champion.task_parameters)
-        rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
+        return run_on(champion, column, runner, seeds, traces=traces)
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
         return Cell(champion.name, column, reason=f"{type(error).__name__}: {error}")
+
+
+def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
+    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
+    controller, task = make_controller(champion.controller), make_task(champion.task)
+    rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
     return cell_of(champion, column, rollouts, task, traces=traces)
 
 

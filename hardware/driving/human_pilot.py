@@ -106,9 +106,7 @@ class HumanPilot(Pilot):
             self._state, _ = self._task.advance(
                 self._state, tape.states[-1][None], estimate.state[None], pose=pose[None]
             )
-        tape.ticks.append(step)
-        tape.states.append(estimate.state)
-        tape.poses.append(pose)
+        tape.note(step, estimate.state, pose)
         if step >= self._task.horizon or not self._state.alive[0]:
             self.progress = self._progress(Phase.FINISHED)
             return None

@@ -52,6 +52,12 @@ class Tape:
     poses: list[Array] = field(default_factory=list)
     controls: list[Array] = field(default_factory=list)
 
+    def note(self, tick: int, state: Array, pose: Array) -> None:
+        """Write down where the robot is at ``tick``; the control that is decided on then goes to ``controls``."""
+        self.ticks.append(tick)
+        self.states.append(state)
+        self.poses.append(pose)
+
     def trajectory(self, dt: float, name: str) -> Trajectory:
         """Return the trial at every sample; at a missing one states lie on the line between, and the control stays."""
         grid = np.arange(self.ticks[-1] + 1)
@@ -69,8 +75,8 @@ class TrialSeries(Pilot):
     """Lets every candidate (P, n_parameters) drive a trial of every seed (E,), all candidates before the next seed.
 
     Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
-    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. A
-    controller's output that is not a number becomes a control that is not one, which ends the run.
+    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
+    controller's output is not a number, neither is the control, and the loop ends the run.
     """
 
     def __init__(
@@ -141,9 +147,7 @@ class TrialSeries(Pilot):
             moved, _ = task.advance(here, before, np.tile(state, (len(only), 1)), pose=np.tile(pose, (len(only), 1)))
             here = here.keep(moved, only)
         self._states[candidate] = here
-        tape.ticks.append(step)
-        tape.states.append(state)
-        tape.poses.append(pose)
+        tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
             return None
         states = np.where(only[:, None], state, self.system.neutral_state)

@@ -2,7 +2,7 @@
 
 from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion
-from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller
+from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, evolve
@@ -25,4 +25,5 @@ __all__ = [
     "StrategyState",
     "evolve",
     "evolve_controller",
+    "observed_late",
 ]

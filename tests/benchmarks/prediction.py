@@ -33,7 +33,7 @@ from evaluation.prediction import (
 )
 from evaluation.prediction.bootstrap import interval
 from hardware.recording.scripted import record_dataset
-from model_zoo.spread import coverage
+from model_zoo.validation.spread import coverage
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel

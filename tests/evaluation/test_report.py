@@ -90,6 +90,12 @@ def test_two_equal_runs_give_the_same_files(tmp_path: Path) -> None:
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
+def test_the_page_leaves_out_times_too_short_to_matter(report: Report) -> None:
+    page = to_html(replace(report, timings={"fit linear": 0.051, "run linear on car": 0.049}))
+    assert "fit linear" in page
+    assert "run linear on car" not in page
+
+
 def test_timings_stand_under_one_key_alone(report: Report) -> None:
     one, two = to_json(report), to_json(replace(report, timings={"all": 99.0}))
     assert one.pop("timings") != two.pop("timings")
@@ -208,7 +214,7 @@ def test_nothing_but_names_and_failures_is_still_a_page(report: Report) -> None:
         report, prediction=None, matrix=None, exploitability=(), models=(), settings={}, versions={}, timings={}
     )
     assert "Nothing was compared" in to_html(empty)
-    assert to_json(empty)["verdict"] == []
+    assert to_json(empty)["verdict"] == [{"question": "What was found?", "answers": ["Nothing was compared."]}]
 
 
 def test_clipping_is_shown_beside_the_score() -> None:

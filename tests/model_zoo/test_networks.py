@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from model_zoo.backprop27 import Backprop27
+from model_zoo.channels.mirror import Mirror
+from model_zoo.flows.runge_kutta import rk4
 from model_zoo.hybrid_ode import HybridOde
-from model_zoo.mirror import Mirror
 from model_zoo.mlp_ensemble import MlpEnsemble
-from model_zoo.multistep import as_network, as_tensors, forward_pass
-from model_zoo.network import random_network
-from model_zoo.runge_kutta import rk4
+from model_zoo.networks.multistep import as_network, as_tensors, forward_pass
+from model_zoo.networks.network import random_network
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.motion.torch_form import torch_motion

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from model_zoo.narx import Narx
-from model_zoo.polynomial import evaluate, monomials
 from model_zoo.sindy import Sindy
 from model_zoo.sindy_bagged import SindyBagged
 from model_zoo.sindy_discrete import SindyDiscrete
-from model_zoo.sparse_regression import Regression, root_mean_square, sparse_coefficients
+from model_zoo.sparse.polynomial import evaluate, monomials
+from model_zoo.sparse.regression import Regression, root_mean_square, sparse_coefficients
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System

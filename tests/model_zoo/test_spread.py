@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from model_zoo.spread import (
+from model_zoo.validation.spread import (
     conformal_scale,
     coverage,
     growth_on_unseen_recordings,

@@ -16,7 +16,7 @@ from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import Aggregate, ControllerEvolution, EnsembleObjective, evolve_controller
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import aggregates, make_model
+from sysid_evo.registry import Spec, aggregates, make_model
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -143,9 +143,9 @@ SETTINGS = ControllerEvolution(
     generations=25,
     trials=5,
     selection_trials=10,
-    controller_parameters={"hidden": 3},
-    task_parameters={"horizon": 120, "waypoint_radius": 0.4},
-    strategy_parameters={"parents": 15, "children": 15, "sigma": 0.3},
+    controller=Spec.parse("recurrent(hidden=3)"),
+    task=Spec.parse("point_to_point(horizon=120, waypoint_radius=0.4)"),
+    strategy=Spec.parse("mu_plus_lambda(parents=15, children=15, sigma=0.3)"),
 )
 
 
@@ -179,9 +179,9 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
         runs=2,
         aggregate="mean",
         selection_trials=3,
-        controller_parameters={"hidden": 2},
-        task_parameters={"horizon": 15},
-        strategy_parameters={"parents": 4, "children": 4},
+        controller=Spec.parse("recurrent(hidden=2)"),
+        task=Spec.parse("point_to_point(horizon=15)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=4, children=4)"),
     )
     champion = evolve_controller(
         "both", runners, recording.system, settings, seed=3, progress=lambda done, total: told.append((done, total))
@@ -192,8 +192,9 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
     assert champion.parameters.shape == (2 * (5 + 2 + 2),)
     assert champion.history.shape == (3, 3)
     assert (np.diff(champion.history, axis=1) <= 0).all()  # best, mean, worst
-    assert champion.controller_parameters == {"hidden": 2}
-    assert champion.task_parameters == {"horizon": 15}
+    assert champion.controller == Spec("recurrent", {"hidden": 2})
+    assert champion.task == Spec("point_to_point", {"horizon": 15})
+    assert champion.system == recording.system
     assert told == [(i, 6) for i in range(1, 7)]
 
 
@@ -202,8 +203,8 @@ def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner]
         generations=3,
         trials=2,
         selection_trials=3,
-        task_parameters={"horizon": 15},
-        strategy_parameters={"parents": 4, "children": 4},
+        task=Spec.parse("point_to_point(horizon=15)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=4, children=4)"),
     )
     first, again, other = (evolve_controller("c", runners, recording.system, settings, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.parameters, again.parameters)
@@ -219,8 +220,8 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
         trials=2,
         runs=3,
         selection_trials=10,
-        task_parameters={"horizon": 80, "waypoint_radius": 0.5},
-        strategy_parameters={"parents": 5, "children": 5, "spread": 1.0},
+        task=Spec.parse("point_to_point(horizon=80, waypoint_radius=0.5)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=5, children=5, spread=1.0)"),
     )
     best_runs = set()
     for seed in (3, 4, 5, 8):
@@ -242,7 +243,9 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
 def test_an_estimator_delay_is_met_on_every_model_and_remembered(
     runners: dict[str, DynamicsRunner], recording: Dataset
 ) -> None:
-    settings = ControllerEvolution(generations=15, trials=2, selection_trials=2, task_parameters={"horizon": 300})
+    settings = ControllerEvolution(
+        generations=15, trials=2, selection_trials=2, task=Spec.parse("point_to_point(horizon=300)")
+    )
     late = {name: replace(runner, dynamics=DelayedEstimate(runner.dynamics, 0.1)) for name, runner in runners.items()}
     wrapped = evolve_controller("c", late, recording.system, settings, seed=1)
     asked = evolve_controller("c", runners, recording.system, replace(settings, estimator_delay=0.1), seed=1)

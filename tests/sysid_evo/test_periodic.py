@@ -108,8 +108,9 @@ def test_regressors_are_the_same_after_a_whole_turn() -> None:
 def test_a_period_is_stored_and_older_systems_without_one_are_read() -> None:
     assert System.from_dict(PENDULUM.to_dict()) == PENDULUM
     old = PENDULUM.to_dict()
-    for channel in (*old["states"], *old["controls"]):
-        del channel["period"]
+    assert [channel.get("period") for channel in (*old["states"], *old["controls"])] == [TURN, None, None]
+    assert "period" not in old["controls"][0]
+    del old["states"][0]["period"]
     assert not System.from_dict(old).periods
 
 

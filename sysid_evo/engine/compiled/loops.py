@@ -198,12 +198,12 @@ def restore(carry, n_carry, task, n_task, kept, dead):
 
 def open_loop(
     dynamics, sizes, parameters_of, start, controls, truth, first, last,
-    carry, control, noise, parameters, scratch, error,
+    weight, carry, control, noise, parameters, scratch, error,
 ):  # fmt: skip
     """Simulate every window under recorded controls for candidates ``first`` to ``last``.
 
     ``error`` of a candidate is the mean over windows and states of the square difference
-    after the last step; not a number where a simulation diverged.
+    after the last step times the state's ``weight``; not a number where a simulation diverged.
     """
     windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
     nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
@@ -226,7 +226,7 @@ def open_loop(
             for row in range(nx):
                 for lane in range(used):
                     off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
-                    total += off * off
+                    total += off * off * weight[row]
         error[candidate] = total / float(windows * nx)
 
 

@@ -27,6 +27,7 @@ def final_errors(
     start: Array,
     controls: Array,
     truth: Array,
+    weight: Array | None = None,
     *,
     precision: Precision = "float32",
     threads: int = 1,
@@ -35,12 +36,15 @@ def final_errors(
 
     ``source`` is a dynamics kernel that needs ``n_scratch`` rows; ``parameters`` (P, m) are its flat
     parameters for every candidate; ``start`` (W, n_carry), ``controls`` (W, H, nu), ``truth``
-    (W, nx) at the end.
+    (W, nx) at the end; the square of state i counts ``weight[i]`` times (nx,), once by default.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (windows, None))
     truth = check_shape("truth", truth, (windows, None))
     real = np.dtype(precision)
+    weights = aligned(
+        np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:]), real
+    )
 
     sizes = loops.OPEN.integers(
         windows=windows,
@@ -52,7 +56,7 @@ def final_errors(
     )
     error = np.zeros(len(parameters), real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth}
-    shared = {name: aligned(array, real) for name, array in given.items()}
+    shared = {name: aligned(array, real) for name, array in given.items()} | {"weight": weights}
     kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
     room = {"carry": start.shape[1], "control": nu, "noise": 1, "scratch": n_scratch}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_car import CarPhysics
 from hardware.emulation.emulated_robot import EmulatedRobot
 from hardware.loop.report import Reason
 from hardware.loop.stops import Stops

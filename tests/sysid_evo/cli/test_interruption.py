@@ -22,6 +22,7 @@ class Interrupted(DynamicsModel):
         self.half_ = np.zeros(3)
         progress(1, 2)
         if not Path("second").exists():
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
             signal.raise_signal(signal.SIGINT)
         return self
 
