@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
-from sysid_evo.registry import Registry, load_plugin, make_robot, models, robots
+from sysid_evo.registry import Registry, load_plugin, make_robot, models, robots, source_digest
 
 GROUP = "sysid_evo.test_things"
 
@@ -230,7 +230,7 @@ def test_a_robot_may_be_named_with_a_seed(register: Callable[..., Any]) -> None:
     assert make_robot("made_up") == ("robot", None)
     assert make_robot("made_up:17") == ("robot", 17)
     for spec in ("made_up:", "made_up:x", "made_up:-1", "made_up:1.5", "made_up:²"):
-        with pytest.raises(UnknownName, match="expected name or name:SEED with a whole number"):
+        with pytest.raises(InvalidArgument, match=r"expected NAME\(parameter=value, ...\)"):
             make_robot(spec)
     with pytest.raises(UnknownName, match=r"no robot is called 'made_down'\. Did you mean 'made_up'"):
         make_robot("made_down:3")
@@ -249,7 +249,7 @@ def test_a_robot_may_be_described_by_a_file(register: Callable[..., Any], tmp_pa
         (None, "no such file"),
         ("driver = ", "is not TOML"),
         ("port = 1", "expected driver"),
-        ('driver = "made_up"\ncolour = 1', "unexpected keyword argument 'colour'"),
+        ('driver = "made_up"\ncolour = 1', "has no parameter 'colour'"),
     ],
 )
 def test_a_robot_file_that_cannot_be_used_says_why(
@@ -270,3 +270,102 @@ def test_everything_this_repository_registers_can_be_loaded() -> None:
         warnings.simplefilter("error")
         for kind in (registry.models, registry.tasks, registry.controllers, registry.strategies):
             assert [name for name, _ in kind.load_all()] == list(kind.names())
+
+
+class Box:
+    """A thing with parameters, of which the seed is handed over by whoever runs it."""
+
+    def __init__(self, *, size: int = 1, colour: str, seed: int) -> None:
+        self.size, self.colour, self.seed = size, colour, seed
+
+
+@pytest.fixture
+def boxes() -> Registry[Box]:
+    registry: Registry[Box] = Registry("thing", GROUP, given=frozenset({"seed"}))
+    registry.register("box")(Box)
+    return registry
+
+
+def test_a_thing_is_made_from_the_text_of_its_spec(boxes: Registry[Box]) -> None:
+    box = boxes.make("mine=box(size=3, colour=red)", seed=7)
+    assert (box.size, box.colour, box.seed) == (3, "red", 7)
+
+
+def test_a_wrong_parameter_names_the_right_ones(boxes: Registry[Box]) -> None:
+    with pytest.raises(InvalidArgument, match=r"thing 'box' has no parameter 'sise'\. Did you mean 'size'\? It takes"):
+        boxes.check("box(sise=3)")
+    with pytest.raises(InvalidArgument, match=r"It takes size \(1\), colour\.$"):
+        boxes.check("box(weight=3)")
+
+
+def test_a_parameter_that_is_lacking_is_named_and_one_that_is_handed_over_is_not(boxes: Registry[Box]) -> None:
+    with pytest.raises(InvalidArgument, match=r"thing 'box' needs colour: box\(colour=\.\.\.\)"):
+        boxes.check("box(size=3)")
+    assert boxes.check("box(colour=red)").parameters == {"colour": "red"}
+
+
+def test_a_factory_that_takes_any_parameter_is_not_second_guessed() -> None:
+    things: Registry[Any] = Registry("thing", GROUP)
+    things.register("any")(lambda **parameters: parameters)
+    assert things.make("any(a=1)") == {"a": 1}
+
+
+def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(distributions: Distributions) -> None:
+    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
+    with pytest.raises(RegistrationError, match=r"'good' is registered twice: by good_module and by .*Other"):
+
+        @distributions.registry.register("good")
+        class Other:
+            pass
+
+    assert distributions.registry.get("good").__module__ == "good_module"
+
+
+def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are_named(
+    tmp_path: Path, plugin_modules: None
+) -> None:
+    path = tmp_path / "my_linear.py"
+    path.write_text("from sysid_evo.registry import models\n@models.register('linear')\nclass Mine:\n    pass\n")
+    with pytest.raises(
+        RegistrationError, match=r"my_linear\.py: model 'linear' .*by model_zoo\.linear.* and by .*my_linear\.Mine"
+    ):
+        load_plugin(path)
+
+
+def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(distributions: Distributions) -> None:
+    requires = 'Requires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
+    late = GOOD.replace("class Good:\n", "class Good:\n    requires = ('{}',)\n")
+    distributions.install(
+        "made-up",
+        {"good": "good_module"},
+        {"good_module": late.format("no_such_package"), "other_module": late.format("json").replace("good", "other")},
+        requires,
+    )
+    registry = distributions.registry
+    error = registry.lacking("good")
+    assert error is not None
+    assert 'pip install "made-up[deep]"' in str(error)
+    registry.register("here")(type("Here", (), {"requires": ("json",)}))
+    assert registry.lacking("here") is None
+
+
+def test_the_module_behind_a_name_is_known_without_importing_it(distributions: Distributions) -> None:
+    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
+    assert distributions.registry.module("good") == "good_module"
+    assert "good_module" not in sys.modules
+
+
+def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(
+    tmp_path: Path, plugin_modules: None, forget_robots: None
+) -> None:
+    digests = []
+    for folder, text in (("a", PLUGIN), ("b", PLUGIN), ("c", PLUGIN + "# more\n")):
+        path = tmp_path / folder / "crawler.py"
+        path.parent.mkdir()
+        path.write_text(text.format(name="crawler"))
+        load_plugin(path)
+        digests.append(source_digest(robots.get("crawler")))
+        del robots._entries["crawler"], sys.modules["sysid_evo_plugin_crawler"]
+    assert digests[0] == digests[1] != digests[2]
+    assert len(digests[0]) == 64
+    assert source_digest(models.get("linear")) == ""

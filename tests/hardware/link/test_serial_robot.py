@@ -163,7 +163,7 @@ def test_wrong_descriptions_of_a_robot_are_refused():
     with pytest.raises(InvalidArgument, match=r'driver = "NAME"'):
         SerialRobot(tracker={"port": 1})
     with pytest.raises(UnknownName, match="tracker"):
-        SerialRobot(tracker={"driver": "no such tracker"})
+        SerialRobot(tracker={"driver": "no_such_tracker"})
     with pytest.raises(InvalidArgument, match="patience"):
         SerialRobot(patience=0.0)
 

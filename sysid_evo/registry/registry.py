@@ -1,0 +1,239 @@
+"""One small class that finds things by name, whether this repository or a plugin brings them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import inspect
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+
+from packaging.requirements import Requirement
+
+from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.registry.spec import Spec
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Registry(Generic[T]):
+    """Names of one kind of thing, from decorators and from the entry points of one group.
+
+    An entry point names a module; importing it runs the decorator. Modules are imported only when
+    one of their names is asked for. ``given`` are the parameters that whoever runs a thing hands
+    over, so that nobody writes them in a spec.
+    """
+
+    def __init__(self, kind: str, group: str, *, given: frozenset[str] = frozenset()) -> None:
+        self.kind = kind
+        self.group = group
+        self.given = given
+        self._entries: dict[str, Callable[..., T]] = {}
+
+    def register(self, name: str) -> Callable[[F], F]:
+        """Return a decorator that files a class or a factory under ``name``.
+
+        Raises `RegistrationError` if somebody else has that name, naming both modules.
+        """
+
+        def decorate(factory: F) -> F:
+            known = self._entries.get(name)
+            if known is not None and _identity(known) != _identity(factory):
+                raise RegistrationError(
+                    f"{self.kind} {name!r} is registered twice: by {_identity(known)} and by {_identity(factory)}. "
+                    "Give one of them another name"
+                )
+            owners = [point.value for point in self._points(name) if point.value != factory.__module__]
+            if owners:
+                raise RegistrationError(
+                    f"{self.kind} {name!r} is registered twice: by {owners[0]} and by {_identity(factory)}. "
+                    "Give the second another name"
+                )
+            self._entries[name] = factory
+            return factory
+
+        return decorate
+
+    def names(self) -> tuple[str, ...]:
+        """Return every known name, sorted; nothing is imported."""
+        return tuple(sorted({*self._entries, *(point.name for point in self._points())}))
+
+    @property
+    def loaded(self) -> Mapping[str, Callable[..., T]]:
+        """The names whose module has been imported, with their classes or factories."""
+        return MappingProxyType(self._entries)
+
+    def module(self, name: str) -> str:
+        """Return the module that brings ``name``; nothing is imported. Raises `UnknownName`."""
+        if name in self._entries:
+            return self._entries[name].__module__
+        return self._point(name).value
+
+    def get(self, name: str) -> Callable[..., T]:
+        """Return the class or factory called ``name``, importing its module if need be.
+
+        Raises `UnknownName`, `PluginError` (its module is broken), `MissingExtra` (an optional
+        package is not installed) or `RegistrationError` (the module registers another name).
+        """
+        if name not in self._entries:
+            point = self._point(name)
+            _load(point, self.kind)
+            if name not in self._entries:
+                came = sorted(entry for entry, thing in self._entries.items() if thing.__module__ == point.module)
+                raise RegistrationError(
+                    f"entry point {self.group}: {name} = {point.value!r} should register {name!r}, "
+                    f"but the module registers {', '.join(map(repr, came)) or 'nothing'}. "
+                    "Use the same name in the decorator and in the entry point."
+                )
+        return self._entries[name]
+
+    def make(self, spec: str | Spec, /, **parameters: Any) -> T:
+        """Return a new instance of what ``spec`` names, built with its parameters and these.
+
+        Raises what `get` and `check` raise, and what the constructor does with its values.
+        """
+        found = self.check(spec, **parameters)
+        return self.get(found.name)(**found.parameters)
+
+    def check(self, spec: str | Spec, /, **parameters: Any) -> Spec:
+        """Return the whole spec if its name is known and its parameters are those of the constructor.
+
+        Raises `UnknownName`, or `InvalidArgument` that names the right parameters.
+        """
+        found = Spec.parse(spec) if isinstance(spec, str) else spec
+        found = Spec(found.name, {**found.parameters, **parameters}, found.label)
+        factory = self.get(found.name)
+        known = self.parameters(found.name)
+        for name in found.parameters:
+            if name not in known and None not in known:
+                raise InvalidArgument(self._no_parameter(found.name, name, known))
+        signature = _signature(factory)
+        needed = [
+            name
+            for name, parameter in signature.items()
+            if parameter.default is parameter.empty and parameter.kind not in _VARIABLE
+        ]
+        lacking = [name for name in needed if name not in found.parameters and name not in self.given]
+        if lacking:
+            raise InvalidArgument(
+                f"{self.kind} {found.name!r} needs {', '.join(lacking)}: {found.name}({lacking[0]}=...)"
+            )
+        return found
+
+    def parameters(self, name: str) -> Mapping[str | None, Any]:
+        """Return the parameters that a spec of ``name`` may set, with their defaults (None: any name)."""
+        found: dict[str | None, Any] = {}
+        for parameter in _signature(self.get(name)).values():
+            if parameter.kind is parameter.VAR_KEYWORD:
+                found[None] = None
+            elif parameter.kind is not parameter.VAR_POSITIONAL:
+                found[parameter.name] = parameter.default
+        return found
+
+    def lacking(self, name: str) -> MissingExtra | None:
+        """Return why ``name`` cannot run here for want of an optional package; None if it can.
+
+        A class names what it imports late in ``requires``. Raises what `get` raises for other reasons.
+        """
+        try:
+            factory = self.get(name)
+        except MissingExtra as error:
+            return error
+        points = self._points(name)
+        for module in getattr(factory, "requires", ()):
+            if importlib.util.find_spec(module) is None:
+                extra = _extra_of(points[0], module) if points else None
+                return _missing(self.kind, name, module, extra or module)
+        return None
+
+    def load_all(self) -> Iterator[tuple[str, Callable[..., T]]]:
+        """Yield every name that can be loaded; each broken plugin gives one `PluginWarning`."""
+        for name in self.names():
+            try:
+                yield name, self.get(name)
+            except (PluginError, RegistrationError) as error:
+                warnings.warn(f"{self.kind} {name!r} left out: {error}", PluginWarning, stacklevel=2)
+
+    def _points(self, name: str | None = None) -> list[EntryPoint]:
+        found = entry_points(group=self.group) if name is None else entry_points(group=self.group, name=name)
+        return list(found)
+
+    def _point(self, name: str) -> EntryPoint:
+        found = {point.value: point for point in self._points(name)}
+        if not found:
+            raise UnknownName(self._unknown(name))
+        if len(found) > 1:
+            raise RegistrationError(
+                f"{self.kind} {name!r} is registered twice: by {' and by '.join(sorted(found))}; uninstall one"
+            )
+        return next(iter(found.values()))
+
+    def _unknown(self, name: str) -> str:
+        known = ", ".join(self.names()) or "none"
+        return f"no {self.kind} is called {name!r}.{_did_you_mean(name, self.names())} Known: {known}."
+
+    def _no_parameter(self, name: str, wrong: str, known: Mapping[str | None, Any]) -> str:
+        usable = {str(key): value for key, value in known.items() if key not in self.given}
+        takes = ", ".join(
+            key if value is inspect.Parameter.empty else f"{key} ({value!r})" for key, value in usable.items()
+        )
+        return (
+            f"{self.kind} {name!r} has no parameter {wrong!r}.{_did_you_mean(wrong, list(usable))} "
+            f"It takes {takes or 'none'}."
+        )
+
+
+_VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+
+def _signature(factory: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    return inspect.signature(factory).parameters
+
+
+def _did_you_mean(wrong: str, known: tuple[str, ...] | list[str]) -> str:
+    close = difflib.get_close_matches(wrong, known, n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def _identity(thing: Any) -> str:
+    return f"{getattr(thing, '__module__', '?')}.{getattr(thing, '__qualname__', repr(thing))}"
+
+
+def _load(point: EntryPoint, kind: str) -> None:
+    try:
+        point.load()
+    except ModuleNotFoundError as error:
+        extra = _extra_of(point, error.name or "")
+        if extra is None:
+            raise PluginError(f"{kind} {point.name!r} ({point.value}) cannot be imported: {error}") from error
+        raise _missing(kind, point.name, error.name or "", extra) from error
+    except RegistrationError:
+        raise
+    except Exception as error:  # a plugin may fail in any way while it is imported
+        raise PluginError(
+            f"{kind} {point.name!r} ({point.value}) cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _missing(kind: str, name: str, module: str, requirement: str) -> MissingExtra:
+    return MissingExtra(
+        f"{kind} {name!r} needs the package {module!r}, which is not installed. "
+        f'Install it with: pip install "{requirement}"'
+    )
+
+
+def _extra_of(point: EntryPoint, module: str) -> str | None:
+    """Return ``distribution[extra]`` for the extra that brings ``module``, if there is one."""
+    if point.dist is None:
+        return None
+    for text in point.dist.requires or []:
+        requirement = Requirement(text)
+        found = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
+        if found and requirement.name.replace("-", "_").lower() == module.split(".")[0].lower():
+            return f"{point.dist.name}[{found.group(1)}]"
+    return None

@@ -1,0 +1,96 @@
+"""The grammar NAME(parameter=value, ...): what it reads, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import Spec
+
+WORDS = st.text(min_size=1, max_size=12)
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | WORDS
+VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3), max_leaves=6)
+NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True).filter(lambda name: name.isidentifier())
+
+
+def names() -> st.SearchStrategy[str]:
+    import keyword
+
+    return NAMES.filter(lambda name: not keyword.iskeyword(name))
+
+
+@given(names(), st.dictionaries(names(), VALUES, max_size=3), names())
+def test_what_is_written_is_read_again(name: str, parameters: dict[str, Any], label: str) -> None:
+    spec = Spec(name, parameters, label)
+    read = Spec.parse(str(spec))
+    assert (read.name, read.parameters, read.label) == (name, parameters, label)
+
+
+def test_values_are_what_they_look_like() -> None:
+    spec = Spec.parse("thing(a=1, b=-2.5e-3, c=true, d=None, e=word, f='two words', g=[1, x], h={port: 5005})")
+    assert spec.parameters == {
+        "a": 1, "b": -0.0025, "c": True, "d": None, "e": "word", "f": "two words", "g": [1, "x"], "h": {"port": 5005},
+    }  # fmt: skip
+
+
+def test_a_thing_inside_a_thing_is_handed_over_as_text_in_the_same_grammar() -> None:
+    spec = Spec.parse("restarts(strategy=mu_plus_lambda(sigma=0.2, parents=10), times=3)")
+    assert spec.parameters == {"strategy": "mu_plus_lambda(sigma=0.2, parents=10)", "times": 3}
+    assert Spec.parse(str(spec)) == spec
+
+
+def test_several_are_separated_by_commas_outside_brackets_and_quotes() -> None:
+    specs = Spec.parse_many("linear, near2=nearest_neighbour(state_lags=2, note='a, b'), emulated_car:3")
+    assert [spec.label for spec in specs] == ["linear", "near2", "emulated_car:3"]
+    assert specs[1].parameters == {"state_lags": 2, "note": "a, b"}
+    assert specs[2] == Spec("emulated_car", {"seed": 3}, "emulated_car:3")
+
+
+def test_the_label_is_the_name_unless_another_is_given_and_is_not_part_of_what_is_made() -> None:
+    assert Spec.parse("linear(ridge=1)").label == "linear"
+    assert Spec.parse("mine = linear(ridge=1)").text == "linear(ridge=1)"
+
+
+def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
+    assert Spec.parse("linear(ridge=1)").with_parameters(ridge=2, state_lags=1).parameters == {
+        "ridge": 1,
+        "state_lags": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "an empty text"),
+        (" , ", "an empty text"),
+        ("linear,", "before and after every comma"),
+        ("linear(", "not closed"),
+        ("linear(a='x)", "not closed"),
+        ("linear)", "not closed"),
+        ("lin ear", r"expected NAME\(parameter=value"),
+        ("9lives", r"expected NAME\(parameter=value"),
+        ("linear(1)", "parameter=value between the brackets"),
+        ("linear(**x)", "parameter=value between the brackets"),
+        ("linear()(a=1)", "parameter=value between the brackets"),
+        ("linear(a=1, a=2)", "given twice|repeated"),
+        ("linear(a=)", "cannot be read"),
+        ("linear(a=1+x)", "is no value"),
+        ("linear(a=b'x')", "is no value"),
+        ("linear(a=lambda: 1)", "is no value"),
+        ("linear(a=x[0])", "is no value"),
+        ("linear, linear", "'linear' stands there 2 times; give each a label"),
+        ("a=linear, a=narx", "'a' stands there 2 times"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_a_sentence(text: str, complaint: str) -> None:
+    with pytest.raises(InvalidArgument, match=complaint):
+        Spec.parse_many(text)
+
+
+def test_one_spec_is_expected_where_one_stands() -> None:
+    with pytest.raises(InvalidArgument, match="expected one NAME"):
+        Spec.parse("a, b")
