@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.sysid_evo.cli.test_commands import run
+from tests.sysid_evo.cli.calling import run
 
 
 def test_a_new_plugin_keeps_the_contract_passes_its_test_and_is_not_overwritten(tmp_path: Path) -> None:
