@@ -6,7 +6,7 @@ from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matr
 from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
-from evaluation.comparison.planning import Comparison, plan_comparison
+from evaluation.comparison.planning import Comparison, plan_comparison, unsettled
 from evaluation.comparison.reporting import report_of
 
 __all__ = [
@@ -35,4 +35,5 @@ __all__ = [
     "is_run",
     "plan_comparison",
     "report_of",
+    "unsettled",
 ]

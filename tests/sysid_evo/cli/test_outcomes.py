@@ -262,3 +262,17 @@ def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_a
 def test_without_debug_there_is_no_traceback(call: Caller) -> None:
     assert "Traceback" not in call("compare", "--models", "linaer").stderr
     assert "Traceback" in call("compare", "--models", "linaer", "--debug").stderr
+
+
+def test_another_preset_on_the_line_brings_its_own_budget(call: Caller, logs: Path) -> None:
+    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 150\ntrials = 10\nruns = 1\n'
+    (call.folder / "quick.toml").write_text(settings)
+
+    def seconds(*options: str) -> float:
+        ended = call("compare", "--config", "quick.toml", "--dry-run", "--json", *options)
+        assert ended.code == 0, ended.stderr
+        (evolve,) = [cell["seconds"] for cell in json.loads(ended.stdout)["cells"] if cell["cell"] == "evolve linear"]
+        return float(evolve)
+
+    assert seconds("--preset", "standard") == pytest.approx(6.0 * seconds(), rel=0.05)
+    assert seconds("--preset", "standard", "--runs", "1") == pytest.approx(2.0 * seconds(), rel=0.05)
