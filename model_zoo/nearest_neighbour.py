@@ -27,8 +27,8 @@ class NearestNeighbour(DynamicsModel):
     """The acceleration recorded in the nearest state under the same command.
 
     Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
-    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a command that
-    was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
+    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
+    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
     state in the distance.
     """
 
