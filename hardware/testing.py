@@ -75,6 +75,7 @@ def run_robot_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
 def it_says_what_it_is(given: Given) -> None:
     """It has a name, and a system whose controls can be told legal from illegal"""
     robot = given.robot
+    expect(isinstance(robot, Robot), f"expected a hardware.robot.Robot, got a {type(robot).__name__}")
     expect(isinstance(robot.name, str) and robot.name, f"expected a name, got {robot.name!r}")
     if not isinstance(robot.system, System):
         raise ContractViolation(f"expected a system, got {robot.system!r}")

@@ -72,7 +72,7 @@ class Evolved3(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         standard = Standard.of(dataset)
-        self.centre_, self.scale_ = standard.of_inputs(self.lags)
+        self.centre_, self.scale_ = standard.of_inputs(self.layout)
         self.output_scale_ = standard.change / dataset.system.dt
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
         search = ModelEvolution(

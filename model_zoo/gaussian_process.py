@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
-from sklearn.base import clone
 
 from model_zoo.channels.standard import Standard, positive
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
@@ -76,20 +74,10 @@ class GaussianProcess(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
-        learned, held = time_blocks(dataset)
-        searched = len(options) if len(options) > 1 else 0
-        counter = Counter(progress, (searched + 1) * dataset.system.nx + 1)
-        lags = options[0]
-        if searched:
-            errors = []
-            for option in options:
-                trial = self._trial(learned, option, rng, counter)
-                errors.append(simulation_error(trial, judging_windows(held, trial.n_lags)))
-            lags = options[int(np.argmin(errors))]
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        counter = Counter(progress, (trials(options) + 1) * dataset.system.nx + 1)
+        blocks = HeldOut.of(dataset, 1)
+        lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
+        self.keep_lags(lags)
         self._learn(dataset, rng, counter)
         self.noise_scale_ = np.ones(self.system.nx)
         cases = [(self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)]
@@ -142,8 +130,7 @@ class GaussianProcess(DynamicsModel):
 
     def _without(self, seen: Dataset) -> GaussianProcess:
         """Return this model with its hyper-parameters and inducing points, that learned from ``seen`` only."""
-        other = clone(self).set_params(stochastic=False)
-        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other = self.variant(stochastic=False)
         other._condition(seen)
         return other
 
@@ -151,10 +138,8 @@ class GaussianProcess(DynamicsModel):
         self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter
     ) -> GaussianProcess:
         """Return a smaller model that learned from ``dataset``, with the envelope of this one."""
-        trial = clone(self).set_params(
-            state_lags=lags[0], control_lags=lags[1], inducing=min(TRIAL_INDUCING, self.inducing), stochastic=False
-        )
-        trial.system_, trial.envelope_ = self.system_, self.envelope_
+        inducing = min(TRIAL_INDUCING, self.inducing)
+        trial = self.variant(state_lags=lags[0], control_lags=lags[1], inducing=inducing, stochastic=False)
         trial._learn(dataset, rng, counter)
         return trial
 
@@ -172,7 +157,7 @@ class GaussianProcess(DynamicsModel):
             return found.x, found.fun
 
         inputs, targets = self._residuals(dataset)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        _, scale = Standard.of(dataset).of_inputs(self.layout)
         rows = np.sort(rng.choice(len(inputs), size=min(self.inducing, len(inputs)), replace=False))
         size = positive(targets.std(axis=0))
         nx, n = targets.shape[1], inputs.shape[1]
@@ -193,10 +178,11 @@ class GaussianProcess(DynamicsModel):
 
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
         """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
-        carry, control, after = lagged_steps(dataset, self.lags)
-        inputs = np.concatenate([carry, control], axis=1)
-        targets = dataset.system.acceleration(carry[:, : dataset.system.nx], after)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        state_lags, control_lags = self.lags
+        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags, moving=True)
+        inputs = data.inputs
+        targets = dataset.system.acceleration(data.state, data.after)
+        _, scale = Standard.of(dataset).of_inputs(self.layout)
         centre = inputs.mean(axis=0)
         gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
         self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))

@@ -11,12 +11,10 @@ from scipy.spatial import cKDTree
 from sklearn.base import clone
 
 from model_zoo.channels.standard import Standard
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
+from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = (8, 20)
 RIDGE = 0.03
-SEARCH_FOLDS = 3
 
 
 @register_model("k_neighbours")
@@ -68,37 +65,28 @@ class KNeighbours(DynamicsModel):
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
         settings = [(count, pair) for pair in lags for count in counts]
-        chosen = settings[0]
-        searched = len(settings) if len(settings) > 1 else 0
-        counter = Counter(progress, searched * SEARCH_FOLDS + 1)
-        if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
-            errors = []
-            for count, pair in settings:
-                trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
-                error = 0.0
-                for learned, held in folds:
-                    trial.fit(learned, rng=rng)
-                    windows = judging_windows(held, trial.n_lags, stride=8)
-                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
-                    counter.advance()
-                errors.append(error)
-            chosen = settings[int(np.argmin(errors))]
-        self.neighbours_ = chosen[0]
-        if self.state_lags is None:
-            self.state_lags_ = chosen[1][0]
-        if self.control_lags is None:
-            self.control_lags_ = chosen[1][1]
-        carry, control, after = lagged_steps(dataset, self.lags)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks = HeldOut.of(dataset)
+
+        def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
+            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
+            return trial.fit(part, rng=rng)
+
+        self.neighbours_, chosen = best(
+            settings,
+            lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, told=counter.advance),
+        )
+        self.keep_lags(chosen)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
+        _, scale = Standard.of(dataset).of_inputs(self.layout)
         nx, nu = dataset.system.nx, dataset.system.nu
         weight = np.full(len(scale), 0.5)
         weight[:nx] = 1.0
         weight[len(weight) - nu :] = self.control_weight
         self.metric_ = weight / scale
-        self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
-        self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)
-        self.changes_ = after - carry[:, :nx]
+        self.points_ = data.inputs * self.metric_
+        self.low_, self.high_ = data.state.min(axis=0), data.state.max(axis=0)
+        self.changes_ = data.after - data.state
         self.__dict__.pop("_tree", None)
         self.__dict__.pop("_compiled", None)
         counter.advance()

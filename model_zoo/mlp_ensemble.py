@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from sklearn.base import clone
 
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
-from model_zoo.validation.held_out import lag_candidates, time_blocks
+from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
 from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -108,9 +107,8 @@ class MlpEnsemble(DynamicsModel):
             input_noise=self.input_noise,
         )
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
-        searched = len(options) if len(options) > 1 else 0
         rough = rough_fits(dataset) if self.stochastic else 0
-        total, done = final.total + (searched + rough) * search.total + 1, 0  # 1: the calibration
+        total, done = final.total + (trials(options) + rough) * search.total + 1, 0  # 1: the calibration
 
         def report(updates: int) -> None:
             if progress is not None:
@@ -129,17 +127,14 @@ class MlpEnsemble(DynamicsModel):
                 report=report,
             )
 
-        lags = options[0]
-        if searched:
-            errors = []
-            for option in options:
-                errors.append(float(np.mean(trained(dataset, option, min(3, self.members), search).errors)))
-                done += search.total
-            lags = options[int(np.argmin(errors))]
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        def error(option: tuple[int, int]) -> float:
+            nonlocal done
+            found = float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
+            done += search.total
+            return found
+
+        lags = best(options, error)
+        self.keep_lags(lags)
         network = trained(dataset, lags, self.members, final).network
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
         done += final.total
@@ -181,8 +176,7 @@ class MlpEnsemble(DynamicsModel):
 
     def _deterministic(self, network: Network) -> MlpEnsemble:
         """Return this model without noise and with the members of ``network``."""
-        other = clone(self).set_params(stochastic=False)
-        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other = self.variant(stochastic=False)
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 

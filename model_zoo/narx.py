@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from sklearn.base import clone
 
-from model_zoo.sparse.polynomial import equation, evaluate, lagged_names, monomials
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
+from model_zoo.sparse.polynomial import equation, evaluate, monomials
+from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10
-SEARCH_FOLDS = 3
 
 
 @register_model("narx")
@@ -58,31 +54,22 @@ class Narx(DynamicsModel):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
         counts = COUNTS if self.terms is None else (self.terms,)
-        chosen = (counts[0], pairs[0])
-        searched = len(pairs) * SEARCH_FOLDS if len(pairs) * len(counts) > 1 else 0
-        counter = Counter(progress, searched + 1)
-        if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
-            lowest = np.inf
-            for lags in pairs:
-                errors = np.zeros(len(counts))
-                for learned, held in folds:
-                    windows = judging_windows(held, max(lags))
-                    order = self._selection(learned, lags, max(counts))
-                    for index, count in enumerate(counts):
-                        trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])
-                        trial.system_, trial.envelope_ = self.system_, self.envelope_
-                        trial._learn(learned, lags, count, order)
-                        errors[index] += simulation_error(trial, windows)
-                        errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0
-                    counter.advance()
-                if errors.min() < lowest:
-                    lowest, chosen = float(errors.min()), (counts[int(np.argmin(errors))], lags)
-        count, lags = chosen
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        settings = [(count, lags) for lags in pairs for count in counts]
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks, orders = HeldOut.of(dataset), {}
+
+        def learned(part: Dataset, count: int, lags: tuple[int, int]) -> DynamicsModel:
+            key = lags, part.names  # the order of the terms does not depend on how many are taken
+            if key not in orders:
+                orders[key] = self._selection(part, lags, max(counts))
+            trial = self.variant(terms=count, state_lags=lags[0], control_lags=lags[1])
+            trial._learn(part, lags, count, orders[key])
+            return trial
+
+        count, lags = best(
+            settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
+        )
+        self.keep_lags(lags)
         self.terms_ = count
         self._learn(dataset, lags, count, self._selection(dataset, lags, count))
         counter.advance()
@@ -101,9 +88,9 @@ class Narx(DynamicsModel):
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        system, lags = self.system, self.lags
-        names = lagged_names(system.state_names, system.control_names, lags)
-        units = [c.unit for c in system.states] * (lags[0] + 1) + [c.unit for c in system.controls] * (lags[1] + 1)
+        system, layout = self.system, self.layout
+        names = layout.input_names(system.state_names, system.control_names)
+        units = layout.each_input([c.unit for c in system.states], [c.unit for c in system.controls])
         return [
             equation(f"{state.name}[+1]", state.unit, self.coefficients_[:, i], self.exponents_, names, units)
             for i, state in enumerate(system.states)
@@ -111,14 +98,14 @@ class Narx(DynamicsModel):
 
     def _selection(self, dataset: Dataset, lags: tuple[int, int], count: int) -> list[IntArray]:
         """Return, for each state, the terms in the order in which they enter."""
-        carry, control, after = lagged_steps(dataset, lags)
-        inputs = np.concatenate([carry, control], axis=1)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        inputs, after = data.inputs, data.after
         library = evaluate(inputs / _size(inputs), monomials(inputs.shape[1], self.degree))
         return [forward_selection(library, after[:, i], count) for i in range(after.shape[1])]
 
     def _learn(self, dataset: Dataset, lags: tuple[int, int], count: int, order: list[IntArray]) -> None:
-        carry, control, after = lagged_steps(dataset, lags)
-        inputs = np.concatenate([carry, control], axis=1)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        inputs, after = data.inputs, data.after
         scale, exponents = _size(inputs), monomials(inputs.shape[1], self.degree)
         library = evaluate(inputs / scale, exponents)
         coefficients = np.zeros((len(exponents), after.shape[1]))

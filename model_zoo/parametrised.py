@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.car.physics import PHYSICAL, accelerations
 from model_zoo.car.roles import CarRoles, car_roles, require_car
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -21,14 +22,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 PARAMETERS = (
-    ("thrust_forward", "m/s^2"),
-    ("thrust_backward", "m/s^2"),
-    ("turn_left", "rad/m/s"),
-    ("turn_right", "rad/m/s"),
-    ("drag_linear", "1/s"),
-    ("drag_viscous", "1/m"),
-    ("yaw_drag_linear", "1/s"),
-    ("yaw_drag_viscous", "1/rad"),
+    *PHYSICAL,
     ("min_speed", "m/s"),
     ("min_yaw_rate", "rad/s"),
     ("max_speed", "m/s"),
@@ -113,11 +107,11 @@ class Parametrised(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
-        from model_zoo.kernels.parametrised import equation_one
+        from model_zoo.kernels.car import equation_one
         from sysid_evo.engine.kernels import Predictor, stepping_kernel
 
         roles = [-1 if role is None else role for role in self.roles]
-        head = [*roles, self.system.dt, self._oldest_command]
+        head = [*roles, self.system.nx, self.system.dt, self._oldest_command]
         flat = np.concatenate([np.tile(head, (len(parameters), 1)), parameters], axis=1)
         kernel = stepping_kernel(
             Predictor(equation_one, flat[0], 0),
@@ -154,12 +148,10 @@ class Parametrised(DynamicsModel):
         """Return the next states (..., B, nx) of parameter vectors (..., 12) under controls (..., B, nu)."""
         forward, _, yaw_rate, drive, steer = self.roles
         dt = self.system.dt
-        (u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv, u_min, r_min, u_max, r_max) = parameters.T[..., None]
+        *physical, u_min, r_min, u_max, r_max = parameters.T[..., None]
         u, r, u1, u2 = state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer]
-        thrust = np.where(u1 > 0.0, u_f, u_b) * u1
-        turning = u * (np.where(u2 > 0.0, r_l, r_r) * u2)
-        next_u = u + dt * (thrust - u * d_ul - u * np.abs(u) * d_uv)
-        next_r = r + dt * (turning - r * d_rl - r * np.abs(r) * d_rv)
+        du, dr = accelerations(u, r, u1, u2, physical)
+        next_u, next_r = u + dt * du, r + dt * dr
         after = np.zeros_like(state)
         u_still, r_still = (np.abs(next_u) < u_min) & (u1 == 0.0), (np.abs(next_r) < r_min) & (u2 == 0.0)
         np.clip(next_u, -u_max, u_max, out=after[..., forward], where=~u_still)

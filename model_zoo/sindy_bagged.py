@@ -42,18 +42,22 @@ class SindyBagged(ContinuousSparse):
         degree: int | None = None,
         threshold: float | None = None,
         ridge: float = 1e-3,
-        state_lags: int | None = 0,
+        functions: list[str] | None = None,
+        state_lags: int | None = None,
         control_lags: int | None = None,
         rest_hold: bool = False,
     ) -> None:
+        super().__init__(
+            degree=degree,
+            threshold=threshold,
+            ridge=ridge,
+            functions=functions,
+            state_lags=state_lags,
+            control_lags=control_lags,
+            rest_hold=rest_hold,
+        )
         self.bags = bags
         self.kept = kept
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
 
     def learn(
         self, dataset: Dataset, degree: int, threshold: float, rng: np.random.Generator, counter: Counter

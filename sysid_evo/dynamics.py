@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.trajectory import Trajectory
@@ -137,6 +137,12 @@ class DynamicsModel(Dynamics, BaseEstimator):
             super().set_params(**before)
             raise
         return self
+
+    def variant(self, **parameters: Any) -> Self:
+        """Return a copy with everything that was learned, and other hyper-parameters."""
+        other: Self = clone(self).set_params(**parameters)
+        other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
+        return other
 
     def check_parameters(self) -> None:
         """Raise `InvalidArgument` if a hyper-parameter has the wrong type or is out of its ``limits``.

@@ -6,7 +6,7 @@ calls joins the parts along the last axis with its own library.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -50,7 +50,7 @@ class CarryLayout:
             parts += [control, carry[..., first : first + self.nu * (self.control_lags - 1)]]
         return parts
 
-    def each_input(self, of_states: Sequence[T], of_controls: Sequence[T]) -> list[T]:
+    def each_input(self, of_states: Iterable[T], of_controls: Iterable[T]) -> list[T]:
         """Return one value for every number of (carry, control), from one for every state and control."""
         return [*of_states] * (1 + self.state_lags) + [*of_controls] * (self.control_lags + 1)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.comparison.experiment import FILE, Experiment
-from evaluation.comparison.planning import Comparison, plan_comparison
+from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison
 from evaluation.report import Report, save_report
 from evaluation.transfer import load_measured
 from sysid_evo.data import Dataset
@@ -53,6 +53,7 @@ def compare(
     experiment = Experiment.of({name: _plain(value) for name, value in settings.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
+    check_experiment(experiment)
     if dataset is None and experiment.data is not None:
         dataset = Dataset.read(experiment.data, columns=experiment.columns)
     measured, _ = load_measured(folder)

@@ -159,40 +159,61 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
     return None
 
 
+def check_experiment(experiment: Experiment) -> None:
+    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
+    _constructible(experiment.evolution)
+    robot = _robot(experiment, has_data=experiment.data is not None)
+    if robot is not None:
+        make_robot(robot)
+    asked = _asked(experiment)
+    if asked is not None:
+        for spec in asked:
+            _made_model(spec, experiment.preset)
+        _ensembles(experiment, tuple(spec.label for spec in asked))
+
+
+def _asked(experiment: Experiment) -> tuple[Spec, ...] | None:
+    """Return the specs of the models that are asked for by name, None if the choice is left open."""
+    if experiment.models is None or experiment.models == (ALL,):
+        return None
+    if not experiment.models:
+        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
+    return distinct(tuple(Spec.parse(text) for text in experiment.models))
+
+
 def _models(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
     """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
-    asked = experiment.models
-    if asked is not None and not asked:
-        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
-    chosen = asked is not None and asked != (ALL,)
-    if asked is None:
-        names: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
-    else:
-        names = models.names() if asked == (ALL,) else asked
+    asked = _asked(experiment)
+    if asked is not None:
+        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
+    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
     found = []
-    for text in names:
-        spec = Spec.parse(text)
+    for name in models.names() if experiment.models == (ALL,) else usual:
         try:
-            found.append(_usable(spec, experiment.preset, system))
+            found.append(_usable(Spec(name), experiment.preset, system))
         except (MissingExtra, IncompatibleSystem) as error:
-            if chosen:
-                raise
-            remarks.append(f"{spec.label} is left out: {error}")
+            remarks.append(f"{name} is left out: {error}")
     if not found:
         raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
-    return distinct(tuple(found))
+    return tuple(found)
 
 
 def _usable(spec: Spec, preset: str, system: System) -> Spec:
     """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
+    whole, model = _made_model(spec, preset)
+    model.check_system(system)
+    return whole
+
+
+def _made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
+    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
     models.check(spec)
     lacking = models.lacking(spec.name)
     if lacking is not None:
         raise lacking
     whole = with_preset(spec, preset)
     model: DynamicsModel = _made(models, whole)
-    model.check_system(system)
-    return whole
+    return whole, model
 
 
 def _ensembles(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:

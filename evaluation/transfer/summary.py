@@ -128,7 +128,7 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
         reality_gap=Estimate.of(None if claimed is None or achieved is None else claimed - achieved),
         judges=tuple(column for column in judges if not matrix.cell(name, column).failed),
         on_robot=matrix.robot is not None and matrix.robot in against,
-        seed_fitness=tuple(getattr(champion, "seed_fitness", ())),
+        seed_fitness=tuple(champion.seed_fitness),
     )
 
 

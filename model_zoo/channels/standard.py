@@ -9,6 +9,7 @@ import numpy as np
 from model_zoo.channels.mirror import Mirror
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.lags import CarryLayout
 
 CONSTANT = 1e-12
 """Share of its size below which the deviation of a channel is rounding."""
@@ -44,13 +45,11 @@ class Standard:
             positive(np.sqrt(np.mean(change**2, axis=0))),
         )
 
-    def of_inputs(self, lags: tuple[int, int]) -> tuple[Array, Array]:
+    def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:
         """Return centre and scale of (carry, control)."""
-        centre = [np.tile(self.state_centre, lags[0] + 1), np.tile(self.control_centre, lags[1])]
-        scale = [np.tile(self.state_scale, lags[0] + 1), np.tile(self.control_scale, lags[1])]
         return (
-            np.concatenate([*centre, self.control_centre]),
-            np.concatenate([*scale, self.control_scale]),
+            np.array(layout.each_input(self.state_centre, self.control_centre)),
+            np.array(layout.each_input(self.state_scale, self.control_scale)),
         )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from model_zoo.flows.runge_kutta import rk4
 from model_zoo.networks.network import Network
-from model_zoo.validation.held_out import lag_candidates
+from model_zoo.validation.held_out import best, lag_candidates, trials
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
+HIDDEN = (32, 32)
 
 
 class NetworkRate(DynamicsModel):
@@ -41,17 +41,35 @@ class NetworkRate(DynamicsModel):
         "learning_rate": above(0),
     }
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
-    hidden: list[int] | None
-    one_step_updates: int
-    updates: int
-    horizon: int
-    learning_rate: float
 
-    @abstractmethod
+    def __init__(
+        self,
+        *,
+        hidden: list[int] | None = None,
+        state_lags: int | None = None,
+        control_lags: int | None = None,
+        one_step_updates: int = 1000,
+        updates: int = 500,
+        horizon: int = 20,
+        learning_rate: float = 6e-3,
+        rest_hold: bool = False,
+    ) -> None:
+        self.hidden = hidden
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.one_step_updates = one_step_updates
+        self.updates = updates
+        self.horizon = horizon
+        self.learning_rate = learning_rate
+        self.rest_hold = rest_hold
+
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
     ) -> FittedFlow:
         """Train one flow."""
+        from model_zoo.flows.training import train_flow
+
+        return train_flow(dataset, lags, hidden=tuple(self.hidden or HIDDEN), plan=plan, rng=rng, report=report)
 
     def known_rate(self, state: Array, control: Array) -> Array | None:
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
@@ -70,24 +88,20 @@ class NetworkRate(DynamicsModel):
             learning_rate=self.learning_rate,
         )
         options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
-        searched = len(options) if len(options) > 1 else 0
-        total, done = final.total + searched * search.total, 0
+        total, done = final.total + trials(options) * search.total, 0
 
         def report(updates: int) -> None:
             if progress is not None:
                 progress(done + updates, total)
 
-        lags = options[0]
-        if searched:
-            errors = []
-            for option in options:
-                errors.append(self.train(dataset, option, search, rng, report).error)
-                done += search.total
-            lags = options[int(np.argmin(errors))]
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        def error(lags: tuple[int, int]) -> float:
+            nonlocal done
+            found = self.train(dataset, lags, search, rng, report).error
+            done += search.total
+            return found
+
+        lags = best(options, error)
+        self.keep_lags(lags)
         fitted = self.train(dataset, lags, final, rng, report)
         self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
         if len(fitted.physical):

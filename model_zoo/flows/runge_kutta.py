@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-from sysid_evo.arrays import Array
 
-
-def rk4(rate: Callable[[Array], Array], state: Array, dt: float) -> Array:
-    """Return the state (B, nx) after ``dt`` seconds of d state / dt = ``rate(state)``."""
+def rk4(rate: Callable[[Any], Any], state: Any, dt: float) -> Any:
+    """Return the state (..., nx) after ``dt`` seconds of d state / dt = ``rate(state)``."""
     k1 = rate(state)
     k2 = rate(state + 0.5 * dt * k1)
     k3 = rate(state + 0.5 * dt * k2)

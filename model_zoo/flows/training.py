@@ -18,9 +18,8 @@ from model_zoo.networks.multistep import (
     as_network,
     as_tensors,
     forward_pass,
-    free_run,
-    lagged_shift,
-    lagged_start,
+    judged,
+    moved,
     single,
     train,
 )
@@ -29,6 +28,7 @@ from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
+from sysid_evo.lags import CarryLayout
 from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
@@ -42,16 +42,13 @@ class Flow:
 
     system: System
     motion: TorchMotion
-    lags: tuple[int, int]
+    layout: CarryLayout
     centre: Tensor
     scale: Tensor
     rate_scale: Tensor
     parameters: list[Tensor]
     n_network: int
     physics: Physics | None
-
-    def start(self, past_states: Tensor, past_controls: Tensor) -> Tensor:
-        return lagged_start(past_states, past_controls, self.lags)
 
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         nx = self.system.nx
@@ -61,12 +58,12 @@ class Flow:
             inputs = (torch.cat([state, held], dim=2) - self.centre) / self.scale
             result = forward_pass(self.parameters[: self.n_network], inputs) * self.rate_scale
             if self.physics is not None:
-                result = result + self.physics(state, control, self.parameters[-1][:, :, :])
+                result = result + self.physics(state, control, self.parameters[-1])
             return self.motion.turned(state, result)
 
         times = torch.tensor([0.0, self.system.dt])
         after = odeint(rate, carry[..., :nx], times, method="rk4", options={"perturb": False})[-1]
-        return lagged_shift(carry, control, after, self.lags)
+        return moved(self.layout, carry, control, after)
 
 
 @dataclass(frozen=True)
@@ -92,31 +89,36 @@ def train_flow(
     """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
     system, history = dataset.system, max(lags)
     standard = Standard.of(dataset)
-    centre, scale = standard.of_inputs(lags)
+    layout = CarryLayout(system.nx, system.nu, *lags)
+    centre, scale = standard.of_inputs(layout)
     parameters = as_tensors(random_network([len(centre), *hidden, system.nx], 1, rng))
     n_network = len(parameters)
     if physical is not None:
         parameters.append(single(physical[None, None]).requires_grad_(True))
     rates = standard.change / system.dt
     model = Flow(
-        system, torch_motion(system), lags, single(centre), single(scale), single(rates), parameters, n_network, physics
+        system,
+        torch_motion(system),
+        layout,
+        single(centre),
+        single(scale),
+        single(rates),
+        parameters,
+        n_network,
+        physics,
     )
     learned, held = time_blocks(dataset, 0, 5)
-    windows = Shots.from_windows(judging_windows(held, history))
+    windows = [Shots.from_windows(judging_windows(held, history))]
+    state_scale = single(standard.state_scale)
 
     def judge(candidate: list[Tensor]) -> Array:
-        trained, model.parameters = model.parameters, candidate
-        with torch.no_grad():
-            run = free_run(model, windows.past_states[None], windows.past_controls[None], windows.controls[None])
-        model.parameters = trained
-        error = (((run[0] - windows.states) / single(standard.state_scale)) ** 2).mean(dim=0).sqrt().mean()
-        return np.array([float(error) if bool(torch.isfinite(error)) else np.inf])
+        return judged(model, candidate, windows, state_scale)
 
     best = train(
         model,
         [Shots.of(learned, plan.horizon, history)],
         plan,
-        state_scale=single(standard.state_scale),
+        state_scale=state_scale,
         change_scale=single(standard.change),
         rng=rng,
         judge=judge,

@@ -17,9 +17,8 @@ from model_zoo.networks.multistep import (
     as_network,
     as_tensors,
     forward_pass,
-    free_run,
-    lagged_shift,
-    lagged_start,
+    judged,
+    moved,
     single,
     train,
 )
@@ -28,6 +27,7 @@ from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
+from sysid_evo.lags import CarryLayout
 from sysid_evo.motion.torch_form import TorchMotion, torch_motion
 from sysid_evo.system import System
 
@@ -41,7 +41,7 @@ class LaggedMembers:
 
     system: System
     motion: TorchMotion
-    lags: tuple[int, int]
+    layout: CarryLayout
     centre: Tensor
     scale: Tensor
     change: Tensor
@@ -50,15 +50,12 @@ class LaggedMembers:
     noise: torch.Generator
     flag: Tensor
 
-    def start(self, past_states: Tensor, past_controls: Tensor) -> Tensor:
-        return lagged_start(past_states, past_controls, self.lags)
-
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         inputs = (torch.cat([carry, control], dim=2) - self.centre) / self.scale
         inputs = torch.cat([inputs, self.flag.expand(*inputs.shape[:2], 1)], dim=2)
         change = forward_pass(self.parameters, inputs) * self.change
         after = self.motion.integrate(carry[..., : self.system.nx], change, self.system.dt)
-        return lagged_shift(carry, control, after, self.lags)
+        return moved(self.layout, carry, control, after)
 
     def augment(self, batch: list[Tensor]) -> list[Tensor]:
         """Mirror half of the windows (past states, past controls, controls, states), if the body has a mirror."""
@@ -94,13 +91,14 @@ def train_members(
     """Train ``members`` networks, each on the blocks of time that are left when its own are held out."""
     system, history = dataset.system, max(lags)
     standard = Standard.of(dataset, mirror)
-    centre, scale = standard.of_inputs(lags)
+    layout = CarryLayout(system.nx, system.nu, *lags)
+    centre, scale = standard.of_inputs(layout)
     n_inputs = len(centre) + 1
     start = random_network([n_inputs, *hidden, system.nx], members, rng)
     model = LaggedMembers(
         system,
         torch_motion(system),
-        lags,
+        layout,
         single(centre),
         single(scale),
         single(standard.change),
@@ -110,27 +108,19 @@ def train_members(
         torch.ones(1, 1, 1),
     )
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
-    held = [judging_windows(split[1], history) for split in splits]
+    held = [Shots.from_windows(judging_windows(split[1], history)) for split in splits]
+    state_scale = single(standard.state_scale)
 
     def judge(parameters: list[Tensor]) -> Array:
-        trained, model.parameters, model.flag = model.parameters, parameters, torch.ones(1, 1, 1)
-        errors = np.empty(members)
-        with torch.no_grad():
-            for member, windows in enumerate(held):
-                model.parameters = [parameter[member : member + 1] for parameter in parameters]
-                shots = Shots.from_windows(windows)
-                run = free_run(model, shots.past_states[None], shots.past_controls[None], shots.controls[None])
-                error = (((run[0] - shots.states) / single(standard.state_scale)) ** 2).mean(dim=0).sqrt().mean()
-                errors[member] = float(error) if bool(torch.isfinite(error)) else np.inf
-        model.parameters = trained
-        return errors
+        model.flag = torch.ones(1, 1, 1)
+        return judged(model, parameters, held, state_scale)
 
     shots = [Shots.of(split[0], plan.horizon, history) for split in splits]
     parameters = train(
         model,
         shots,
         plan,
-        state_scale=single(standard.state_scale),
+        state_scale=state_scale,
         change_scale=single(standard.change),
         rng=rng,
         judge=judge,

@@ -19,6 +19,8 @@ from torch import Tensor
 from model_zoo.networks.network import Network
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
+from sysid_evo.free_run import chained
+from sysid_evo.lags import CarryLayout
 
 Report: TypeAlias = Callable[[int], None]
 """Told how many updates are done."""
@@ -34,12 +36,10 @@ FLOOR = 0.002
 
 
 class TorchModel(Protocol):
-    """M models with differentiable steps; the carry is (M, B, n), the state at its head."""
+    """M models with differentiable steps; the carry is (M, B, n), laid out as ``layout`` says."""
 
+    layout: CarryLayout
     parameters: list[Tensor]
-
-    def start(self, past_states: Tensor, past_controls: Tensor) -> Tensor:
-        """Return the carry after a history (M, B, L + 1, nx), (M, B, L, nu)."""
 
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         """Return the next carry under ``control`` (M, B, nu)."""
@@ -135,8 +135,7 @@ def train(
             past = past + plan.input_noise * change_scale * torch.randn(past.shape, generator=noise)
         simulated = free_run(model, past, past_controls, controls[:, :, :horizon])
         error = (((simulated - states[:, :, :horizon]) / state_scale) ** 2).mean(dim=(1, 3))
-        weight = (error.detach().mean(dim=0) + FLOOR) ** -SHARPNESS
-        loss = (error * (weight / weight.sum())).sum()
+        loss = (error * step_weights(error.detach())).sum()
         loss = loss + plan.weight_decay * torch.stack([(p**2).sum() for p in model.parameters]).sum()
         optimiser.zero_grad()
         torch.autograd.backward(loss)
@@ -159,30 +158,38 @@ def train(
     return mean if judge is None else best
 
 
+def step_weights(error: Tensor) -> Tensor:
+    """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (M, H) they have now."""
+    weight = (error.mean(dim=0) + FLOOR) ** -SHARPNESS
+    return weight / weight.sum()
+
+
 def free_run(model: TorchModel, past_states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
     """Return the states (M, B, H, nx) of a free run under ``controls`` (M, B, H, nu)."""
     nx = past_states.shape[-1]
-    carry = model.start(past_states, past_controls)
-    out = []
-    for step in range(controls.shape[2]):
-        carry = model.step(carry, controls[:, :, step])
-        out.append(carry[..., :nx])
-    return torch.stack(out, dim=2)
+    start = torch.cat(model.layout.started(past_states, past_controls), dim=-1)
+    return torch.stack([carry[..., :nx] for carry in chained(model.step, start, controls)], dim=2)
 
 
-def lagged_start(past_states: Tensor, past_controls: Tensor, lags: tuple[int, int]) -> Tensor:
-    """Return the carry of state, earlier states and earlier controls, newest first."""
-    parts = [past_states[:, :, -1 - lag] for lag in range(lags[0] + 1)]
-    parts += [past_controls[:, :, -1 - lag] for lag in range(lags[1])]
-    return torch.cat(parts, dim=2)
-
-
-def lagged_shift(carry: Tensor, control: Tensor, after: Tensor, lags: tuple[int, int]) -> Tensor:
+def moved(layout: CarryLayout, carry: Tensor, control: Tensor, after: Tensor) -> Tensor:
     """Return the carry whose newest state is ``after``."""
-    nx, nu = after.shape[2], control.shape[2]
-    remembered = nx * (1 + lags[0])
-    controls = torch.cat([control, carry[..., remembered : remembered + nu * lags[1]]], dim=2)
-    return torch.cat([after, carry[..., : nx * lags[0]], controls[..., : nu * lags[1]]], dim=2)
+    return torch.cat(layout.moved(carry, control, after), dim=-1)
+
+
+def judged(model: TorchModel, parameters: Sequence[Tensor], held: Sequence[Shots], state_scale: Tensor) -> Array:
+    """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
+
+    Infinite where a run is not finite.
+    """
+    trained, errors = model.parameters, np.empty(len(held))
+    with torch.no_grad():
+        for member, shots in enumerate(held):
+            model.parameters = [parameter[member : member + 1] for parameter in parameters]
+            run = free_run(model, shots.past_states[None], shots.past_controls[None], shots.controls[None])
+            error = (((run[0] - shots.states) / state_scale) ** 2).mean(dim=0).sqrt().mean()
+            errors[member] = float(error) if bool(torch.isfinite(error)) else np.inf
+    model.parameters = trained
+    return errors
 
 
 def forward_pass(parameters: Sequence[Tensor], values: Tensor) -> Tensor:

@@ -8,8 +8,7 @@ import numpy as np
 
 from model_zoo.flows.runge_kutta import rk4
 from model_zoo.sparse.regression import Regression, SparsePolynomial
-from model_zoo.stepwise import lagged_steps
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 
 if TYPE_CHECKING:
@@ -25,11 +24,18 @@ class ContinuousSparse(SparsePolynomial):
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         system = dataset.system
-        carry, control, after = lagged_steps(dataset, lags)
-        before = carry[:, : system.nx]
-        middle = 0.5 * (before + after)
-        rate = (after - before) / system.dt - system.turning(middle)
-        return Regression(np.concatenate([middle, carry[:, system.nx :], control], axis=1), rate)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        middle = 0.5 * (data.state + data.after)
+        rate = (data.after - data.state) / system.dt - system.turning(middle)
+        carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
+        features = self.features_of(system, lags)
+        return Regression(features(carry, data.control), rate, features(data.carry, data.control), data.state)
+
+    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        super().adopt(data, coefficients, exponents)
+        self.state_range_ = np.stack([data.states.min(axis=0), data.states.max(axis=0)])
+        for i in self.system.periods:
+            self.state_range_[:, i] = -np.inf, np.inf
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
@@ -37,8 +43,10 @@ class ContinuousSparse(SparsePolynomial):
     def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import runge_kutta_predictor, stepping_kernel, turning_frame
 
-        nx = self.system.nx
-        rate = turning_frame(self.predictor(), self.system, low=self.low_[:nx], high=self.high_[:nx])
+        polynomial = self.predictor()
+        if polynomial is None:
+            return None
+        rate = turning_frame(polynomial, self.system, low=self.state_range_[0], high=self.state_range_[1])
         if rate is None:
             return None
         step = runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
@@ -46,11 +54,11 @@ class ContinuousSparse(SparsePolynomial):
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system = self.system
-        held = np.concatenate([carry[:, system.nx :], control], axis=1)
+        held = carry[:, system.nx :]
 
         def rate(state: Array) -> Array:
-            outside = state - np.clip(state, self.low_[: system.nx], self.high_[: system.nx])
+            outside = state - np.clip(state, *self.state_range_)
             known = system.turning(state) - outside / system.dt
-            return self.polynomial(np.concatenate([state, held], axis=1)) + known
+            return self.polynomial(np.concatenate([state, held], axis=1), control) + known
 
         return rk4(rate, carry[:, : system.nx], system.dt)

@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from model_zoo.sparse.units import quotient
 from sysid_evo.arrays import Array, IntArray
 
 
@@ -37,16 +38,6 @@ def term_name(exponents: IntArray, names: Sequence[str]) -> str:
     return " ".join(parts) or "1"
 
 
-def term_unit(exponents: IntArray, units: Sequence[str], of: str) -> str:
-    """Return the unit of a coefficient of this monomial in a quantity measured in ``of``."""
-    below = [
-        f"({unit})" + (f"^{power}" if power > 1 else "")
-        for unit, power in zip(units, exponents, strict=True)
-        if power and unit
-    ]
-    return of if not below else f"({of or '1'})/" + "/".join(below)
-
-
 def equation(
     left: str, unit: str, coefficients: Array, exponents: IntArray, names: Sequence[str], units: Sequence[str]
 ) -> str:
@@ -54,16 +45,9 @@ def equation(
     parts = []
     for value, powers in zip(coefficients, exponents, strict=True):
         if value:
-            dimension = term_unit(powers, units, unit)
+            dimension = quotient(unit, zip(units, (int(power) for power in powers), strict=True))
             name = term_name(powers, names)
-            factor = f"{abs(value):.6g}" + (f" [{dimension}]" if dimension else "")
+            factor = f"{abs(value):.4g}" + (f" [{dimension}]" if dimension else "")
             parts.append(("- " if value < 0 else "+ ") + factor + ("" if name == "1" else f" {name}"))
     right = " ".join(parts) if parts else "0"
     return f"{left} = {right.removeprefix('+ ')}"
-
-
-def lagged_names(names: Sequence[str], controls: Sequence[str], lags: tuple[int, int]) -> list[str]:
-    """Return the names of (carry, control): states, earlier states, earlier controls, control."""
-    earlier = [f"{name}[-{lag}]" for lag in range(1, lags[0] + 1) for name in names]
-    held = [f"{name}[-{lag}]" for lag in range(1, lags[1] + 1) for name in controls]
-    return [*names, *earlier, *held, *controls]

@@ -2,43 +2,45 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 import numpy as np
-from sklearn.base import clone
 
-from model_zoo.sparse.polynomial import equation, evaluate, lagged_names
-from model_zoo.validation.held_out import diverges, lag_candidates, time_blocks
+from model_zoo.channels.features import Features
+from model_zoo.sparse.polynomial import equation, evaluate
+from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
-from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
 
 DEGREES = (2, 3)
-THRESHOLDS = (0.01, 0.03, 0.06, 0.1)
+THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 MOST_TERMS = 250
-SEARCH_FOLDS = 3
 
 
 @dataclass(frozen=True)
 class Regression:
-    """Regressors (N, n), of which the first ``nx`` are the state, and targets (N, nx)."""
+    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx)."""
 
     regressors: Array
     targets: Array
+    measured: Array
+    states: Array
 
     def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(self.regressors[rows], self.targets[rows])
+        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows])
 
 
 def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
@@ -72,20 +74,44 @@ def root_mean_square(values: Array) -> Array:
     return np.where(size > 0, size, 1.0)
 
 
-class SparsePolynomial(DynamicsModel):
-    """A family whose right-hand side is a sparse polynomial of (carry, control) within the training range.
+Setting: TypeAlias = tuple[int, float, tuple[int, int]]
+"""Degree, threshold, lags."""
 
-    A subclass says what is regressed on what (`regression`), and steps with `polynomial`. ``degree``,
-    ``threshold`` and lags left at None are chosen by the simulation error over one second on
-    held-out blocks of time; settings that diverge there are never chosen if one does not.
+
+class SparsePolynomial(DynamicsModel):
+    """A family whose right-hand side is a sparse polynomial of features of (carry, control) within the training range.
+
+    The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
+    ``functions`` asked for, such as "abs(speed)". A subclass says what is regressed on what (`regression`), and
+    steps with `polynomial`. ``degree``, ``threshold`` and lags left at None are chosen by the simulation error
+    over one second on held-out blocks of time: the setting with the fewest terms among those within 5 % of the
+    best. Settings that diverge there are never chosen if one does not. With periodic states or ``functions``
+    there is no compiled form.
     """
 
     knowledge = "dark grey"
     requires = ("pysindy",)
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
-    degree: int | None
-    threshold: float | None
-    ridge: float
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
+
+    def __init__(
+        self,
+        *,
+        degree: int | None = None,
+        threshold: float | None = None,
+        ridge: float = 1e-3,
+        functions: list[str] | None = None,
+        state_lags: int | None = None,
+        control_lags: int | None = None,
+        rest_hold: bool = False,
+    ) -> None:
+        self.degree = degree
+        self.threshold = threshold
+        self.ridge = ridge
+        self.functions = functions
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.rest_hold = rest_hold
 
     @abstractmethod
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
@@ -94,6 +120,18 @@ class SparsePolynomial(DynamicsModel):
     @abstractmethod
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
+
+    def check_system(self, system: System) -> None:
+        Features(system, (0, 0), tuple(self.functions or ()))
+
+    @property
+    def features(self) -> Features:
+        """What the polynomial sees of (carry, control)."""
+        return self.features_of(self.system, self.lags)
+
+    def features_of(self, system: System, lags: tuple[int, int]) -> Features:
+        """Return the features before the lags are chosen."""
+        return Features(system, lags, tuple(self.functions or ()))
 
     def learn(
         self,
@@ -117,72 +155,61 @@ class SparsePolynomial(DynamicsModel):
         used = used if len(used) else np.array([0])
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
         self.exponents_ = np.ascontiguousarray(exponents[used])
-        self.low_, self.high_ = data.regressors.min(axis=0), data.regressors.max(axis=0)
+        self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        settings = self._settings(dataset)
-        chosen = settings[0]
-        searched = len(settings) if len(settings) > 1 else 0
-        counter = Counter(progress, searched * SEARCH_FOLDS + 1)
-        if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
-            errors = []
-            for degree, threshold, lags in settings:
-                trial = clone(self).set_params(
-                    degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1]
-                )
-                trial.system_, trial.envelope_ = self.system_, self.envelope_
-                error = 0.0
-                for learned, held in folds:
-                    trial.learn_once(learned, degree, threshold)
-                    windows = judging_windows(held, trial.n_lags)
-                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
-                    counter.advance()
-                errors.append(error)
-            chosen = settings[int(np.argmin(errors))]
-        degree, threshold, lags = chosen
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
-        self.degree_, self.threshold_ = degree, threshold
-        self.learn(dataset, degree, threshold, rng, counter)
+        settings, sizes = self._settings(dataset), dict[Setting, int]()
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks = HeldOut.of(dataset)
+
+        def error(setting: Setting) -> float:
+            degree, threshold, lags = setting
+            trial = self.variant(degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1])
+            sizes[setting] = FOLDS * trial.n_carry  # what has to be remembered counts too
+
+            def learned(part: Dataset) -> DynamicsModel:
+                trial.learn_once(part, degree, threshold)
+                sizes[setting] += int(np.count_nonzero(trial.coefficients_))
+                return trial
+
+            return blocks.error(learned, told=counter.advance)
+
+        self.degree_, self.threshold_, lags = best(settings, error, size=lambda setting: sizes[setting])
+        self.keep_lags(lags)
+        self.learn(dataset, self.degree_, self.threshold_, rng, counter)
         counter.advance()
         return self
 
-    def polynomial(self, inputs: Array) -> Array:
-        """Return the right-hand side (B, nx) for (carry, control), clipped to the training range."""
-        return evaluate(np.clip(inputs, self.low_, self.high_), self.exponents_) @ self.coefficients_
+    def polynomial(self, carry: Array, control: Array) -> Array:
+        """Return the right-hand side (B, nx), its features clipped to the training range."""
+        inputs = np.clip(self.features(carry, control), self.low_, self.high_)
+        return evaluate(inputs, self.exponents_) @ self.coefficients_
 
-    def predictor(self) -> Predictor:
-        """Return `polynomial` as a predictor of the fast engine."""
+    def predictor(self) -> Predictor | None:
+        """Return `polynomial` as a predictor of the fast engine, if its features are plain."""
         from sysid_evo.engine.kernels import polynomial_predictor, within
 
+        if not self.features.plain:
+            return None
         sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
         return within(sums, self.low_, self.high_, self.n_carry)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        system = self.system
-        lags = self.lags
-        names = lagged_names(system.state_names, system.control_names, lags)
-        states, controls = [c.unit for c in system.states], [c.unit for c in system.controls]
-        units = states * (lags[0] + 1) + controls * (lags[1] + 1)
+        features = self.features
         return [
-            equation(left, unit, self.coefficients_[:, channel], self.exponents_, names, units)
+            equation(left, unit, self.coefficients_[:, channel], self.exponents_, features.names, features.units)
             for channel, (left, unit) in enumerate(self.left_sides())
         ]
 
-    def _settings(self, dataset: Dataset) -> list[tuple[int, float, tuple[int, int]]]:
+    def _settings(self, dataset: Dataset) -> list[Setting]:
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
-        system = dataset.system
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
-        lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (0, 3), (1, 3)))
+        lags = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
         every = list(product(degrees, thresholds, lags))
 
-        def terms(setting: tuple[int, float, tuple[int, int]]) -> int:
-            n = system.nx * (1 + setting[2][0]) + system.nu * (1 + setting[2][1])
-            return int(np.prod([(n + i) / i for i in range(1, setting[0] + 1)]) + 0.5)
+        def terms(setting: Setting) -> int:
+            return math.comb(len(self.features_of(dataset.system, setting[2]).names) + setting[0], setting[0])
 
         return [setting for setting in every if terms(setting) <= MOST_TERMS] or [every[0]]

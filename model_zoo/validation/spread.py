@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from sklearn.base import clone
 
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
@@ -75,9 +74,7 @@ def _evenly(windows: Windows, most: int) -> Windows:
 
 def with_noise(model: DynamicsModel) -> DynamicsModel:
     """Return a copy of the fitted ``model`` with ``stochastic`` on."""
-    noisy: DynamicsModel = clone(model).set_params(stochastic=True)
-    noisy.__dict__.update({name: value for name, value in vars(model).items() if name.endswith("_")})
-    return noisy
+    return model.variant(stochastic=True)
 
 
 def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> Array:

@@ -119,7 +119,8 @@ def compare(
 
 def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json: bool, verbose: bool) -> None:
     """Plan an experiment, run what is not done yet, and print what it found."""
-    from evaluation.comparison import check_run_folder, finished, plan_comparison
+    from evaluation.comparison import check_experiment, check_run_folder, finished, plan_comparison
+    from evaluation.report import tells_nothing
     from evaluation.transfer import load_measured
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import InvalidData
@@ -127,6 +128,7 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
 
     load_plugins([Path(plugin) for plugin in experiment.plugins])
     path = check_run_folder(folder)
+    check_experiment(experiment)
     dataset = read_data(experiment)
     measured, damaged = load_measured(path)
     comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
@@ -144,17 +146,21 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
     stopped = outcomes[comparison.data.digest].error
     if isinstance(stopped, ConnectionError):  # no robot, no data, no report
         raise stopped
+    empty = False
     try:
         if experiment.only == "fit":
             print_fits(comparison, store, outcomes, json=json)
         else:
-            print_report(finished(comparison, store), path, json=json, verbose=verbose)
+            report = finished(comparison, store)
+            print_report(report, path, json=json, verbose=verbose)
+            empty = tells_nothing(report)
     except InvalidData as error:
         if not failed:
             raise
         complain(error)
     if failed:
         tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+    if failed or empty:
         raise typer.Exit(SOME_FAILED)
 
 

@@ -38,12 +38,20 @@ class Rollouts:
 
 
 class Runner(Protocol):
-    """How a controller is run on something: a column of the transfer matrix."""
+    """How a controller is run on something: a column of the transfer matrix, a member of an ensemble.
+
+    `DynamicsRunner` runs a model or an emulated robot, all trials at once; a physical robot is run by its
+    control loop, one trial at a time. Anything else with this one method can be evolved on and compared.
+    """
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
     ) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,)."""
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
+
+        ``controller`` and ``task`` are bound here, to what is run on. The fitness (P, E) is never nan. With
+        ``record`` the trajectories are kept. Only a robot leaves trials out, and says why in ``missing``.
+        """
         ...
 
 

@@ -39,7 +39,11 @@ class Given:
         state = rng.standard_normal((CANDIDATES, TRIALS, system.nx))[candidates, trials]
         task_state = self.task.begin(trial_seeds(moment, TRIALS)[trials]).tile(p)
         observation = self.task.observe(task_state, state.reshape(p * e, system.nx))
-        return View(observation.reshape(p, e, -1), state, task_state)
+        noise = None
+        if self.bound.n_noise:
+            of_trials = rng.standard_normal((TRIALS, self.bound.n_noise))[trials]
+            noise = np.broadcast_to(of_trials, (p, e, self.bound.n_noise)).copy()
+        return View(observation.reshape(p, e, -1), state, task_state, noise)
 
     def memory(self, moment: int) -> Array:
         """Return some memory (P, E, n_memory): zeros at moment 0, else what an action has left."""

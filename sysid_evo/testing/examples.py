@@ -37,8 +37,8 @@ def continuous_car() -> System:
 
 
 def pendulum() -> System:
-    """Return an angle, its rate and a torque, without a motion, at 50 Hz."""
-    states = (Channel("angle", "rad"), Channel("angular_speed", "rad/s"))
+    """Return an angle that comes round again, its rate and a torque, without a motion, at 50 Hz."""
+    states = (Channel("angle", "rad", period=2.0 * np.pi), Channel("angular_speed", "rad/s"))
     return System(states, (Channel("torque", "N m", -2.0, 2.0),), dt=0.02, name="made-up pendulum")
 
 

@@ -190,6 +190,16 @@ def a_trial_that_is_over_keeps_its_fitness(given: Given) -> None:
     expect(same(kept, expected), "the fitness of a trial that is held changes with the others")
 
 
+def a_scene_can_be_drawn(given: Given) -> None:
+    """scene gives what can be drawn of a trial: places (k, 2) in m, those reached among them"""
+    task_state, *_ = given.moment()
+    for trial in range(TRIALS):
+        scene = given.task.scene(task_state, trial)
+        expect_numbers("markers", scene.markers, (len(scene.markers), 2))
+        expect(0 <= scene.reached <= len(scene.markers), f"{scene.reached} of {len(scene.markers)} are reached")
+        expect(scene.radius >= 0.0, f"a radius is {scene.radius} m")
+
+
 def the_compiled_form_is_the_reference(given: Given) -> None:
     """The compiled form scores as the reference form does"""
     if given.task.kernel() is None:
@@ -211,6 +221,7 @@ CHECKS: tuple[Check[Given], ...] = (
     a_tracked_pose_is_believed,
     fitness_is_a_number_and_never_below_the_worst,
     a_trial_that_is_over_keeps_its_fitness,
+    a_scene_can_be_drawn,
     the_compiled_form_is_the_reference,
 )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
 import re
 import shlex
@@ -12,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import pandas as pd
 import pytest
@@ -80,6 +78,14 @@ def write_logs(dataset: Dataset, folder: Path) -> None:
         pd.DataFrame(columns).to_csv(folder / f"{episode.name}.csv", index=False)
 
 
+def what_a_user_has() -> dict[str, Any]:
+    """Arrays and a table of a pendulum, under the names that the pages use for them."""
+    rng = np.random.default_rng(0)
+    states, controls = rng.standard_normal((6, 2)), rng.uniform(-1.0, 1.0, 5)
+    frame = pd.DataFrame(states, columns=["theta", "theta_dot"]).assign(torque=[*controls, 0.0], run=[*"aaabbb"])
+    return {"states": states, "controls": controls, "frame": frame}
+
+
 @pytest.fixture
 def forgetting() -> Iterator[None]:
     """Whatever is registered during the test is forgotten after it."""
@@ -117,6 +123,7 @@ def test_the_python_of_a_page_runs(
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    module.__dict__.update(what_a_user_has())
     monkeypatch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
 
@@ -131,17 +138,13 @@ def test_the_commands_of_a_page_exist_with_these_options(page: str) -> None:
             accepted(group, arguments, line)
 
 
-def accepted(command: click.Command, arguments: list[str], line: str) -> None:
+def accepted(command: Any, arguments: list[str], line: str) -> None:
     """Fail unless ``command`` takes ``arguments``; nothing is run."""
-    while isinstance(command, click.Group):
+    while hasattr(command, "commands"):
         name, *arguments = arguments or [""]
         assert name in command.commands, f"no such command: {line}"
         command = command.commands[name]
-    with contextlib.suppress(click.exceptions.Exit):
-        try:
-            command.make_context("sysid-evo", arguments)
-        except click.UsageError as error:
-            pytest.fail(f"{line}: {error.format_message()}")
+    command.make_context("sysid-evo", arguments)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")])

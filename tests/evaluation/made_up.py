@@ -55,6 +55,7 @@ def prediction(
             name,
             at=(_score(name, SECOND, at_a_second[name], spread),) if name in at_a_second else (),
             free_run=_score(name, FREE, free[name], spread) if name in free else None,
+            free_states=tuple(run.states for run in cases(steps).free_runs) if name in free else (),
             divergence=Divergence(clipped.get(name, 0.0), 0.5, ()),
             reason="it broke" if name in failed else "",
         )

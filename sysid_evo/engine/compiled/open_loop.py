@@ -42,9 +42,7 @@ def final_errors(
     start = check_shape("start", start, (windows, None))
     truth = check_shape("truth", truth, (windows, None))
     real = np.dtype(precision)
-    weights = aligned(
-        np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:]), real
-    )
+    weight = np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:])
 
     sizes = loops.OPEN.integers(
         windows=windows,
@@ -55,8 +53,8 @@ def final_errors(
         n_parameters=parameters.shape[1],
     )
     error = np.zeros(len(parameters), real)
-    given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth}
-    shared = {name: aligned(array, real) for name, array in given.items()} | {"weight": weights}
+    given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth, "weight": weight}
+    shared = {name: aligned(array, real) for name, array in given.items()}
     kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
     room = {"carry": start.shape[1], "control": nu, "noise": 1, "scratch": n_scratch}
 

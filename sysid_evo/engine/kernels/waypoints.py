@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 
+from sysid_evo import angles
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import TaskKernel
@@ -54,7 +55,8 @@ def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -
 
 def _rows(task_state: TaskState) -> Array:
     here = cast("PointToPointState", task_state)
-    rows = [here.passed, here.alive, *here.pose.T, *here.waypoint.T]
+    x, y, heading = here.pose.T
+    rows = [here.passed, here.alive, x, y, angles.wrap(heading), *here.waypoint.T]  # wrapped while still exact
     return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluation.transfer import load_measured
-from tests.sysid_evo.cli.test_commands import run
+from tests.sysid_evo.cli.calling import run
 
 UNSEEN = '''
 """A robot that no tracker sees, and one that nothing answers for."""

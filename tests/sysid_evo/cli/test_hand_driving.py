@@ -32,7 +32,7 @@ from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.test_commands import run
+from tests.sysid_evo.cli.calling import run
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "drive"]
 SECONDS = 3.0

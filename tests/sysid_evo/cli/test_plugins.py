@@ -14,7 +14,7 @@ from sysid_evo.cli.plugins import app
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.plugin_template import PLUGINS, write_plugin
 from sysid_evo.registry import KINDS
-from tests.sysid_evo.cli.test_commands import run
+from tests.sysid_evo.cli.calling import run
 
 OPTIONS = ["-q", "-p", "no:cacheprovider", "--import-mode=prepend", "-c", os.devnull, "--rootdir", "."]
 

@@ -111,6 +111,19 @@ def test_a_sound_controller_keeps_every_sentence_but_that_of_kernels(register: C
     assert sentence(kit.the_compiled_form_acts_as_act_does) not in {result.sentence for result in results}
 
 
+def test_a_controller_that_wants_noise_is_given_some(register: Callable[..., Any]) -> None:
+    class Restless(Sluggish):
+        n_noise = 2
+
+        def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+            raw, memory = super().act(parameters, memory, view)
+            assert view.noise is not None
+            return np.clip(raw + 0.1 * view.noise[..., :1], -1.0, 1.0), memory
+
+    register(controllers, "restless", Restless)
+    assert broken(run_controller_checks("restless")) == {}
+
+
 @pytest.mark.parametrize(("made", "check", "reason"), BROKEN)
 def test_a_broken_controller_is_caught_with_the_one_sentence_it_breaks(
     made: type[Controller], check: Callable[..., None], reason: str, register: Callable[..., Any]

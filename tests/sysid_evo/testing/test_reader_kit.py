@@ -11,14 +11,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hardware.emulation.car_physics import CAR
 from hardware.listener import Command
 from hardware.measurement import Measurement
 from hardware.recording.recorder import Recorder
 from sysid_evo.data.tables import Reader, Table
 from sysid_evo.errors import ContractViolation, InvalidArgument, InvalidData
 from sysid_evo.registry import readers
-from sysid_evo.testing import check_reader, run_reader_checks
+from sysid_evo.testing import check_reader, example_systems, run_reader_checks
 from sysid_evo.testing import readers as kit
 from tests.broken import broken, sentence
 
@@ -143,7 +142,7 @@ def a_parquet(folder: Path) -> Path:
 
 def a_journal(folder: Path) -> Path:
     path = folder / "drive.rcj"
-    with Recorder(path, CAR, robot="toy", body="car") as recorder:
+    with Recorder(path, example_systems()[0], robot="toy", body="car") as recorder:
         for number in range(40):
             time = 5.0 + 0.005 * number
             pose = np.array([0.005 * number, -2.0, 0.5])

@@ -16,6 +16,7 @@ from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import tasks
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, Task, TaskState
+from sysid_evo.tasks.scene import Scene
 from sysid_evo.testing import check_task, example_systems, run_task_checks
 from sysid_evo.testing import tasks as kit
 from tests.broken import broken, sentence
@@ -159,6 +160,11 @@ class Restless(Upright):
         return RestlessState(**vars(super().begin(seeds)))
 
 
+class Overreaching(Upright):
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        return Scene(np.zeros((1, 2)), reached=2)
+
+
 class OtherKernel(PointToPoint):
     def kernel(self) -> TaskKernel:
         other = PointToPoint(waypoint_radius=4.0 * self.waypoint_radius).bind(self.system)
@@ -183,6 +189,7 @@ BROKEN: list[tuple[type[Task], Callable[..., None], str]] = [
     (Blind, kit.a_tracked_pose_is_believed, "the pose after the step is another one"),
     (BelowWorst, kit.fitness_is_a_number_and_never_below_the_worst, "is below worst, which is 0"),
     (Restless, kit.a_trial_that_is_over_keeps_its_fitness, "a trial that is held changes with the others"),
+    (Overreaching, kit.a_scene_can_be_drawn, "2 of 1 are reached"),
     (OtherKernel, kit.the_compiled_form_is_the_reference, r"fitness is \[.*\] compiled and \[.*\] in NumPy"),
 ]
 
