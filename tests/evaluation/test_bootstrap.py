@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.prediction import assess_prediction
+from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from evaluation.prediction.bootstrap import BlockErrors, draw_blocks, interval
 from tests.evaluation.known_models import Sliding, Weak, fitted, recording
 
@@ -60,3 +60,11 @@ def test_scores_and_differences_have_intervals_of_95_per_cent() -> None:
     assert difference is not None
     assert difference.interval == pytest.approx(np.percentile(one.resampled_n - two.resampled_n, (2.5, 97.5)))
     assert "95 % intervals" in prediction.cases.protocol.describe(0.05)
+
+
+def test_a_free_run_of_two_blocks_has_three_draws() -> None:
+    protocol = PredictionProtocol(block_samples=100, resamples=100)
+    test = recording(1, steps=200 + protocol.first)
+    score = assess_prediction({}, recording(), test, protocol=protocol).model(PERSISTENCE).free_run
+    assert score is not None
+    assert len(np.unique(score.resampled_n.round(9))) == 3  # one of them twice, the other twice, both

@@ -13,6 +13,8 @@ from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
+from sysid_evo.evolution.controllers import SELECTION
+from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.tasks import Task
 from tests.evaluation.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
@@ -79,11 +81,10 @@ def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed() -> None:
         assert here.waypoint_radius == 0.3
 
 
-def test_fresh_trials_are_not_those_of_evolution() -> None:
-    from sysid_evo.randomness import trial_seeds
-
+def test_fresh_trials_are_those_neither_of_evolution_nor_of_the_choice_of_the_champion() -> None:
     evolved = np.concatenate([trial_seeds(7, 10, generation=g) for g in range(50)])
-    assert not np.isin(transfer_seeds(7, 100), evolved).any()
+    chosen = trial_seeds(7, 100, generation=SELECTION)
+    assert not np.isin(transfer_seeds(7, 100), [*evolved, *chosen]).any()
 
 
 def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:

@@ -2,7 +2,7 @@
 
 from tests.mutation.change import Change
 
-SPREAD = "tests/model_zoo/test_spread.py"
+VERDICTS = "tests/model_zoo/test_verdicts.py"
 VALIDATION = "tests/model_zoo/test_validation.py"
 
 CHANGES = (
@@ -11,35 +11,35 @@ CHANGES = (
         "model_zoo/validation/spread.py",
         "level = min(1.0, share * (len(errors) + 1) / len(errors))",
         "level = share",
-        (SPREAD,),
+        (VERDICTS,),
     ),
     Change(
         "earlier samples count as much as the present one",
         "model_zoo/k_neighbours.py",
         "weight = np.full(len(scale), 0.5)",
         "weight = np.full(len(scale), 1.0)",
-        ("tests/model_zoo/test_small_systems.py",),
+        (VERDICTS,),
     ),
     Change(
-        "a narx that diverges may be chosen",
-        "model_zoo/narx.py",
-        "errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0",
-        "errors[index] += 0.0 if diverges(trial, windows, dataset) else 0.0",
-        (VALIDATION,),
+        "hyper-parameters may be chosen with which a narx diverges",
+        "model_zoo/validation/held_out.py",
+        "total += DIVERGED if self.diverges(model, simulated) else 0.0",
+        "total += 0.0",
+        (VERDICTS,),
     ),
     Change(
         "evolved3 looks one step ahead",
         "model_zoo/evolved3.py",
         "windows=self.windows, horizon=self.horizon,",
         "windows=self.windows, horizon=1,",
-        (VALIDATION,),
+        (VERDICTS,),
     ),
     Change(
         "all steps of a free run weigh alike",
         "model_zoo/networks/multistep.py",
         "** -SHARPNESS",
         "** -0.0",
-        ("tests/model_zoo/test_networks.py",),
+        (VERDICTS,),
     ),
     Change(
         "an evolved fit looks one step ahead, whatever it is told",

@@ -13,7 +13,7 @@ TEST_EXECUTION = ("tests/sysid_evo/plan/test_execution.py",)
 TEST_REGISTRY = ("tests/sysid_evo/test_registry.py",)
 TEST_SPEC = ("tests/sysid_evo/test_spec.py",)
 TEST_ARTEFACTS = ("tests/sysid_evo/test_artefacts.py",)
-TEST_IDENTITIES = ("tests/evaluation/test_identities.py",)
+TEST_FOUND_AGAIN = ("tests/evaluation/test_found_again.py",)
 
 CHANGES = (
     Change("a result is found whatever it was made with", CELL, '"inputs": self.inputs(),', '"inputs": {},', TEST_PLAN),
@@ -30,28 +30,28 @@ CHANGES = (
         CELLS,
         '"strategy": strategies.identity(settings.strategy),',
         '"strategy": "",',
-        TEST_IDENTITIES,
+        TEST_FOUND_AGAIN,
     ),
     Change(
         "a controller evolved without delay is found",
         CELLS,
         '"estimator_delay": settings.estimator_delay,',
         '"estimator_delay": 0.0,',
-        TEST_IDENTITIES,
+        TEST_FOUND_AGAIN,
     ),
     Change(
         "a claim is measured without the delay of evolution",
         CELLS,
         "self.column.runner(work, delay=self.delay),",
         "self.column.runner(work, delay=0.0),",
-        TEST_IDENTITIES,
+        TEST_FOUND_AGAIN,
     ),
     Change(
         "a plugin that has changed gives its old results",
         REGISTRY,
         '"source": source_digest(self.get(found.name)),',
         '"source": None,',
-        (*TEST_REGISTRY, *TEST_IDENTITIES),
+        (*TEST_REGISTRY, *TEST_FOUND_AGAIN),
     ),
     Change(
         "a damaged result is taken for whole",
