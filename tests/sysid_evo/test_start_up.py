@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
+
+import pytest
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
 SECONDS = 0.5
@@ -76,7 +79,8 @@ def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given
         environment["OMP_NUM_THREADS"] = given
     code = (
         "import os, sys\nfrom sysid_evo.cli import main\nassert 'numpy' not in sys.modules\n"
-        "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n    print(os.environ['OMP_NUM_THREADS'])"
+        "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n"
+        "    print(os.environ['OMP_NUM_THREADS'])"
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == expected
