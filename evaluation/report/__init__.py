@@ -2,7 +2,6 @@
 
 from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
 from evaluation.report.document import to_json
-from evaluation.report.page import to_html
 from evaluation.report.save import save_report
 from evaluation.report.terminal import brief, tables
 from evaluation.report.verdict import Finding, verdict
@@ -17,7 +16,6 @@ __all__ = [
     "brief",
     "save_report",
     "tables",
-    "to_html",
     "to_json",
     "verdict",
 ]

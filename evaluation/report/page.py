@@ -6,10 +6,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from evaluation.report import pictures as draw
-from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
 from evaluation.report.pictures import Picture
 from evaluation.report.sheets import Sheet
+from evaluation.report.tables import (
+    channel_list,
+    channel_sheet,
+    controller_sheet,
+    episode_sheet,
+    exploitability_sheet,
+    failure_sheet,
+    key_sheet,
+    model_sheet,
+    prediction_sheet,
+    probe_sheet,
+    transfer_sheet,
+)
 from evaluation.report.verdict import verdict
 
 TEMPLATE = "page.html.j2"
@@ -59,10 +71,10 @@ def sections(report: Report) -> Iterable[Section]:
             _present(
                 draw.transfer_picture(matrix),
                 draw.claims_picture(matrix, summary),
-                sheets_of.controller_sheet(matrix, summary),
+                controller_sheet(matrix, summary),
                 draw.fitness_picture(matrix),
                 draw.traces_picture(matrix),
-                _folded(sheets_of.transfer_sheet(matrix)),
+                _folded(transfer_sheet(matrix)),
             ),
             ["Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."],
         )
@@ -72,20 +84,20 @@ def sections(report: Report) -> Iterable[Section]:
             "Exploitability",
             _present(
                 draw.probe_picture(report.exploitability),
-                sheets_of.exploitability_sheet(report.exploitability),
-                sheets_of.probe_sheet(report.exploitability) if with_probes else None,
+                exploitability_sheet(report.exploitability),
+                probe_sheet(report.exploitability) if with_probes else None,
             ),
             [model.sentence for model in report.exploitability],
         )
     if report.all_failures:
-        yield Section("Failures", [sheets_of.failure_sheet(report)])
+        yield Section("Failures", [failure_sheet(report)])
     yield Section(
         "Data",
-        _present(sheets_of.episode_sheet(report), sheets_of.channel_list(report)),
+        _present(episode_sheet(report), channel_list(report)),
         [_data_sentence(report), *report.notes],
     )
     settings = [
-        sheets_of.key_sheet(title, values)
+        key_sheet(title, values)
         for title, values in (
             ("Settings", report.settings),
             ("Versions", report.versions),
@@ -93,7 +105,7 @@ def sections(report: Report) -> Iterable[Section]:
         )
         if values
     ]
-    models = [sheets_of.model_sheet(report)] if report.models else []
+    models = [model_sheet(report)] if report.models else []
     if settings or models:
         yield Section("Settings", [*models, *settings])
 
@@ -106,10 +118,10 @@ def _prediction(report: Report) -> Section:
         draw.horizon_picture(prediction) if prediction.cases.horizons else None,
         draw.free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
     )
-    channels = [sheets_of.channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
+    channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [sheets_of.prediction_sheet(prediction), *pictures, *channels],
+        [prediction_sheet(prediction), *pictures, *channels],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

@@ -34,6 +34,17 @@ print(json.dumps([early, sysid_evo.__all__]))
 """
 
 
+MAKE_A_MISTAKE = """
+import json, sys
+from sysid_evo.cli import main
+sys.argv = ["sysid-evo", "compare", "--models", "linaer"]
+try:
+    main()
+except SystemExit as ended:
+    print(json.dumps([ended.code, sorted(sys.modules)]))
+"""
+
+
 def answer(source: str) -> tuple[str, list | dict]:
     """Return all that a fresh interpreter prints, and its last line."""
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
@@ -54,3 +65,9 @@ def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None
     _, (early, names) = answer(ASK_FOR_NAMES)
     assert not (HEAVY | {"numpy"}) & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
+
+
+def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
+    _, (code, imported) = answer(MAKE_A_MISTAKE)
+    assert code == 2
+    assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)
