@@ -11,10 +11,11 @@ from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matr
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
+from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, SysidEvoError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, MissingExtra, SysidEvoError
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
@@ -269,9 +270,19 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
         raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
-    if parts.test is not None:
-        check_usable(parts.test, horizon=1, name="the test data")
+    if parts.test is not None and experiment.only != "fit":
+        _check_predictable(parts.training, parts.test)
     return GivenData(dataset, split)
+
+
+def _check_predictable(training: Dataset, test: Dataset) -> None:
+    """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
+    cases = measured_cases(training, test, PredictionProtocol())
+    if not cases.horizons:
+        raise InvalidData(
+            f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+            "Record more, or name a longer episode with --test"
+        )
 
 
 def _matrix(
