@@ -93,7 +93,6 @@ class Backprop27(DynamicsModel):
         self.first_bias_ = first_bias - np.einsum("i,cih->ch", centre / scale, first)
         self.last_ = last * target_scale[:, None]
         self.last_bias_ = last_bias * target_scale + target_centre
-        self.__dict__.pop("_serving", None)
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sklearn.base import clone
 
-from model_zoo.channels.standard import Standard
+from model_zoo.channels.features import Features
+from model_zoo.channels.standard import Standard, deviation
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -33,7 +34,8 @@ class KNeighbours(DynamicsModel):
     The plain change in one step is used, not the acceleration: a lateral acceleration balances
     forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
 
-    Distance is Euclidean in (carry, control) divided by standard deviations, controls counting
+    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic
+    state), controls counting
     ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
     d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
     (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
@@ -78,22 +80,23 @@ class KNeighbours(DynamicsModel):
         )
         self.keep_lags(chosen)
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
-        _, scale = Standard.of(dataset).of_inputs(self.layout)
-        nx, nu = dataset.system.nx, dataset.system.nu
+        system, features = dataset.system, Features(dataset.system, self.lags)
+        inputs = features(data.carry, data.control)
+        scale = Standard.of(dataset).of_inputs(self.layout)[1] if features.plain else deviation(inputs)
         weight = np.full(len(scale), 0.5)
-        weight[:nx] = 1.0
-        weight[len(weight) - nu :] = self.control_weight
+        weight[: len(system.regressor_names)] = 1.0
+        weight[len(weight) - system.nu :] = self.control_weight
         self.metric_ = weight / scale
-        self.points_ = data.inputs * self.metric_
+        self.points_ = inputs * self.metric_
         self.low_, self.high_ = data.state.min(axis=0), data.state.max(axis=0)
+        for i in system.periods:
+            self.low_[i], self.high_[i] = -np.inf, np.inf
         self.changes_ = data.after - data.state
-        self.__dict__.pop("_tree", None)
-        self.__dict__.pop("_compiled", None)
         counter.advance()
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        query = np.concatenate([carry, control], axis=1) * self.metric_
+        query = Features(self.system, self.lags)(carry, control) * self.metric_
         count = min(self.neighbours_, len(self.points_))
         distance, rows = self._tree.query(query, k=np.arange(1, count + 1))
         weight = (1.0 - (distance / (1.05 * distance[:, -1:] + 1e-12)) ** 2) ** 2
@@ -111,14 +114,16 @@ class KNeighbours(DynamicsModel):
         inside = np.clip(state, self.low_, self.high_)
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         return self._compiled
 
     @cached_property
-    def _compiled(self) -> DynamicsKernel:
+    def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
         from sysid_evo.engine.kernels import stepping_kernel
 
+        if not Features(self.system, self.lags).plain:
+            return None
         predictor = plane_predictor(
             self.points_,
             self.changes_,

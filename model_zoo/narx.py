@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.sparse.polynomial import equation, evaluate, monomials
+from model_zoo.channels.features import Features
+from model_zoo.sparse.polynomial import equation, evaluate, left_sides, monomials
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
@@ -29,7 +30,8 @@ class Narx(DynamicsModel):
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
     candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
     orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time. Inputs are clipped to the training range.
+    over one second on held-out blocks of time. Inputs are clipped to the training range;
+    a periodic state stands as its sine and cosine, and its change is predicted.
     """
 
     knowledge = "black"
@@ -76,36 +78,40 @@ class Narx(DynamicsModel):
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        inputs = np.clip(np.concatenate([carry, control], axis=1), self.low_, self.high_)
-        return evaluate(inputs, self.exponents_) @ self.coefficients_
+        features = Features(self.system, self.lags)
+        inputs = np.clip(features(carry, control), self.low_, self.high_)
+        return features.anchor(carry[:, : self.system.nx]) + evaluate(inputs, self.exponents_) @ self.coefficients_
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import polynomial_predictor, stepping_kernel, within
 
+        if not Features(self.system, self.lags).plain:
+            return None
         sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
         predictor = within(sums, self.low_, self.high_, self.n_carry)
         return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        system, layout = self.system, self.layout
-        names = layout.input_names(system.state_names, system.control_names)
-        units = layout.each_input([c.unit for c in system.states], [c.unit for c in system.controls])
+        features = Features(self.system, self.lags)
+        sides = left_sides(self.system)
         return [
-            equation(f"{state.name}[+1]", state.unit, self.coefficients_[:, i], self.exponents_, names, units)
-            for i, state in enumerate(system.states)
+            equation(left, unit, self.coefficients_[:, i], self.exponents_, features.names, features.units)
+            for i, (left, unit) in enumerate(sides)
         ]
 
     def _selection(self, dataset: Dataset, lags: tuple[int, int], count: int) -> list[IntArray]:
         """Return, for each state, the terms in the order in which they enter."""
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        inputs, after = data.inputs, data.after
+        features = Features(dataset.system, lags)
+        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
         library = evaluate(inputs / _size(inputs), monomials(inputs.shape[1], self.degree))
         return [forward_selection(library, after[:, i], count) for i in range(after.shape[1])]
 
     def _learn(self, dataset: Dataset, lags: tuple[int, int], count: int, order: list[IntArray]) -> None:
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        inputs, after = data.inputs, data.after
+        features = Features(dataset.system, lags)
+        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
         scale, exponents = _size(inputs), monomials(inputs.shape[1], self.degree)
         library = evaluate(inputs / scale, exponents)
         coefficients = np.zeros((len(exponents), after.shape[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from model_zoo.sparse.polynomial import left_sides
 from model_zoo.sparse.regression import Regression, SparsePolynomial
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -34,7 +35,7 @@ class SindyDiscrete(SparsePolynomial):
         return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
 
     def left_sides(self) -> list[tuple[str, str]]:
-        return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in self.system.states]
+        return left_sides(self.system)
 
     def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import stepping_kernel

@@ -6,7 +6,7 @@ from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matr
 from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
-from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison
+from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison, unsettled
 
 __all__ = [
     "BUDGETS",
@@ -34,4 +34,5 @@ __all__ = [
     "finished",
     "is_run",
     "plan_comparison",
+    "unsettled",
 ]

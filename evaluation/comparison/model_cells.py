@@ -38,6 +38,14 @@ def with_preset(spec: Spec, preset: str) -> Spec:
     return spec.with_parameters(**family.presets.get(preset, {}))
 
 
+def without_preset(spec: Spec, preset: str) -> Spec:
+    """Return the spec of a model without the values that its family has from ``preset``."""
+    family: Any = models.get(spec.name)
+    brought = family.presets.get(preset, {})
+    own = {key: value for key, value in spec.parameters.items() if key not in brought or value != brought[key]}
+    return Spec(spec.name, own, spec.label)
+
+
 @dataclass(frozen=True, eq=False)
 class FitCell(Cell):
     """Fits the family in ``spec``, all its parameters settled, to the training part of ``data``."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from evaluation.comparison.columns import Column, emulated
 from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
-from evaluation.comparison.experiment import DEFAULT_ROBOT, Experiment
-from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset
+from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
 from evaluation.transfer import Measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
@@ -107,6 +107,20 @@ def plan_comparison(
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     plan = Plan.of(wanted, remarks=remarks)
     return Comparison(settled, plan, data, fits, predictions, matrix, exploitability)
+
+
+def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return stored settings without what their preset brought, so that another preset brings its own.
+
+    Raises what the registry of models says about wrong names.
+    """
+    experiment = Experiment.of(settings)
+    budget = BUDGETS[experiment.preset].model_dump()
+    found = {name: value for name, value in settings.items() if name not in budget or value != budget[name]}
+    if experiment.models is not None and experiment.models != (ALL,):
+        specs = (without_preset(Spec.parse(text), experiment.preset) for text in experiment.models)
+        found["models"] = tuple(map(str, specs))
+    return found
 
 
 def _constructible(evolution: ControllerEvolution) -> None:

@@ -132,9 +132,3 @@ def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
     windows = judging_windows(held, model.n_lags)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])
-
-
-def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
-    """Return how much of ``truth`` (N, nx) lies in the central ``share`` of ``samples`` (S, N, nx), (nx,)."""
-    low, high = np.quantile(samples, [0.5 - share / 2, 0.5 + share / 2], axis=0, method="weibull")
-    return ((truth >= low) & (truth <= high)).mean(axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from typing import Annotated
@@ -13,6 +14,8 @@ from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
 from sysid_evo.errors import SysidEvoError
 
+INNER_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Libraries work on one thread: the matrices are small, and the engine spreads its blocks over all processors."""
 ANYWHERE = ("--debug", "--quiet")
 """Options of the whole program, which may stand behind a command, too."""
 
@@ -62,6 +65,8 @@ def _options(
 def main() -> None:
     """Run the command line; an error of this library is one message, not a traceback."""
     warnings.showwarning = _show_warning
+    for name in INNER_THREADS:
+        os.environ.setdefault(name, "1")
     arguments = sys.argv[1:]
     end = arguments.index("--") if "--" in arguments else len(arguments)
     first = [argument for argument in arguments[:end] if argument in ANYWHERE]

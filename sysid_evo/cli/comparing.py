@@ -84,10 +84,13 @@ def compare(
 
     With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
     """
-    from evaluation.comparison import Experiment
+    from evaluation.comparison import Experiment, unsettled
     from sysid_evo.errors import InvalidArgument
 
     settings = Experiment.read(config) if config is not None else {}
+    if preset is not None and settings:
+        load_plugins([Path(file) for file in settings.get("plugins", ())])
+        settings = unsettled(settings)
     settings |= given(
         data=None if data is None else tuple(str(path.resolve()) for path in data),
         test=None if test is None else tuple(test),

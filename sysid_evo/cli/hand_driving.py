@@ -160,10 +160,9 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
         return
     traces = []
     for trial in whole[:TRACES]:
-        waypoints, passed = getattr(trial.task_state, "waypoints", None), getattr(trial.task_state, "passed", None)
-        seen = np.empty((0, 2)) if waypoints is None or passed is None else waypoints[0, : passed[0] + 1]
         if trial.trajectory is not None and trial.fitness is not None:
-            traces.append(Trace(trial.trajectory, trial.fitness, seen, float(getattr(task, "waypoint_radius", 0.0))))
+            scene = task.scene(trial.task_state, 0)
+            traces.append(Trace(trial.trajectory, trial.fitness, scene.markers, scene.radius))
     cell = Cell(
         champion=name,
         column=driven.column,

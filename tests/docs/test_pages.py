@@ -43,7 +43,7 @@ EXAMPLES = {
 }
 """The page of each kind, and what its example is called."""
 LANGUAGES = {"", "python", "toml", "sh"}
-OTHER_PROGRAMS = {"make", "pip", "cd", "source", "python", "git"}
+OTHER_PROGRAMS = {"make", "pip", "cd", "python3"}
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def accepted(command: Any, arguments: list[str], line: str) -> None:
         name, *arguments = arguments or [""]
         assert name in command.commands, f"no such command: {line}"
         command = command.commands[name]
-    command.make_context("sysid-evo", arguments)
+    command.make_context("sysid-evo", [argument for argument in arguments if argument != "--help"])
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")])

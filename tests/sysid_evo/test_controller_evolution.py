@@ -276,6 +276,6 @@ def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> 
     with pytest.raises(UnknownName, match=r"no controller is called 'recurent'\. Did you mean 'recurrent'"):
         ControllerEvolution(controller="recurent")
     with pytest.raises(InvalidArgument, match=r"strategy 'mu_plus_lambda' has no parameter 'sigmma'\. Did you mean"):
-        ControllerEvolution(strategy_parameters={"sigmma": 0.1})
+        ControllerEvolution(strategy="mu_plus_lambda(sigmma=0.1)")
     with pytest.raises(InvalidArgument, match="task 'point_to_point' has no parameter 'radius'"):
-        ControllerEvolution(task_parameters={"radius": 0.1})
+        ControllerEvolution(task="point_to_point(radius=0.1)")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
+
+import pytest
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
 SECONDS = 0.5
@@ -67,3 +70,17 @@ def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None
     _, (early, names) = answer(ASK_FOR_NAMES)
     assert not (HEAVY | {"numpy"}) & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
+def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given: str | None, expected: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    if given is not None:
+        environment["OMP_NUM_THREADS"] = given
+    code = (
+        "import os, sys\nfrom sysid_evo.cli import main\nassert 'numpy' not in sys.modules\n"
+        "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n"
+        "    print(os.environ['OMP_NUM_THREADS'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == expected

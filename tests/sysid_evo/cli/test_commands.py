@@ -31,10 +31,11 @@ def test_compare_runs_from_recordings_to_a_report_with_a_family_from_outside(log
     (tmp_path / "mine.py").write_text(PLUGIN)
     done = run(
         "compare", "--data", logs, "--test", "episode-2", "--plugin", "mine.py", "--models", "mean_acceleration,linear",
-        "--generations", "1", "--out", "out", cwd=tmp_path,
+        "--generations", "1", "--out", "out", "--verbose", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "Transfer matrix" in done.stdout
+    assert done.stdout.splitlines()[-1] == "Report: out/report.html"
     assert "mean_acceleration" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "done" in done.stderr

@@ -262,3 +262,37 @@ def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_a
 def test_without_debug_there_is_no_traceback(call: Caller) -> None:
     assert "Traceback" not in call("compare", "--models", "linaer").stderr
     assert "Traceback" in call("compare", "--models", "linaer", "--debug").stderr
+
+
+def test_another_preset_on_the_line_brings_its_own_budget(call: Caller, logs: Path) -> None:
+    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 150\ntrials = 10\nruns = 1\n'
+    (call.folder / "quick.toml").write_text(settings)
+
+    def seconds(*options: str) -> float:
+        ended = call("compare", "--config", "quick.toml", "--dry-run", "--json", *options)
+        assert ended.code == 0, ended.stderr
+        (evolve,) = [cell["seconds"] for cell in json.loads(ended.stdout)["cells"] if cell["cell"] == "evolve linear"]
+        return float(evolve)
+
+    assert seconds("--preset", "standard") == pytest.approx(6.0 * seconds(), rel=0.05)
+    assert seconds("--preset", "standard", "--runs", "1") == pytest.approx(2.0 * seconds(), rel=0.05)
+
+
+def test_evolve_tells_its_claim_as_json_and_knows_a_model_by_name_and_by_file(there: Caller) -> None:
+    (file,) = (there.folder / "out" / "models").glob("linear-*.json")
+    by_name = there("evolve", "--run", "out", "--against", "linear", *WHOLE, "--preset", "quick", "--json")
+    assert by_name.code == 0, by_name.stderr
+    told = json.loads(by_name.stdout)
+    assert told["controller"] == "linear"
+    assert (there.folder / told["file"]).is_file()
+    assert told["claims"]["linear"]["trials"] == 100
+    assert told["unit"] == "waypoints"
+    report = json.loads((there.folder / "out" / "report.json").read_text())
+    (claimed,) = [cell for cell in report["transfer"]["cells"] if cell["column"] == "linear"]
+    assert told["claims"]["linear"]["mean"] == pytest.approx(claimed["mean"])  # the same cells, found again
+    by_file = there("evolve", "--run", "out", "--against", file, *WHOLE, "--preset", "quick", "--dry-run", "--json")
+    assert by_file.code == 0, by_file.stderr
+    assert all(cell["kept"] for cell in json.loads(by_file.stdout)["cells"])
+    stranger = there("evolve", "--run", "out", "--against", "parametrised", *WHOLE)
+    assert stranger.code == 2
+    assert stranger.says("'parametrised' is not among the models of out: linear")
