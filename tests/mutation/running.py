@@ -56,8 +56,7 @@ class Copy:
     def test(self, tests: Iterable[str], *, first: bool = True, **environment: str) -> tuple[int, list[str]]:
         """Run ``tests``, up to the ``first`` that fails; return pytest's exit code and the tests that failed."""
         command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", *tests]
-        if first:
-            command.append("-x")
+        command.append("-x" if first else "--continue-on-collection-errors")
         try:
             done = subprocess.run(
                 command,

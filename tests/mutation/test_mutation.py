@@ -64,8 +64,12 @@ def test_a_change_that_no_test_sees_survives_and_one_that_does_not_fit_is_stale(
 
 def test_a_test_that_fails_anyway_catches_nothing(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tree / "test_product.py").write_text(TESTS.replace("== 6", "== 7"))
-    assert main([], root=tree, changes=[change("it triples", "2 *", "3 *")]) == 1
-    assert "test_doubles fails without it" in " ".join(capsys.readouterr().err.split())
+    (tree / "test_broken.py").write_text("import nothing_of_this_name\n")
+    broken = Change("it triples", "product.py", "2 *", "3 *", ("test_broken.py",))
+    assert main([], root=tree, changes=[broken, change("it triples", "2 *", "3 *")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "test_broken.py fails without it" in said
+    assert "test_doubles fails without it" in said
 
 
 def test_changes_are_chosen_by_a_word_and_listed(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -196,6 +196,15 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder: 
     np.testing.assert_array_equal(run.trajectories[1].states[:, 0], [2.0, 2.5, 3.0, 3.5])
 
 
+def test_a_trial_that_is_over_is_clipped_no_more(ladder: System) -> None:
+    dynamics = Climber(ladder, envelope=np.array([[-1.0], [2.1]]))
+    seeds = np.array([0], dtype=np.uint64)
+    run = rollout(dynamics, Constant(), np.array([[0.5], [0.1]]), Ladder(horizon=8, top=1.7), seeds)
+    # 0.5 ends on 2.0 in step 4; four steps more would each be clipped
+    np.testing.assert_array_equal(run.survived[:, 0], [4, 8])
+    np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
+
+
 def test_a_wall_alters_the_state_that_goes_on(ladder: System) -> None:
     seeds = np.array([0], dtype=np.uint64)
     run = rollout(Climber(ladder), Constant(), np.array([[0.5]]), Ladder(horizon=4, ceiling=0.8), seeds, record=True)

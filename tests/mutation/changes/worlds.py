@@ -8,8 +8,10 @@ REFERENCE = "sysid_evo/engine/reference.py"
 TEST_MOTION = ("tests/sysid_evo/test_motion.py",)
 TEST_TASK = ("tests/sysid_evo/test_point_to_point.py",)
 TEST_REFERENCE = ("tests/sysid_evo/test_rollout.py",)
-TEST_COMPILED = ("tests/sysid_evo/engine/test_compiled_rollout.py",)
-TEST_EQUALITY = ("tests/sysid_evo/engine/test_equality.py",)
+COMPILED = "tests/sysid_evo/engine/test_compiled_rollout.py"
+EQUALITY = "tests/sysid_evo/engine/test_equality.py"
+TEST_FIT = (f"{EQUALITY}::test_the_compiled_fit_has_the_error_of_the_plain_one",)
+TEST_WAYPOINTS = (f"{EQUALITY}::test_the_waypoint_task_observes_and_advances_step_by_step",)
 
 CHANGES = (
     Change(
@@ -45,7 +47,7 @@ CHANGES = (
         "sysid_evo/motion/planar_body_kernel.py",
         "angle = angle - TURN * nearest(angle * PER_TURN)",
         "angle = angle - TURN if angle > math.pi else angle",
-        TEST_EQUALITY,
+        TEST_WAYPOINTS,
     ),
     Change(
         "a waypoint is passed from another distance",
@@ -66,42 +68,42 @@ CHANGES = (
         "sysid_evo/engine/kernels/waypoints.py",
         "radius_squared=waypoint_radius**2",
         "radius_squared=waypoint_radius",
-        TEST_EQUALITY,
+        TEST_WAYPOINTS,
     ),
     Change(
         "steps of trials that are over count as clipped in the compiled form",
         LOOPS,
         "1 if (marks[lane] > 0.0) & (dead[lane] == 0) else 0",
         "1 if marks[lane] > 0.0 else 0",
-        TEST_COMPILED,
+        (f"{COMPILED}::test_a_trial_that_is_over_is_clipped_no_more",),
     ),
     Change(
         "lanes that only pad a block count in the error of a compiled fit",
         LOOPS,
         "used = min(LANES, windows - block * LANES)",
         "used = LANES",
-        TEST_EQUALITY,
+        TEST_FIT,
     ),
     Change(
         "a compiled fit forgets how much each state counts",
         LOOPS,
         "total += off * off * weight[row]",
         "total += off * off",
-        TEST_EQUALITY,
+        TEST_FIT,
     ),
     Change(
         "a compiled simulation goes on beyond the envelope",
         LOOPS,
         "value[lane] = min(max(value[lane], low), high)",
         "value[lane] = max(value[lane], low)",
-        TEST_COMPILED,
+        (f"{COMPILED}::test_clipped_steps_are_counted_and_clipped_states_go_on",),
     ),
     Change(
         "the trial of a rollout is that of another candidate",
         LOOPS,
         "trial = rollout % n_trials",
         "trial = rollout // n_trials % n_trials",
-        TEST_COMPILED,
+        (f"{COMPILED}::test_every_candidate_meets_the_noise_of_its_trial",),
     ),
     Change(
         "a trial that diverges scores as one that survives",
@@ -129,6 +131,6 @@ CHANGES = (
         "sysid_evo/engine/compiled/run.py",
         "row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], boundary",
         "row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], 1.5 * boundary",
-        TEST_COMPILED,
+        (f"{COMPILED}::test_every_output_selects_the_level_that_the_system_says",),
     ),
 )

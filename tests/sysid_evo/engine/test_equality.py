@@ -145,10 +145,14 @@ def test_the_compiled_fit_has_the_error_of_the_plain_one(recording: Dataset) -> 
     windows = recording.windows(10)
     windows = windows[rng.integers(len(windows), size=131)]
     population = family.parameters_ * rng.uniform(0.5, 1.5, (37, 12))
-    plain = final_error(family._advance, population, windows)
-    np.testing.assert_allclose(kernel_error(*family._kernels(population), windows), plain, rtol=1e-4)
+    weight = np.array([2.0, 0.5, 7.0])
+    plain = final_error(family._advance, population, windows, weight=weight)
     kernel, parameters = family._kernels(population)
-    given = (kernel.source, kernel.n_scratch, parameters, windows.start_states, windows.controls, windows.states[:, -1])
+    np.testing.assert_allclose(kernel_error(kernel, parameters, windows, weight=weight), plain, rtol=1e-4)
+    given = (
+        kernel.source, kernel.n_scratch, parameters, windows.start_states, windows.controls, windows.states[:, -1],
+        weight,
+    )  # fmt: skip
     alone = final_errors(*given, precision="float64")
     np.testing.assert_allclose(alone, plain, rtol=1e-9)
     for threads in (2, 3, 99):
