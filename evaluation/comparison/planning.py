@@ -61,9 +61,15 @@ class Comparison:
 
 
 def plan_comparison(
-    experiment: Experiment, *, dataset: Dataset | None = None, measured: Sequence[Measured] = ()
+    experiment: Experiment,
+    *,
+    dataset: Dataset | None = None,
+    stored: tuple[Cell, System] | None = None,
+    measured: Sequence[Measured] = (),
 ) -> Comparison:
     """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
+
+    ``stored`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
 
     Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
     and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
@@ -72,8 +78,12 @@ def plan_comparison(
     remarks: list[str] = []
     evolution = experiment.evolution
     _constructible(evolution)
-    robot = _robot(experiment, has_data=dataset is not None)
-    system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    if stored is not None:
+        data, system = stored
+    else:
+        system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+        data = _data(experiment, robot, dataset)
     specs = _models(experiment, system, remarks)
     labels = tuple(spec.label for spec in specs)
     ensembles = _ensembles(experiment, labels)
@@ -81,7 +91,6 @@ def plan_comparison(
     if experiment.only is None:
         task = evolution.make_task(system)
         evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
-    data = _data(experiment, robot, dataset)
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
@@ -96,6 +105,7 @@ def plan_comparison(
             "models": tuple(map(str, specs)),
             "ensembles": tuple("+".join(members) for members in ensembles),
             "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
+            "data_digest": data.digest,
         }
     )
     matrix, exploitability = None, None
