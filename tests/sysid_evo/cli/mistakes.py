@@ -31,6 +31,12 @@ MISTAKES = (
         ("compare", "--models", "linear(rigde=0.1)"),
         "model 'linear' has no parameter 'rigde'. Did you mean 'ridge'? It takes",
     ),
+    Mistake(
+        "wrong value for a model",
+        ("compare", "--models", "nearest_neighbour(state_lags=-1)"),
+        "state_lags: expected a whole number >= 0, got -1",
+    ),
+    Mistake("wrong type for a model", ("compare", "--models", "linear(ridge=none)"), "ridge: expected a number >= 0"),
     Mistake("unknown task", ("compare", "--task", "swing_up"), "no task is called 'swing_up'"),
     Mistake(
         "unknown parameter of the task",
@@ -75,7 +81,7 @@ MISTAKES = (
     Mistake("unknown --only", ("compare", "--only", "predictions"), "only: expected 'fit' or 'prediction'"),
     Mistake("no such file", ("compare", "--data", "nowhere"), "nowhere"),
     Mistake("a log that cannot be read", ("compare", "--data", "broken.csv"), "broken.csv"),
-    Mistake("a log of ten rows", ("compare", "--data", "short"), "no model can be measured on the part held back"),
+    Mistake("a log of ten rows", ("compare", "--data", "short"), "the training data: expected an episode of 15 steps or more"),
     Mistake("no such plugin", ("compare", "--plugin", "missing.py"), "missing.py: expected a Python file, found none"),
     Mistake("--out is a file", ("compare", "--out", "file"), "--out: expected a folder, but file is a file"),
     Mistake("--out holds other files", ("compare", "--out", "full"), "full holds 'something' and is no run"),
