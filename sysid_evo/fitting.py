@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
-import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -12,11 +10,11 @@ from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 import numpy as np
-from packaging.requirements import Requirement
 
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.progress import Progress, shown
 
 if TYPE_CHECKING:
@@ -106,27 +104,6 @@ def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
 
 def require_packages(family: type, packages: Sequence[str]) -> None:
     """Raise `MissingExtra` with the command that installs it if one of ``packages`` cannot be imported."""
-    for package in packages:
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtra(
-                f"{family.__name__} needs the package {package!r}, which is not installed. "
-                f'Install it with: pip install "{_brings(family.__module__, package)}"'
-            )
-
-
-def _brings(module: str, package: str) -> str:
-    """Return ``distribution[extra]`` for the smallest extra that brings ``package`` to a family's module.
-
-    Without one, the package itself.
-    """
-    points = [point for point in entry_points(group="sysid_evo.models") if point.module == module]
-    owner = points[0].dist if points else None
-    if owner is None:
-        return package
-    brought: dict[str, set[str]] = {}
-    for requirement in map(Requirement, owner.requires or []):
-        extra = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
-        if extra:
-            brought.setdefault(extra.group(1), set()).add(requirement.name.replace("-", "_").lower())
-    fitting = [extra for extra, packages in brought.items() if package.lower() in packages]
-    return f"{owner.name}[{min(fitting, key=lambda extra: len(brought[extra]))}]" if fitting else package
+    points = entry_points(group="sysid_evo.models")
+    owner = next((point.dist for point in points if point.module == family.__module__), None)
+    check_installed(family.__name__, packages, owner or DISTRIBUTION)
