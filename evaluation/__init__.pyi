@@ -1,7 +1,8 @@
 from .comparison import Experiment, compare, plan_comparison
 from .exploitability import ModelExploitability, assess_exploitability
 from .prediction import Prediction, PredictionProtocol, assess_prediction
-from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_html, to_json
+from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json
+from .report.page import to_html
 from .transfer import Cell, TransferMatrix, TransferSummary, run_cell, summarise, transfer, transfer_seeds
 
 __all__ = [

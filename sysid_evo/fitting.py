@@ -104,6 +104,6 @@ def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
 
 def require_packages(family: type, packages: Sequence[str]) -> None:
     """Raise `MissingExtra` with the command that installs it if one of ``packages`` cannot be imported."""
-    points = entry_points(group="sysid_evo.models")
-    owner = next((point.dist for point in points if point.module == family.__module__), None)
+    points = [point for point in entry_points(group="sysid_evo.models") if point.module == family.__module__]
+    owner = points[0].dist if points else None
     check_installed(family.__name__, packages, owner or DISTRIBUTION)

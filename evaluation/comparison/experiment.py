@@ -50,6 +50,7 @@ class Experiment(BaseModel):
     ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
     robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
     their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -79,6 +80,7 @@ class Experiment(BaseModel):
     yardstick: bool = False
     seed: Annotated[int, Field(ge=0)] = 0
     plugins: tuple[str, ...] = ()
+    data_digest: str | None = None
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Experiment:

@@ -11,10 +11,11 @@ from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matr
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
+from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, SysidEvoError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, MissingExtra, SysidEvoError
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
@@ -60,9 +61,15 @@ class Comparison:
 
 
 def plan_comparison(
-    experiment: Experiment, *, dataset: Dataset | None = None, measured: Sequence[Measured] = ()
+    experiment: Experiment,
+    *,
+    dataset: Dataset | None = None,
+    stored: tuple[Cell, System] | None = None,
+    measured: Sequence[Measured] = (),
 ) -> Comparison:
     """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
+
+    ``stored`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
 
     Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
     and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
@@ -71,8 +78,12 @@ def plan_comparison(
     remarks: list[str] = []
     evolution = experiment.evolution
     _constructible(evolution)
-    robot = _robot(experiment, has_data=dataset is not None)
-    system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    if stored is not None:
+        data, system = stored
+    else:
+        system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+        data = _data(experiment, robot, dataset)
     specs = _models(experiment, system, remarks)
     labels = tuple(spec.label for spec in specs)
     ensembles = _ensembles(experiment, labels)
@@ -80,7 +91,6 @@ def plan_comparison(
     if experiment.only is None:
         task = evolution.make_task(system)
         evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
-    data = _data(experiment, robot, dataset)
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
@@ -95,6 +105,7 @@ def plan_comparison(
             "models": tuple(map(str, specs)),
             "ensembles": tuple("+".join(members) for members in ensembles),
             "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
+            "data_digest": data.digest,
         }
     )
     matrix, exploitability = None, None
@@ -269,9 +280,19 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
         raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
-    if parts.test is not None:
-        check_usable(parts.test, horizon=1, name="the test data")
+    if parts.test is not None and experiment.only != "fit":
+        _check_predictable(parts.training, parts.test)
     return GivenData(dataset, split)
+
+
+def _check_predictable(training: Dataset, test: Dataset) -> None:
+    """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
+    cases = measured_cases(training, test, PredictionProtocol())
+    if not cases.horizons:
+        raise InvalidData(
+            f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+            "Record more, or name a longer episode with --test"
+        )
 
 
 def _matrix(

@@ -3,7 +3,6 @@
 from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
 from evaluation.report.document import to_json
 from evaluation.report.overview import drive_command
-from evaluation.report.page import to_html
 from evaluation.report.save import save_report
 from evaluation.report.terminal import brief, tables
 from evaluation.report.verdict import Finding, tells_nothing, verdict
@@ -20,7 +19,6 @@ __all__ = [
     "save_report",
     "tables",
     "tells_nothing",
-    "to_html",
     "to_json",
     "verdict",
 ]

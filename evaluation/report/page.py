@@ -8,11 +8,23 @@ from dataclasses import dataclass
 
 from evaluation.plots.theme import style_sheet
 from evaluation.report import pictures as draw
-from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
 from evaluation.report.overview import command_sheet, overview_sheet
 from evaluation.report.pictures import Picture
 from evaluation.report.sheets import Sheet
+from evaluation.report.tables import (
+    channel_list,
+    channel_sheet,
+    controller_sheet,
+    episode_sheet,
+    exploitability_sheet,
+    failure_sheet,
+    key_sheet,
+    model_sheet,
+    prediction_sheet,
+    probe_sheet,
+    transfer_sheet,
+)
 from evaluation.report.transferring import unknown
 from evaluation.report.verdict import verdict
 from evaluation.transfer import TransferMatrix, TransferSummary
@@ -72,20 +84,20 @@ def sections(report: Report) -> Iterable[Section]:
         yield Section(
             "Exploitability",
             [
-                sheets_of.exploitability_sheet(report.exploitability),
-                *([sheets_of.probe_sheet(report.exploitability)] if report.exploitability[0].probes else []),
+                exploitability_sheet(report.exploitability),
+                *([probe_sheet(report.exploitability)] if report.exploitability[0].probes else []),
             ],
             [model.sentence for model in report.exploitability],
         )
     if report.all_failures:
-        yield Section("Failures", [sheets_of.failure_sheet(report)])
+        yield Section("Failures", [failure_sheet(report)])
     yield Section(
         "Data",
-        _present(sheets_of.episode_sheet(report), sheets_of.channel_list(report)),
+        _present(episode_sheet(report), channel_list(report)),
         [_data_sentence(report), *report.notes],
     )
     settings = [
-        sheets_of.key_sheet(title, values)
+        key_sheet(title, values)
         for title, values in (
             ("Settings", report.settings),
             ("Versions", report.versions),
@@ -93,7 +105,7 @@ def sections(report: Report) -> Iterable[Section]:
         )
         if values
     ]
-    models = [sheets_of.model_sheet(report)] if report.models else []
+    models = [model_sheet(report)] if report.models else []
     if settings or models:
         yield Section("Settings", [*models, *settings])
 
@@ -102,9 +114,9 @@ def _transfer(report: Report, matrix: TransferMatrix, summary: TransferSummary) 
     return Section(
         "Transfer",
         _present(
-            sheets_of.transfer_sheet(matrix),
+            transfer_sheet(matrix),
             draw.claims_picture(matrix, summary),
-            sheets_of.controller_sheet(matrix, summary),
+            controller_sheet(matrix, summary),
             command_sheet(report),
             draw.fitness_picture(matrix),
             draw.traces_picture(matrix),
@@ -124,10 +136,10 @@ def _prediction(report: Report) -> Section:
         draw.horizon_picture(prediction) if prediction.cases.horizons else None,
         draw.free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
     )
-    channels = [sheets_of.channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
+    channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [sheets_of.prediction_sheet(prediction), *pictures, *channels],
+        [prediction_sheet(prediction), *pictures, *channels],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

@@ -88,6 +88,8 @@ def compare(
     from sysid_evo.errors import InvalidArgument
 
     settings = Experiment.read(config) if config is not None else {}
+    if settings.pop("data_digest", None) and not (data or robot or "data" in settings or "robot" in settings):
+        raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
     if preset is not None and settings:
         load_plugins([Path(file) for file in settings.get("plugins", ())])
         settings = unsettled(settings)

@@ -55,13 +55,23 @@ def report_again(run: Path) -> Report | None:
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
-    """Return the comparison that a run folder holds, and remarks. Raises `InvalidArgument`."""
-    from evaluation.comparison import Experiment, plan_comparison
+    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
+
+    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
+    """
+    from evaluation.comparison import Experiment, GivenData, plan_comparison
     from evaluation.transfer import load_measured
-    from sysid_evo.cli.comparing import read_data
+    from sysid_evo.errors import ArtefactError
+    from sysid_evo.plan import Store, StoredCell
 
     experiment = Experiment.of(Experiment.read(run))
     load_plugins([Path(plugin) for plugin in experiment.plugins])
+    store = Store(run)
+    record = store.find(experiment.data_digest or "")
+    data = None if record is None else StoredCell(record, GivenData)
+    if data is None or not store.done(data):
+        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
     measured, damaged = load_measured(run)
-    comparison = plan_comparison(experiment, dataset=read_data(experiment), measured=measured)
+    system = store.load(data).training.system
+    comparison = plan_comparison(experiment, stored=(data, system), measured=measured)
     return comparison, (*comparison.plan.remarks, *damaged)

@@ -103,7 +103,11 @@ def clean(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
 ) -> None:
     """Remove what no finished cell needs: failed cells, damaged records, files that nobody names any more."""
+    from sysid_evo.errors import InvalidArgument
+
     store = _store(run)
+    if store.busy():
+        raise InvalidArgument(f"{run}: a process is computing in this run; wait for its end")
     kept = {name for record in store.records() if record.status == "done" for name in record.files}
     unneeded = [
         file

@@ -205,6 +205,17 @@ class Store:
         finally:
             lock.release()
 
+    def busy(self) -> bool:
+        """Whether a process has a claim on a cell here."""
+        for file in (self.path / CELLS / LOCKS).glob("*.lock"):
+            lock = FileLock(file)
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                return True
+            lock.release()
+        return False
+
     def _of(self, cell: Cell, *, status: Literal["done", "failed"], seconds: float, **fields: Any) -> Record:
         return Record(
             digest=cell.digest,

@@ -16,7 +16,8 @@ from rich.console import Console, RenderableType
 
 from evaluation.exploitability import assess_exploitability
 from evaluation.prediction import PredictionProtocol, assess_prediction
-from evaluation.report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_html, to_json, verdict
+from evaluation.report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json, verdict
+from evaluation.report.page import to_html
 from evaluation.report.tables import transfer_sheet
 from evaluation.report.terminal import to_rich
 from evaluation.transfer import Cell, TransferMatrix, transfer

@@ -40,6 +40,17 @@ print(json.dumps([early, sysid_evo.__all__]))
 """
 
 
+MAKE_A_MISTAKE = """
+import json, sys
+from sysid_evo.cli import main
+sys.argv = ["sysid-evo", "compare", "--models", "linaer"]
+try:
+    main()
+except SystemExit as ended:
+    print(json.dumps([ended.code, sorted(sys.modules)]))
+"""
+
+
 def answer(source: str) -> tuple[str, list | dict]:
     """Return all that a fresh interpreter prints, and its last line."""
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
@@ -84,3 +95,9 @@ def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given
     )
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split()[-1] == expected
+
+
+def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
+    _, (code, imported) = answer(MAKE_A_MISTAKE)
+    assert code == 2
+    assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)

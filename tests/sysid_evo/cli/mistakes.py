@@ -75,6 +75,7 @@ MISTAKES = (
     Mistake("unknown --only", ("compare", "--only", "predictions"), "only: expected 'fit' or 'prediction'"),
     Mistake("no such file", ("compare", "--data", "nowhere"), "nowhere"),
     Mistake("a log that cannot be read", ("compare", "--data", "broken.csv"), "broken.csv"),
+    Mistake("a log of ten rows", ("compare", "--data", "short"), "no model can be measured on the part held back"),
     Mistake("no such plugin", ("compare", "--plugin", "missing.py"), "missing.py: expected a Python file, found none"),
     Mistake("--out is a file", ("compare", "--out", "file"), "--out: expected a folder, but file is a file"),
     Mistake("--out holds other files", ("compare", "--out", "full"), "full holds 'something' and is no run"),
@@ -120,6 +121,7 @@ def prepare(folder: Path) -> None:
     rng = np.random.default_rng(0)
     swinging = Dataset.from_arrays(pendulum(), [rng.standard_normal((200, 2))], [rng.uniform(-1.0, 1.0, (199, 1))])
     swinging.save(folder / "pendulum")
+    example_dataset(episodes=1, steps=10).save(folder / "short")
     (folder / "broken.csv").write_text("time,x\n0,1\nnonsense\n")
     (folder / "file").write_text("")
     (folder / "full").mkdir()

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from sysid_evo.plan import Store
+from evaluation import compare
+from evaluation.comparison import GivenData
+from sysid_evo.plan import Store, StoredCell
+from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import Caller, Ended, run
 
 BUDGET = ("--generations", "1", "--trials", "1", "--runs", "1", "--strategy", "mu_plus_lambda(parents=2, children=2)")
@@ -18,6 +22,7 @@ WHOLE = (*BUDGET, "--task", "point_to_point(horizon=40)")
 
 PLUGIN = '''
 """A family that never fits, and a robot that is not there."""
+from hardware.robot import Robot
 from sysid_evo import DynamicsModel, register_model, register_robot
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import make_robot
@@ -35,7 +40,7 @@ class NeverFits(DynamicsModel):
 
 
 @register_robot("absent")
-class Absent:
+class Absent(Robot):
     """A car that is not there."""
 
     name, dynamics = "absent", None
@@ -43,7 +48,7 @@ class Absent:
     def __init__(self):
         self.system = make_robot("emulated_car").system
 
-    def record(self, **_):
+    def connect(self, *, seed=None):
         raise LinkLost("nothing on the port")
 '''
 
@@ -201,6 +206,43 @@ def test_clean_removes_what_no_finished_cell_needs_and_nothing_else(there: Calle
     assert left == whole | {Path("mine.txt")}
     again = there("compare", "--config", "dirty", "--out", "dirty", "--dry-run", "--json")
     assert all(cell["kept"] for cell in json.loads(again.stdout)["cells"])
+
+
+def test_clean_waits_for_a_process_that_computes_in_the_run(there: Caller) -> None:
+    store = Store(there.folder / "out")
+    cell = StoredCell(store.records()[0], GivenData)
+    with store.claim(cell) as ours:
+        assert ours
+        refused = there("runs", "clean", "out")
+    assert refused.code == 2
+    assert refused.says("a process is computing in this run")
+    assert there("runs", "clean", "out").code == 0
+
+
+def test_a_report_is_made_of_the_run_alone(there: Caller, logs: Path, tmp_path: Path) -> None:
+    moved = shutil.copytree(logs, tmp_path / "moved")
+    done = there("compare", "--data", moved, "--models", "linear", *SMALL, "--out", "alone")
+    assert done.code == 0, done.stderr
+    shutil.rmtree(moved)
+    before = report_in(there.folder / "alone")
+    again = there("report", "alone")
+    assert again.code == 0, again.stderr
+    assert report_in(there.folder / "alone") == before
+    (data,) = [record for record in Store(there.folder / "alone").records() if record.kind == "data"]
+    for name in data.files:
+        (there.folder / "alone" / name).unlink()
+    lost = there("report", "alone")
+    assert lost.code == 2
+    assert lost.says("the data of this run are missing or damaged")
+
+
+def test_a_comparison_of_a_data_set_given_in_python_is_reported_and_its_settings_ask_for_data(there: Caller) -> None:
+    folder = there.folder / "given"
+    compare(example_dataset(), models=["linear"], only="prediction", out=folder)
+    assert there("report", "given").code == 0
+    refused = there("compare", "--config", "given", "--out", "elsewhere")
+    assert refused.code == 2
+    assert refused.says("was run on a data set given in Python: name its recordings with --data")
 
 
 @pytest.fixture(scope="module")
