@@ -66,8 +66,8 @@ CHANGES = (
     Change(
         "the champion is chosen on trials that evolution has met",
         "sysid_evo/evolution/controllers.py",
-        "generation=SELECTION)",
-        "generation=0)",
+        "trial_seeds(seed, settings.selection_trials, generation=SELECTION)",
+        "trial_seeds(run_seed, settings.selection_trials, generation=0)",
         TEST_EVOLUTION,
     ),
     Change(
