@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 
 from sysid_evo.data import Dataset, advise, check_usable, find_delays
 from sysid_evo.data.delays import _first_peak
@@ -175,6 +176,17 @@ def test_a_delay_between_two_samples_is_told_between_them(rng, late, seconds):
     (delay,) = find_delays(Dataset.from_arrays(System(("speed",), ("push",), 0.1), speed, push))
     assert delay.steps == 2
     assert delay.seconds == pytest.approx(0.1 * seconds, abs=0.004)
+
+
+def test_the_past_of_a_smooth_control_does_not_move_its_delay(rng):
+    """Without whitening the parabola would lie over 0.6 r^|k| + 0.4 r^|k - 1| with r = 0.9."""
+    n = 8000
+    push = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=n))
+    answer = np.convolve(push, [0.0, 0.0, 0.6, 0.4])[:n]
+    speed = np.concatenate([[0.0], np.cumsum(answer)]) * 0.1
+    (delay,) = find_delays(Dataset.from_arrays(System(("speed",), ("push",), 0.1), speed, push))
+    assert delay.steps == 2
+    assert delay.seconds == pytest.approx(0.225, abs=0.003)
 
 
 def test_the_dead_time_of_a_slow_system_is_found_in_its_own_steps(rng):

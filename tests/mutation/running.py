@@ -84,10 +84,15 @@ class Copy:
             os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
     def failing(self, changes: Sequence[Change]) -> list[str]:
-        """Run the tests of all ``changes`` on the product as it is; return those that fail."""
+        """Run the tests of all ``changes`` on the product as it is; return those that fail.
+
+        Raises `RuntimeError` if they cannot be run, as then nothing is known of any change.
+        """
         tests = dict.fromkeys(test for change in changes for test in change.tests)
         code, failed = self.test(tests, first=False, SYSID_EVO_CACHE=str(self.cache)) if tests else (0, [])
-        return failed or ([] if code == 0 else [f"pytest ends with {code}"])
+        if code != 0 and not failed:
+            raise RuntimeError(f"the tests cannot be run on the product as it is: pytest ends with {code}")
+        return failed
 
     def try_change(self, change: Change) -> Outcome:
         """Run the tests of one change with it."""

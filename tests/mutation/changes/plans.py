@@ -159,7 +159,16 @@ CHANGES = (
         "sysid_evo/cli/exits.py",
         "WRONG_INPUT = 2",
         "WRONG_INPUT = 1",
-        ("tests/sysid_evo/cli/test_commands.py::test_a_wrong_argument_is_one_message_and_exit_code_2",),
+        (
+            "tests/sysid_evo/cli/test_mistakes.py::test_in_a_process_of_its_own_the_error_stands_on_standard_error_and_nothing_else",
+        ),
+    ),
+    Change(
+        "a comparison of which a family failed ends as if nothing had",
+        "sysid_evo/cli/exits.py",
+        "SOME_FAILED = 3",
+        "SOME_FAILED = 0",
+        ("tests/sysid_evo/cli/test_outcomes.py::test_a_family_that_fails_is_exit_code_3_with_a_report_and_its_reason",),
     ),
     Change(
         "a robot that does not answer is wrong input",

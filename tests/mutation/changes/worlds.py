@@ -103,7 +103,7 @@ CHANGES = (
         LOOPS,
         "trial = rollout % n_trials",
         "trial = rollout // n_trials % n_trials",
-        (f"{COMPILED}::test_every_candidate_meets_the_noise_of_its_trial",),
+        (f"{COMPILED}::test_every_number_of_rollouts_fills_its_blocks",),
     ),
     Change(
         "a trial that diverges scores as one that survives",

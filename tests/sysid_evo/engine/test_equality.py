@@ -100,6 +100,7 @@ def test_the_waypoint_task_observes_and_advances_step_by_step(precision: Precisi
         off[:, 3] = np.minimum(off[:, 3], 2 * np.pi - off[:, 3])
         assert off.max() < 100 * tolerance
         after = 2.0 * rng.normal(size=(LANES, system.nx))
+        after[:, system.state_names.index("r")] *= 200.0  # several turns in a step
         given = [rows, before.T, after.T, np.arange(LANES), data, kernel.parameters]
         rows = call_block(kernel.advance.function, ADVANCE, precision, given, kernel.advance.bindings)[0]
         here, _ = task.advance(here, before, after)
