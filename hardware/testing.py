@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import ContractViolation, InvalidArgument, LinkLost, ShapeError

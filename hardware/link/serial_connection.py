@@ -8,13 +8,13 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 
+from hardware.connection import Connection
 from hardware.link.buttons import buttons_of, control_of
 from hardware.link.messages import HelloAcknowledgement
 from hardware.link.port import SerialPort
 from hardware.link.session import HostSession
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
-from hardware.robot import Connection
 from hardware.trackers.gates import GateLimits
 from hardware.trackers.tracker import TrackerStream
 from sysid_evo.arrays import Array

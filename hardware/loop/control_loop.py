@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.listener import Command, Listener, RobotStatus
 from hardware.loop.demands import TIME_TO_LIVE, check_loop
 from hardware.loop.estimator import PoseEstimator
@@ -17,7 +18,6 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Connection
 from hardware.trackers.gates import PoseGate
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost

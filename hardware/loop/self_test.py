@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import STALE, ControlLoop
 from hardware.loop.delay import estimator_delays
@@ -16,7 +17,7 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hardware.connection import Connectable, Connection
 from hardware.loop.control_loop import ControlLoop
 from hardware.loop.demands import check_loop
 from hardware.loop.pilot import Estimate, Pilot
@@ -21,7 +22,6 @@ from hardware.recording.journal import SUFFIX, check_journals, read_journal
 from hardware.recording.journal_reader import column_names
 from hardware.recording.raw_log import raw_log
 from hardware.recording.recorder import Recorder
-from hardware.robot import Connection, Robot
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -79,7 +79,7 @@ class Recorded:
 
 
 def record(
-    robot: Robot,
+    robot: Connectable,
     manoeuvres: Sequence[Manoeuvre],
     folder: Path,
     *,
@@ -130,7 +130,7 @@ def record(
 
 def _run(
     connection: Connection,
-    robot: Robot,
+    robot: Connectable,
     manoeuvre: Manoeuvre,
     listeners: Sequence[Recorder],
     stops: Stops,
@@ -187,7 +187,7 @@ def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
 
 
 def record_dataset(
-    robot: Robot,
+    robot: Connectable,
     *,
     seed: int,
     duration: float,

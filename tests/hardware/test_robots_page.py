@@ -80,7 +80,7 @@ def test_the_commands_and_checks_of_the_page_work_on_the_boat(folder: Path) -> N
     assert {command[0] for command in commands} == {"sysid-evo"}
     said = run(folder, SCRIPT, json.dumps([command[1:] for command in commands]))
     assert "A model boat" in said
-    assert "wrong" not in said
+    assert not [line for line in said.splitlines() if line.startswith(("wrong", "BROKEN"))]
     dataset = Dataset.read(folder / "data" / "boat")
     assert dataset.system.state_names == ("surge", "sway", "yaw_rate")
     assert max(episode.states[:, 0].max() for episode in dataset.episodes) > 0.5

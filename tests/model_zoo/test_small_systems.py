@@ -14,7 +14,7 @@ from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_model, models
 from sysid_evo.system import Channel, System
-from sysid_evo.testing import rows_are_independent
+from sysid_evo.testing.models import rows_are_independent
 from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS
 from tests.model_zoo.test_contract import SMALL
 

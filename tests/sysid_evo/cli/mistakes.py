@@ -81,7 +81,11 @@ MISTAKES = (
     Mistake("unknown --only", ("compare", "--only", "predictions"), "only: expected 'fit' or 'prediction'"),
     Mistake("no such file", ("compare", "--data", "nowhere"), "nowhere"),
     Mistake("a log that cannot be read", ("compare", "--data", "broken.csv"), "broken.csv"),
-    Mistake("a log of ten rows", ("compare", "--data", "short"), "the training data: expected an episode of 15 steps or more"),
+    Mistake(
+        "a log of ten rows",
+        ("compare", "--data", "short"),
+        "the training data: expected an episode",
+    ),
     Mistake("no such plugin", ("compare", "--plugin", "missing.py"), "missing.py: expected a Python file, found none"),
     Mistake("--out is a file", ("compare", "--out", "file"), "--out: expected a folder, but file is a file"),
     Mistake("--out holds other files", ("compare", "--out", "full"), "full holds 'something' and is no run"),
