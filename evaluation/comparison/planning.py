@@ -15,7 +15,14 @@ from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, MissingExtra, SysidEvoError
+from sysid_evo.errors import (
+    IncompatibleSystem,
+    IncompatibleTask,
+    InvalidArgument,
+    InvalidData,
+    MissingExtra,
+    SysidEvoError,
+)
 from sysid_evo.evolution import ControllerEvolution
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
@@ -89,8 +96,7 @@ def plan_comparison(
     ensembles = _ensembles(experiment, labels)
     column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
     if experiment.only is None:
-        task = evolution.make_task(system)
-        evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+        _check_control(evolution, system)
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
@@ -139,6 +145,15 @@ def _constructible(evolution: ControllerEvolution) -> None:
     for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
         _made(registry, spec)
     _made(aggregates, Spec.parse(evolution.aggregate))
+
+
+def _check_control(evolution: ControllerEvolution, system: System) -> None:
+    """Raise what keeps task, controller and strategy from ``system``, and say what can be done without them."""
+    try:
+        task = evolution.make_task(system)
+    except IncompatibleTask as error:
+        raise IncompatibleTask(f"{error}. Name a task that fits (--task), or compare --only prediction") from error
+    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
 
 
 def _made(registry: Registry[Any], spec: Spec) -> Any:

@@ -97,7 +97,11 @@ MISTAKES = (
         ("compare", "--data", "pendulum", "--robot", "emulated_car"),
         "robot 'emulated_car' is not the one in the recordings",
     ),
-    Mistake("a task that the system cannot do", ("compare", "--data", "pendulum", "--models", "linear"), "motion"),
+    Mistake(
+        "a task that the system cannot do",
+        ("compare", "--data", "pendulum", "--models", "linear"),
+        "or compare --only prediction",
+    ),
     Mistake(
         "a family that cannot describe the system",
         ("compare", "--data", "pendulum", "--models", "parametrised"),
