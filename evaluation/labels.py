@@ -1,8 +1,10 @@
-"""Names where space is short."""
+"""Names and shares where space is short."""
 
 from __future__ import annotations
 
 import re
+
+import numpy as np
 
 
 def folded(text: str, width: int = 12) -> str:
@@ -17,9 +19,10 @@ def folded(text: str, width: int = 12) -> str:
     return "\n".join(lines)
 
 
-def shortened(name: str, width: int = 28) -> str:
-    """Leave out the middle of a name longer than ``width``."""
-    if len(name) <= width:
-        return name
-    head = (width - 1) // 2
-    return f"{name[:head]}…{name[head + 1 - width :]}"
+def percent(share: float | None) -> str:
+    """Return a share as per cent, with a decimal below ten."""
+    if share is None or not np.isfinite(share):
+        return "–"
+    if 0 < share < 0.0005:
+        return "<0.1 %"
+    return f"{100 * share:.1f} %" if 0 < share < 0.0995 else f"{100 * share:.0f} %"

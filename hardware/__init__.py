@@ -1,1 +1,1 @@
-"""The robot: emulated cars, trackers, excitation, recording."""
+"""The robot: its link, the trackers that see it, the loop that drives it, recording, and emulated robots."""

@@ -3,66 +3,74 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
-from hardware.listener import RobotStatus
-from hardware.measurement import Measurement
-from hardware.session import Session
-from hardware.trackers.gates import GateLimits
-from sysid_evo.arrays import Array
+from hardware.connection import Connection
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.extras import check_installed
+from sysid_evo.progress import Progress
+from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
 
+if TYPE_CHECKING:
+    from hardware.loop.stops import Stops
+    from hardware.recording.scripted import Recorded
 
-class Connection(Session):
-    """A session with a robot; use it in a ``with`` statement.
-
-    The robot is neutral before the first command, after a command outlives its ``valid_for``, and
-    on every way out of the ``with`` statement. One thread uses it.
-    """
-
-    @property
-    @abstractmethod
-    def time(self) -> float:
-        """The connection's clock in s: the host's `time.monotonic`, or simulated time."""
-
-    @property
-    def round_trip(self) -> float | None:
-        """The time in s from the newest answered command to the robot's answer; None from one that gives none."""
-        return None
-
-    @property
-    def gate_limits(self) -> GateLimits:
-        """What the body can do from one frame to the next: others are not believed."""
-        return GateLimits()
-
-    @property
-    def status(self) -> RobotStatus | None:
-        """The newest word of the robot; None from one that says nothing."""
-        return None
-
-    @abstractmethod
-    def send(self, control: Array, *, valid_for: float) -> None:
-        """Command ``control`` (nu,) for at most ``valid_for`` s. Raises `ShapeError`, `LinkLost`."""
-
-    @abstractmethod
-    def measure(self, timeout: float) -> Measurement | None:
-        """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`.
-
-        Frames that came in between calls are kept and returned in turn; simulated time moves only here.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Put the robot in neutral and end the session; a second call does nothing."""
+__all__ = ["Connection", "Robot", "find_robot"]
 
 
 class Robot(ABC):
-    """What the registry of robots holds. ``dynamics`` is None for a physical robot."""
+    """What the registry of robots holds: a thing with a ``system`` that a session can be opened with.
 
+    ``name`` is what people call it, ``system`` its states, controls and sampling time, ``dynamics``
+    its physics at that rate if it only exists as a program, None for a physical robot. A constructor
+    takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
+    process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
+    ``requires`` are the modules that it imports only then.
+    """
+
+    requires: ClassVar[tuple[str, ...]] = ()
     name: str
     system: System
     dynamics: Dynamics | None
 
+    def check(self) -> None:
+        """Raise what `connect` would raise and what can be known without opening anything.
+
+        A port that is not there is a `LinkLost`, a package that is not installed a `MissingExtra`.
+        """
+        check_installed(f"robot {self.name!r}", self.requires)
+
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+
+    def record(
+        self,
+        *,
+        seed: int,
+        duration: float,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Drive manoeuvres for ``duration`` s and record the answer, see `record_dataset`."""
+        from hardware.recording.scripted import record_dataset
+
+        return record_dataset(self, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)
+
+
+def find_robot(spec: str | Spec) -> Robot:
+    """Return the robot that ``spec`` names: as `sysid_evo.registry.make_robot` does, and it is a `Robot`.
+
+    Raises what `make_robot` raises, and `InvalidArgument` if a plugin registered something else.
+    """
+    made = make_robot(spec)
+    if not isinstance(made, Robot):
+        raise InvalidArgument(
+            f"robot {str(spec)!r}: expected a hardware.robot.Robot, got a {type(made).__name__}; "
+            "derive the registered class from Robot, or let the registered function return one"
+        )
+    return made

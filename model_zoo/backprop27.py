@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.command_cells import CommandCells
-from model_zoo.network import random_network
-from model_zoo.standardise import positive
+from model_zoo.channels.command_cells import CommandCells
+from model_zoo.channels.standard import deviation
+from model_zoo.networks.network import random_network
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
+from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -41,13 +42,19 @@ class Backprop27(DynamicsModel):
 
     knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
+    limits: ClassVar[dict[str, Limit]] = {
+        "hidden": at_least(1),
+        "epochs": at_least(1),
+        "learning_rate": above(0),
+        "levels": at_least(2),
+    }
 
     def __init__(
         self,
         *,
         hidden: int = 8,
         epochs: int = 1000,
-        optimiser: str = "adam",
+        optimiser: Literal["adam", "gradient"] = "adam",
         learning_rate: float = 0.02,
         levels: int = 3,
         state_lags: int = 0,
@@ -63,22 +70,18 @@ class Backprop27(DynamicsModel):
         self.control_lags = control_lags
         self.rest_hold = rest_hold
 
+    def check_system(self, system: System) -> None:
+        CommandCells.of(system, self.levels)
+
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.hidden < 1 or self.epochs < 1 or self.learning_rate <= 0:
-            raise InvalidArgument(
-                "backprop27: expected hidden, epochs >= 1 and learning_rate > 0, "
-                f"got {self.hidden}, {self.epochs}, {self.learning_rate}"
-            )
-        if self.optimiser not in ("adam", "gradient"):
-            raise InvalidArgument(f"backprop27: expected the optimiser 'adam' or 'gradient', got {self.optimiser!r}")
         cells = CommandCells.of(dataset.system, self.levels)
         state_lags, control_lags = self.lags
         data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
-        centre, scale = inputs.mean(axis=0), positive(inputs.std(axis=0))
-        target_centre, target_scale = data.after.mean(axis=0), positive(data.after.std(axis=0))
+        centre, scale = inputs.mean(axis=0), deviation(inputs)
+        target_centre, target_scale = data.after.mean(axis=0), deviation(data.after)
         standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
         trained = []
         counter = Counter(progress, len(self.filled_) * self.epochs)
@@ -90,7 +93,6 @@ class Backprop27(DynamicsModel):
         self.first_bias_ = first_bias - np.einsum("i,cih->ch", centre / scale, first)
         self.last_ = last * target_scale[:, None]
         self.last_bias_ = last_bias * target_scale + target_centre
-        self.__dict__.pop("_serving", None)
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

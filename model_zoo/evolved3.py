@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.standardise import Standard
+from model_zoo.channels.standard import Standard
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.evolution.identification import Weights
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
@@ -30,13 +31,21 @@ class Evolved3(DynamicsModel):
     outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
     (none in the paper) are further inputs of every network.
 
-    The error is the plain square in the states' own units and only that of the last step, as in the
-    paper: the lateral speed, small in numbers, hardly counts, and may be further off than a state that
-    does not change (192 % in the paper's table 1), most of all after one step.
+    The error is the square of the last step only. With ``weights="spread"`` every state is divided by its
+    standard deviation; with "paper", the preset of that name, states count in their own units: the lateral
+    speed, small in numbers, hardly counts then, and may be further off than a state that does not change
+    (192 % in the paper's table 1), most of all after one step.
     """
 
     knowledge = "dark grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 150}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"generations": 150},
+        "paper": {"weights": "paper"},
+    }
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("hidden", "generations", "windows", "horizon")},
+        "spread": above(0),
+    }
 
     def __init__(
         self,
@@ -46,6 +55,7 @@ class Evolved3(DynamicsModel):
         windows: int = 100,
         horizon: int = 10,
         spread: float = 0.5,
+        weights: Weights = "spread",
         state_lags: int = 0,
         control_lags: int = 0,
         rest_hold: bool = False,
@@ -55,18 +65,19 @@ class Evolved3(DynamicsModel):
         self.windows = windows
         self.horizon = horizon
         self.spread = spread
+        self.weights = weights
         self.state_lags = state_lags
         self.control_lags = control_lags
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.hidden < 1:
-            raise InvalidArgument(f"evolved3: expected at least one hidden unit, got {self.hidden}")
         standard = Standard.of(dataset)
-        self.centre_, self.scale_ = standard.of_inputs(self.lags)
+        self.centre_, self.scale_ = standard.of_inputs(self.layout)
         self.output_scale_ = standard.change / dataset.system.dt
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
-        search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
+        search = ModelEvolution(
+            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+        )
         self.parameters_ = search.run(
             self._advance,
             dataset,
@@ -83,17 +94,18 @@ class Evolved3(DynamicsModel):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
 
-    def kernel(self) -> DynamicsKernel:
-        return self._kernels(self.parameters_[None])[0]
+    def kernel(self) -> DynamicsKernel | None:
+        compiled = self._kernels(self.parameters_[None])
+        return None if compiled is None else compiled[0]
 
-    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
-        """Return a kernel and its flat parameters (P, m) for parameter vectors (P, n)."""
+    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
+        """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
         from sysid_evo.engine.kernels import network_predictor, stepping_kernel
 
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
         own = np.repeat(np.eye(nx), hidden, axis=0)
-        kernels = []
+        predictors = []
         for one in parameters:
             first, first_bias, last, last_bias = np.split(one, cut)
             weights = first.reshape(n, nx * hidden) / self.scale_[:, None]
@@ -101,11 +113,13 @@ class Evolved3(DynamicsModel):
                 (weights, first_bias - self.centre_ @ weights),
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
-            predictor = network_predictor([layers], self.n_carry, self.system.nu)
-            kernels.append(
-                stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-            )
-        return kernels[0], np.stack([kernel.parameters for kernel in kernels])
+            predictors.append(network_predictor([layers], self.n_carry, self.system.nu))
+        kernel = stepping_kernel(
+            predictors[0], self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band
+        )
+        if kernel is None:
+            return None
+        return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))
 
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Step parameter vectors (P, n) from carries (P, B, n_carry) under controls (B, nu)."""

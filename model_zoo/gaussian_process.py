@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
-from sklearn.base import clone
 
-from model_zoo.spread import conformal_scale, unseen_parts
-from model_zoo.standardise import Standard, positive
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.channels.standard import Standard, positive
+from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
+from model_zoo.validation.spread import conformal_scale, unseen_parts
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.free_run import judging_windows
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -52,6 +51,7 @@ class GaussianProcess(DynamicsModel):
         "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
         "paper": {"inducing": 400},
     }
+    limits: ClassVar[dict[str, Limit]] = {"inducing": at_least(2)}
 
     def __init__(
         self,
@@ -73,28 +73,14 @@ class GaussianProcess(DynamicsModel):
         return self.system.nx if self.stochastic else 0
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.inducing < 2:
-            raise InvalidArgument(f"gaussian_process: expected at least 2 inducing points, got {self.inducing}")
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
-        learned, held = time_blocks(dataset)
-        searched = len(options) if len(options) > 1 else 0
-        counter = Counter(progress, (searched + 1) * dataset.system.nx + 1)
-        lags = options[0]
-        if searched:
-            errors = []
-            for option in options:
-                trial = self._trial(learned, option, rng, counter)
-                errors.append(simulation_error(trial, validation_windows(held, trial.n_lags)))
-            lags = options[int(np.argmin(errors))]
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        counter = Counter(progress, (trials(options) + 1) * dataset.system.nx + 1)
+        blocks = HeldOut.of(dataset, 1)
+        lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
+        self.keep_lags(lags)
         self._learn(dataset, rng, counter)
         self.noise_scale_ = np.ones(self.system.nx)
-        cases = [
-            (self._without(seen), validation_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)
-        ]
+        cases = [(self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)]
         self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
         return self
 
@@ -120,7 +106,7 @@ class GaussianProcess(DynamicsModel):
             self.n_carry,
         )
         shell = stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-        return replace(shell, precision="float64")  # its large weights cancel
+        return None if shell is None else replace(shell, precision="float64")  # its large weights cancel
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""
@@ -144,8 +130,7 @@ class GaussianProcess(DynamicsModel):
 
     def _without(self, seen: Dataset) -> GaussianProcess:
         """Return this model with its hyper-parameters and inducing points, that learned from ``seen`` only."""
-        other = clone(self).set_params(stochastic=False)
-        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other = self.variant(stochastic=False)
         other._condition(seen)
         return other
 
@@ -153,10 +138,8 @@ class GaussianProcess(DynamicsModel):
         self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter
     ) -> GaussianProcess:
         """Return a smaller model that learned from ``dataset``, with the envelope of this one."""
-        trial = clone(self).set_params(
-            state_lags=lags[0], control_lags=lags[1], inducing=min(TRIAL_INDUCING, self.inducing), stochastic=False
-        )
-        trial.system_, trial.envelope_ = self.system_, self.envelope_
+        inducing = min(TRIAL_INDUCING, self.inducing)
+        trial = self.variant(state_lags=lags[0], control_lags=lags[1], inducing=inducing, stochastic=False)
         trial._learn(dataset, rng, counter)
         return trial
 
@@ -174,7 +157,7 @@ class GaussianProcess(DynamicsModel):
             return found.x, found.fun
 
         inputs, targets = self._residuals(dataset)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        _, scale = Standard.of(dataset).of_inputs(self.layout)
         rows = np.sort(rng.choice(len(inputs), size=min(self.inducing, len(inputs)), replace=False))
         size = positive(targets.std(axis=0))
         nx, n = targets.shape[1], inputs.shape[1]
@@ -195,10 +178,11 @@ class GaussianProcess(DynamicsModel):
 
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
         """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
-        carry, control, after = lagged_steps(dataset, self.lags)
-        inputs = np.concatenate([carry, control], axis=1)
-        targets = dataset.system.acceleration(carry[:, : dataset.system.nx], after)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
+        state_lags, control_lags = self.lags
+        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags, moving=True)
+        inputs = data.inputs
+        targets = dataset.system.acceleration(data.state, data.after)
+        _, scale = Standard.of(dataset).of_inputs(self.layout)
         centre = inputs.mean(axis=0)
         gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
         self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))
@@ -215,7 +199,22 @@ class GaussianProcess(DynamicsModel):
             square = self.noise_[channel] ** 2
             own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
             cross = self._kernel(points, inputs, channel)
-            posterior = cholesky(own + cross @ cross.T / square, lower=True)
+            posterior = factor(own + cross @ cross.T / square)
             self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
-            prior = cho_solve((cholesky(own, lower=True), True), identity)
+            prior = cho_solve((factor(own), True), identity)
             self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
+
+
+def factor(matrix: Array) -> Array:
+    """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
+
+    Data without noise make the covariance singular in double precision: the diagonal then grows by
+    1e-12 of its mean, and tenfold until it is positive definite.
+    """
+    raised, jitter = matrix, 1e-13 * float(np.trace(matrix)) / len(matrix)
+    while True:
+        try:
+            return cholesky(raised, lower=True)
+        except np.linalg.LinAlgError:
+            jitter *= 10.0
+            raised = matrix + jitter * np.eye(len(matrix))

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from model_zoo.car_roles import CarRoles, car_roles, require_car
-from model_zoo.network_rate import NetworkRate
+from model_zoo.car.physics import accelerations
+from model_zoo.car.roles import CarRoles, car_roles, require_car
+from model_zoo.flows.network_rate import HIDDEN, NetworkRate
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.registry import register_model
@@ -16,11 +17,11 @@ from sysid_evo.system import System
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from model_zoo.flow import FittedFlow
-    from model_zoo.multistep import Plan, Report
+    from model_zoo.flows.training import FittedFlow
+    from model_zoo.networks.multistep import Plan, Report
     from sysid_evo.engine.kernels import Predictor
 
-INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 3.0, 0.2])
+INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
 
 @register_model("hybrid_ode")
@@ -34,8 +35,8 @@ class HybridOde(NetworkRate):
         dv/dt = - v D_v
         dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
 
-    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_v, D_rl (1/s),
-    D_rv (1/rad), all positive. They and the residual are trained together as `NetworkRate` says;
+    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s),
+    D_rv (1/rad), D_v (1/s), all positive. They and the residual are trained together as `NetworkRate` says;
     this is the paper's outlook of injecting physics that are not specific to the car (section 6).
     ``drive`` and ``steer`` name the controls with these roles.
     """
@@ -90,12 +91,12 @@ class HybridOde(NetworkRate):
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
     ) -> FittedFlow:
-        from model_zoo.flow import FittedFlow, train_flow
+        from model_zoo.flows.training import FittedFlow, train_flow
 
         fitted = train_flow(
             dataset,
             lags,
-            hidden=tuple(self.hidden or (32, 32)),
+            hidden=tuple(self.hidden or HIDDEN),
             plan=plan,
             rng=rng,
             physics=self._torch_rate,
@@ -105,35 +106,31 @@ class HybridOde(NetworkRate):
         return FittedFlow(fitted.network, np.exp(fitted.physical), fitted.error)
 
     def known_rate(self, state: Array, control: Array) -> Array:
-        forward, lateral, yaw_rate, drive, steer = self.roles
-        u_f, u_b, r_l, r_r, d_ul, d_uv, d_v, d_rl, d_rv = self.physical_
-        u, r, u1, u2 = state[:, forward], state[:, yaw_rate], control[:, drive], control[:, steer]
-        rate = np.zeros_like(state)
-        rate[:, forward] = u_f * np.maximum(u1, 0.0) - u_b * np.maximum(-u1, 0.0) - u * d_ul - u * np.abs(u) * d_uv
-        turning = r_l * np.maximum(u2, 0.0) - r_r * np.maximum(-u2, 0.0)
-        rate[:, yaw_rate] = u * turning - r * d_rl - r * np.abs(r) * d_rv
-        if lateral is not None:
-            rate[:, lateral] = -state[:, lateral] * d_v
-        return rate
+        zero = np.zeros_like(state[..., 0])
+        return np.stack(self._rates(state, control, self.physical_, zero), axis=-1)
 
     def known_predictor(self) -> Predictor:
-        from model_zoo.kernels.car_rate import car_rate
+        from model_zoo.kernels.car import car_rate
         from sysid_evo.engine.kernels import Predictor
 
         roles = [-1 if role is None else role for role in self.roles]
-        return Predictor(car_rate, np.array([*roles, self.system.nx, *self.physical_], dtype=np.float64), n_scratch=0)
+        header = [*roles, self.system.nx, self.system.dt, 0]
+        return Predictor(car_rate, np.array([*header, *self.physical_], dtype=np.float64), n_scratch=0)
 
     def _torch_rate(self, state: Tensor, control: Tensor, logarithms: Tensor) -> Tensor:
         """Return `known_rate` for the logarithms (1, 1, 9) of the physical parameters."""
         import torch
 
+        zero = torch.zeros_like(state[..., 0])
+        return torch.stack(self._rates(state, control, torch.exp(logarithms[0, 0]), zero), dim=-1)
+
+    def _rates(self, state: Any, control: Any, physical: Any, zero: Any) -> list[Any]:
+        """Return the known rate of each state, of arrays or tensors."""
         forward, lateral, yaw_rate, drive, steer = self.roles
-        u_f, u_b, r_l, r_r, d_ul, d_uv, d_v, d_rl, d_rv = torch.exp(logarithms[0, 0])
-        u, r, u1, u2 = state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer]
-        columns = [torch.zeros_like(u) for _ in range(state.shape[-1])]
-        columns[forward] = u_f * torch.relu(u1) - u_b * torch.relu(-u1) - u * d_ul - u * torch.abs(u) * d_uv
-        turning = r_l * torch.relu(u2) - r_r * torch.relu(-u2)
-        columns[yaw_rate] = u * turning - r * d_rl - r * torch.abs(r) * d_rv
+        columns = [zero] * self.system.nx
+        columns[forward], columns[yaw_rate] = accelerations(
+            state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer], physical[:8]
+        )
         if lateral is not None:
-            columns[lateral] = -state[..., lateral] * d_v
-        return torch.stack(columns, dim=-1)
+            columns[lateral] = -state[..., lateral] * physical[8]
+        return columns

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 from sklearn.base import clone
 
-from model_zoo.standardise import Standard
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.channels.features import Features
+from model_zoo.channels.standard import Standard, deviation
+from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = (8, 20)
 RIDGE = 0.03
-SEARCH_FOLDS = 3
 
 
 @register_model("k_neighbours")
@@ -35,7 +34,8 @@ class KNeighbours(DynamicsModel):
     The plain change in one step is used, not the acceleration: a lateral acceleration balances
     forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
 
-    Distance is Euclidean in (carry, control) divided by standard deviations, controls counting
+    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic
+    state), controls counting
     ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
     d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
     (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
@@ -46,6 +46,7 @@ class KNeighbours(DynamicsModel):
 
     knowledge = "dark grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
+    limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 
     def __init__(
         self,
@@ -63,52 +64,39 @@ class KNeighbours(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if (self.neighbours is not None and self.neighbours < 1) or self.control_weight <= 0:
-            raise InvalidArgument(
-                f"k_neighbours: expected neighbours >= 1 and control_weight > 0, "
-                f"got {self.neighbours}, {self.control_weight}"
-            )
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
         settings = [(count, pair) for pair in lags for count in counts]
-        chosen = settings[0]
-        searched = len(settings) if len(settings) > 1 else 0
-        counter = Counter(progress, searched * SEARCH_FOLDS + 1)
-        if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
-            errors = []
-            for count, pair in settings:
-                trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
-                error = 0.0
-                for learned, held in folds:
-                    trial.fit(learned, rng=rng)
-                    windows = validation_windows(held, trial.n_lags, stride=8)
-                    error += simulation_error(trial, windows) + (1e6 if diverges(trial, windows, dataset) else 0.0)
-                    counter.advance()
-                errors.append(error)
-            chosen = settings[int(np.argmin(errors))]
-        self.neighbours_ = chosen[0]
-        if self.state_lags is None:
-            self.state_lags_ = chosen[1][0]
-        if self.control_lags is None:
-            self.control_lags_ = chosen[1][1]
-        carry, control, after = lagged_steps(dataset, self.lags)
-        _, scale = Standard.of(dataset).of_inputs(self.lags)
-        nx, nu = dataset.system.nx, dataset.system.nu
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks = HeldOut.of(dataset)
+
+        def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
+            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
+            return trial.fit(part, rng=rng)
+
+        self.neighbours_, chosen = best(
+            settings,
+            lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, told=counter.advance),
+        )
+        self.keep_lags(chosen)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
+        system, features = dataset.system, Features(dataset.system, self.lags)
+        inputs = features(data.carry, data.control)
+        scale = Standard.of(dataset).of_inputs(self.layout)[1] if features.plain else deviation(inputs)
         weight = np.full(len(scale), 0.5)
-        weight[:nx] = 1.0
-        weight[-nu:] = self.control_weight
+        weight[: len(system.regressor_names)] = 1.0
+        weight[len(weight) - system.nu :] = self.control_weight
         self.metric_ = weight / scale
-        self.points_ = np.concatenate([carry, control], axis=1) * self.metric_
-        self.low_, self.high_ = carry[:, :nx].min(axis=0), carry[:, :nx].max(axis=0)
-        self.changes_ = after - carry[:, :nx]
-        self.__dict__.pop("_tree", None)
-        self.__dict__.pop("_compiled", None)
+        self.points_ = inputs * self.metric_
+        self.low_, self.high_ = data.state.min(axis=0), data.state.max(axis=0)
+        for i in system.periods:
+            self.low_[i], self.high_[i] = -np.inf, np.inf
+        self.changes_ = data.after - data.state
         counter.advance()
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        query = np.concatenate([carry, control], axis=1) * self.metric_
+        query = Features(self.system, self.lags)(carry, control) * self.metric_
         count = min(self.neighbours_, len(self.points_))
         distance, rows = self._tree.query(query, k=np.arange(1, count + 1))
         weight = (1.0 - (distance / (1.05 * distance[:, -1:] + 1e-12)) ** 2) ** 2
@@ -126,14 +114,16 @@ class KNeighbours(DynamicsModel):
         inside = np.clip(state, self.low_, self.high_)
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         return self._compiled
 
     @cached_property
-    def _compiled(self) -> DynamicsKernel:
+    def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
         from sysid_evo.engine.kernels import stepping_kernel
 
+        if not Features(self.system, self.lags).plain:
+            return None
         predictor = plane_predictor(
             self.points_,
             self.changes_,

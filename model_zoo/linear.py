@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.channels.standard import deviation
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
@@ -26,6 +27,7 @@ class Linear(DynamicsModel):
     """
 
     knowledge = "black"
+    limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     def __init__(
         self,
@@ -44,17 +46,11 @@ class Linear(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         state_lags, control_lags = self.lags
-        if self.ridge < 0 or state_lags < 0 or control_lags < 0:
-            raise InvalidArgument(
-                "linear: expected ridge, state_lags and control_lags >= 0, "
-                f"got {self.ridge}, {state_lags}, {control_lags}"
-            )
         data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
         regressors = np.concatenate([data.carry, data.control], axis=1)
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
-        scale = regressors.std(axis=0)
-        scale[scale <= 1e-12 * np.abs(regressors).max(axis=0)] = 1.0  # constant but for rounding
+        scale = deviation(regressors)
         penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
         left = np.concatenate([(regressors - centre) / scale, penalty])
         right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])

@@ -7,16 +7,16 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from sklearn.base import clone
 
-from model_zoo.mirror import Mirror
-from model_zoo.network import Network
-from model_zoo.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
-from model_zoo.validation import lag_candidates, time_blocks, validation_windows
+from model_zoo.channels.mirror import Mirror
+from model_zoo.networks.network import Network
+from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
+from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument, MissingExtra
+from sysid_evo.free_run import judging_windows
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
@@ -59,6 +59,12 @@ class MlpEnsemble(DynamicsModel):
         },
         "paper": {"members": 10, "one_step_updates": 8000, "updates": 2000},
     }
+    requires = ("torch",)
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("members", "hidden", "one_step_updates", "updates", "horizon")},
+        "input_noise": at_least(0),
+        "folds": at_least(2),
+    }
 
     def __init__(
         self,
@@ -90,15 +96,9 @@ class MlpEnsemble(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        try:
-            from model_zoo.lagged_members import Trained, train_members
-            from model_zoo.multistep import Plan
-        except ImportError as error:
-            raise MissingExtra("mlp_ensemble is trained with torch: pip install 'sysid-evo[neural]'") from error
-        if min(self.members, self.updates, self.one_step_updates, self.horizon) < 1 or self.folds < 2:
-            raise InvalidArgument(
-                "mlp_ensemble: expected members, updates, one_step_updates, horizon >= 1 and folds >= 2"
-            )
+        from model_zoo.networks.members import Trained, train_members
+        from model_zoo.networks.multistep import Plan
+
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         search = Plan(
             min(SEARCH_UPDATES[0], self.one_step_updates),
@@ -107,9 +107,8 @@ class MlpEnsemble(DynamicsModel):
             input_noise=self.input_noise,
         )
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
-        searched = len(options) if len(options) > 1 else 0
         rough = rough_fits(dataset) if self.stochastic else 0
-        total, done = final.total + (searched + rough) * search.total + 1, 0  # 1: the calibration
+        total, done = final.total + (trials(options) + rough) * search.total + 1, 0  # 1: the calibration
 
         def report(updates: int) -> None:
             if progress is not None:
@@ -128,17 +127,14 @@ class MlpEnsemble(DynamicsModel):
                 report=report,
             )
 
-        lags = options[0]
-        if searched:
-            errors = []
-            for option in options:
-                errors.append(float(np.mean(trained(dataset, option, min(3, self.members), search).errors)))
-                done += search.total
-            lags = options[int(np.argmin(errors))]
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        def error(option: tuple[int, int]) -> float:
+            nonlocal done
+            found = float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
+            done += search.total
+            return found
+
+        lags = best(options, error)
+        self.keep_lags(lags)
         network = trained(dataset, lags, self.members, final).network
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
         done += final.total
@@ -180,8 +176,7 @@ class MlpEnsemble(DynamicsModel):
 
     def _deterministic(self, network: Network) -> MlpEnsemble:
         """Return this model without noise and with the members of ``network``."""
-        other = clone(self).set_params(stochastic=False)
-        other.__dict__.update({key: value for key, value in vars(self).items() if key.endswith("_")})
+        other = self.variant(stochastic=False)
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
@@ -195,7 +190,7 @@ class MlpEnsemble(DynamicsModel):
         together = self._deterministic(self.network)
         for member in range(self.members):
             still()
-            windows = validation_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
+            windows = judging_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
             own = slice(member, member + 1)
             alone = self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
             history = windows.past_states, windows.past_controls, windows.controls

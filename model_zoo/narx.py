@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from sklearn.base import clone
 
-from model_zoo.polynomial import equation, evaluate, lagged_names, monomials
-from model_zoo.stepwise import lagged_steps
-from model_zoo.validation import diverges, lag_candidates, simulation_error, time_blocks, validation_windows
+from model_zoo.channels.features import Features
+from model_zoo.sparse.polynomial import equation, evaluate, left_sides, monomials
+from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10
-SEARCH_FOLDS = 3
 
 
 @register_model("narx")
@@ -32,11 +30,13 @@ class Narx(DynamicsModel):
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
     candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
     orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time. Inputs are clipped to the training range.
+    over one second on held-out blocks of time. Inputs are clipped to the training range;
+    a periodic state stands as its sine and cosine, and its change is predicted.
     """
 
     knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
+    limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
     def __init__(
         self,
@@ -54,71 +54,64 @@ class Narx(DynamicsModel):
         self.rest_hold = rest_hold
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        if self.degree < 1 or (self.terms is not None and self.terms < 1):
-            raise InvalidArgument(f"narx: expected degree and terms >= 1, got {self.degree}, {self.terms}")
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
         counts = COUNTS if self.terms is None else (self.terms,)
-        chosen = (counts[0], pairs[0])
-        searched = len(pairs) * SEARCH_FOLDS if len(pairs) * len(counts) > 1 else 0
-        counter = Counter(progress, searched + 1)
-        if searched:
-            folds = [time_blocks(dataset, fold) for fold in range(SEARCH_FOLDS)]
-            lowest = np.inf
-            for lags in pairs:
-                errors = np.zeros(len(counts))
-                for learned, held in folds:
-                    windows = validation_windows(held, max(lags))
-                    order = self._selection(learned, lags, max(counts))
-                    for index, count in enumerate(counts):
-                        trial = clone(self).set_params(terms=count, state_lags=lags[0], control_lags=lags[1])
-                        trial.system_, trial.envelope_ = self.system_, self.envelope_
-                        trial._learn(learned, lags, count, order)
-                        errors[index] += simulation_error(trial, windows)
-                        errors[index] += 1e6 if diverges(trial, windows, dataset) else 0.0
-                    counter.advance()
-                if errors.min() < lowest:
-                    lowest, chosen = float(errors.min()), (counts[int(np.argmin(errors))], lags)
-        count, lags = chosen
-        if self.state_lags is None:
-            self.state_lags_ = lags[0]
-        if self.control_lags is None:
-            self.control_lags_ = lags[1]
+        settings = [(count, lags) for lags in pairs for count in counts]
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks, orders = HeldOut.of(dataset), {}
+
+        def learned(part: Dataset, count: int, lags: tuple[int, int]) -> DynamicsModel:
+            key = lags, part.names  # the order of the terms does not depend on how many are taken
+            if key not in orders:
+                orders[key] = self._selection(part, lags, max(counts))
+            trial = self.variant(terms=count, state_lags=lags[0], control_lags=lags[1])
+            trial._learn(part, lags, count, orders[key])
+            return trial
+
+        count, lags = best(
+            settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
+        )
+        self.keep_lags(lags)
         self.terms_ = count
         self._learn(dataset, lags, count, self._selection(dataset, lags, count))
         counter.advance()
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        inputs = np.clip(np.concatenate([carry, control], axis=1), self.low_, self.high_)
-        return evaluate(inputs, self.exponents_) @ self.coefficients_
+        features = Features(self.system, self.lags)
+        inputs = np.clip(features(carry, control), self.low_, self.high_)
+        return features.anchor(carry[:, : self.system.nx]) + evaluate(inputs, self.exponents_) @ self.coefficients_
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import polynomial_predictor, stepping_kernel, within
 
+        if not Features(self.system, self.lags).plain:
+            return None
         sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
         predictor = within(sums, self.low_, self.high_, self.n_carry)
         return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        system, lags = self.system, self.lags
-        names = lagged_names(system.state_names, system.control_names, lags)
-        units = [c.unit for c in system.states] * (lags[0] + 1) + [c.unit for c in system.controls] * (lags[1] + 1)
+        features = Features(self.system, self.lags)
+        sides = left_sides(self.system)
         return [
-            equation(f"{state.name}[+1]", state.unit, self.coefficients_[:, i], self.exponents_, names, units)
-            for i, state in enumerate(system.states)
+            equation(left, unit, self.coefficients_[:, i], self.exponents_, features.names, features.units)
+            for i, (left, unit) in enumerate(sides)
         ]
 
     def _selection(self, dataset: Dataset, lags: tuple[int, int], count: int) -> list[IntArray]:
         """Return, for each state, the terms in the order in which they enter."""
-        carry, control, after = lagged_steps(dataset, lags)
-        inputs = np.concatenate([carry, control], axis=1)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        features = Features(dataset.system, lags)
+        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
         library = evaluate(inputs / _size(inputs), monomials(inputs.shape[1], self.degree))
         return [forward_selection(library, after[:, i], count) for i in range(after.shape[1])]
 
     def _learn(self, dataset: Dataset, lags: tuple[int, int], count: int, order: list[IntArray]) -> None:
-        carry, control, after = lagged_steps(dataset, lags)
-        inputs = np.concatenate([carry, control], axis=1)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        features = Features(dataset.system, lags)
+        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
         scale, exponents = _size(inputs), monomials(inputs.shape[1], self.degree)
         library = evaluate(inputs / scale, exponents)
         coefficients = np.zeros((len(exponents), after.shape[1]))

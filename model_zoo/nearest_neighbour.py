@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from model_zoo.command_cells import CommandCells
+from model_zoo.channels.command_cells import CommandCells
+from model_zoo.channels.features import Features
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -24,13 +26,14 @@ if TYPE_CHECKING:
 class NearestNeighbour(DynamicsModel):
     """The acceleration recorded in the nearest state under the same command.
 
-    Distance is Euclidean in the states' own units (paper). A continuous control falls into the
-    nearest of ``levels`` steps of its range and joins the state as a further input; a command that
-    was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
+    Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
+    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
+    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
     state in the distance.
     """
 
     knowledge = "dark grey"
+    limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
     def __init__(self, *, levels: int = 3, state_lags: int = 0, control_lags: int = 0, rest_hold: bool = False) -> None:
         self.levels = levels
@@ -48,15 +51,13 @@ class NearestNeighbour(DynamicsModel):
         cell = cells.index(data.control)
         order = np.argsort(cell, kind="stable")
         self.cell_ = cell[order]
-        self.points_ = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)[order]
+        self.points_ = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])[order]
         self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
-        self.__dict__.pop("_tables", None)
-        self.__dict__.pop("_compiled", None)
         return self
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         cells, tables, serving = self._tables
-        query = np.concatenate([carry, control[:, cells.exact]], axis=1)
+        query = Features(self.system, self.lags)(carry, control[:, cells.exact])
         table = serving[cells.index(control)]
         result = np.empty((len(carry), self.accelerations_.shape[1]))
         for number, (tree, rows) in tables.items():
@@ -66,13 +67,15 @@ class NearestNeighbour(DynamicsModel):
                 result[asked] = self.accelerations_[rows][nearest]
         return result
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         return self._compiled
 
     @cached_property
-    def _compiled(self) -> DynamicsKernel:
+    def _compiled(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
 
+        if not Features(self.system, self.lags).plain:
+            return None
         cells, tables, serving = self._tables
         place = {number: i for i, number in enumerate(tables)}
         predictor = neighbour_predictor(

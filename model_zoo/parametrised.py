@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.car_roles import CarRoles, car_roles, require_car
+from model_zoo.car.physics import PHYSICAL, accelerations
+from model_zoo.car.roles import CarRoles, car_roles, require_car
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
+from sysid_evo.evolution.identification import Weights
+from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 from sysid_evo.system import System
@@ -19,14 +22,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 PARAMETERS = (
-    ("thrust_forward", "m/s^2"),
-    ("thrust_backward", "m/s^2"),
-    ("turn_left", "rad/m/s"),
-    ("turn_right", "rad/m/s"),
-    ("drag_linear", "1/s"),
-    ("drag_viscous", "1/m"),
-    ("yaw_drag_linear", "1/s"),
-    ("yaw_drag_viscous", "1/rad"),
+    *PHYSICAL,
     ("min_speed", "m/s"),
     ("min_yaw_rate", "rad/s"),
     ("max_speed", "m/s"),
@@ -46,14 +42,19 @@ class Parametrised(DynamicsModel):
     A speed below its minimum without a command is zero; speeds are clipped to their maxima; the
     lateral speed is zero (Equation 1, read by its intent). The twelve parameters are encoded in
     units of the data's own scale and evolved with ``generations`` of a 50+50 strategy on the error
-    after ``horizon`` steps from ``windows`` random starts.
+    after ``horizon`` steps from ``windows`` random starts, every state divided by its standard deviation;
+    in the states' own units with ``weights="paper"``, the preset of that name.
 
     ``drive`` and ``steer`` name the controls with these roles. With ``control_lags`` the equation is
     driven by the command of that many samples ago, a dead time (none in the paper).
     """
 
     knowledge = "grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"generations": 300}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"generations": 300},
+        "paper": {"weights": "paper"},
+    }
+    limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
     def __init__(
         self,
@@ -61,6 +62,7 @@ class Parametrised(DynamicsModel):
         generations: int = 1000,
         windows: int = 100,
         horizon: int = 10,
+        weights: Weights = "spread",
         drive: str = "drive",
         steer: str = "steer",
         control_lags: int = 0,
@@ -69,6 +71,7 @@ class Parametrised(DynamicsModel):
         self.generations = generations
         self.windows = windows
         self.horizon = horizon
+        self.weights = weights
         self.drive = drive
         self.steer = steer
         self.control_lags = control_lags
@@ -79,7 +82,9 @@ class Parametrised(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
-        search = ModelEvolution(generations=self.generations, windows=self.windows, horizon=self.horizon)
+        search = ModelEvolution(
+            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+        )
         best = search.run(
             lambda population, carry, control: self._advance(np.abs(population) * scale, carry, control),
             dataset,
@@ -102,11 +107,11 @@ class Parametrised(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
-        from model_zoo.kernels.parametrised import equation_one
+        from model_zoo.kernels.car import equation_one
         from sysid_evo.engine.kernels import Predictor, stepping_kernel
 
         roles = [-1 if role is None else role for role in self.roles]
-        head = [*roles, self.system.dt, self._oldest_command]
+        head = [*roles, self.system.nx, self.system.dt, self._oldest_command]
         flat = np.concatenate([np.tile(head, (len(parameters), 1)), parameters], axis=1)
         kernel = stepping_kernel(
             Predictor(equation_one, flat[0], 0),
@@ -115,8 +120,7 @@ class Parametrised(DynamicsModel):
             lags=self.lags,
             rest_band=self.rest_band,
         )
-        shell = kernel.parameters[: len(kernel.parameters) - flat.shape[1]]
-        return kernel, np.concatenate([np.tile(shell, (len(flat), 1)), flat], axis=1)
+        return kernel, kernel.of_candidates(flat)
 
     @property
     def roles(self) -> CarRoles:
@@ -144,12 +148,10 @@ class Parametrised(DynamicsModel):
         """Return the next states (..., B, nx) of parameter vectors (..., 12) under controls (..., B, nu)."""
         forward, _, yaw_rate, drive, steer = self.roles
         dt = self.system.dt
-        (u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv, u_min, r_min, u_max, r_max) = parameters.T[..., None]
+        *physical, u_min, r_min, u_max, r_max = parameters.T[..., None]
         u, r, u1, u2 = state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer]
-        thrust = np.where(u1 > 0.0, u_f, u_b) * u1
-        turning = u * (np.where(u2 > 0.0, r_l, r_r) * u2)
-        next_u = u + dt * (thrust - u * d_ul - u * np.abs(u) * d_uv)
-        next_r = r + dt * (turning - r * d_rl - r * np.abs(r) * d_rv)
+        du, dr = accelerations(u, r, u1, u2, physical)
+        next_u, next_r = u + dt * du, r + dt * dr
         after = np.zeros_like(state)
         u_still, r_still = (np.abs(next_u) < u_min) & (u1 == 0.0), (np.abs(next_r) < r_min) & (u2 == 0.0)
         np.clip(next_u, -u_max, u_max, out=after[..., forward], where=~u_still)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from model_zoo.sparse_flow import ContinuousSparse
+from model_zoo.sparse.flow import ContinuousSparse
 from sysid_evo.registry import register_model
 
 
@@ -15,25 +15,9 @@ class Sindy(ContinuousSparse):
     w is the rotation of a planar body's frame, (r v, -r u, 0); without one it is zero. The derivative
     is the difference over one step, the state the mean of its two ends, the control the one held:
     correct to second order in dt. Sequentially thresholded least squares drops coefficients below
-    ``threshold`` (of quantities divided by their RMS) and shrinks by ``ridge``. Stepped with the
+    ``threshold`` (of quantities divided by their RMS) and shrinks by ``ridge``; what is left open is chosen by
+    free runs, as `SparsePolynomial` says, which also tells of periodic states and of ``functions``. Stepped with the
     fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0}}
-
-    def __init__(
-        self,
-        *,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        state_lags: int | None = 0,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold

@@ -6,11 +6,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from model_zoo.sparse_flow import ContinuousSparse
-from model_zoo.sparse_regression import sparse_coefficients
-from model_zoo.validation import simulation_error, validation_windows
+from model_zoo.sparse.flow import ContinuousSparse
+from model_zoo.sparse.regression import sparse_coefficients
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.free_run import judging_windows, simulation_error
+from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter
 from sysid_evo.registry import register_model
 
@@ -32,6 +32,7 @@ class SindyBagged(ContinuousSparse):
         "quick": {"degree": 2, "control_lags": 0, "bags": 8},
         "paper": {"bags": 50},
     }
+    limits: ClassVar[dict[str, Limit]] = {"bags": at_least(1), "kept": above(0, at_most=1)}
 
     def __init__(
         self,
@@ -41,30 +42,29 @@ class SindyBagged(ContinuousSparse):
         degree: int | None = None,
         threshold: float | None = None,
         ridge: float = 1e-3,
-        state_lags: int | None = 0,
+        functions: list[str] | None = None,
+        state_lags: int | None = None,
         control_lags: int | None = None,
         rest_hold: bool = False,
     ) -> None:
+        super().__init__(
+            degree=degree,
+            threshold=threshold,
+            ridge=ridge,
+            functions=functions,
+            state_lags=state_lags,
+            control_lags=control_lags,
+            rest_hold=rest_hold,
+        )
         self.bags = bags
         self.kept = kept
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
-
-    def check_options(self) -> None:
-        super().check_options()
-        if self.bags < 1 or not 0.0 < self.kept <= 1.0:
-            raise InvalidArgument(f"sindy_bagged: expected bags >= 1 and 0 < kept <= 1, got {self.bags}, {self.kept}")
 
     def learn(
         self, dataset: Dataset, degree: int, threshold: float, rng: np.random.Generator, counter: Counter
     ) -> None:
         data = self.regression(dataset, self.lags)
         blocks = np.array_split(np.arange(len(data.regressors)), max(1, len(data.regressors) // BLOCK_STEPS))
-        windows = validation_windows(dataset, self.n_lags, stride=STRIDE)
+        windows = judging_windows(dataset, self.n_lags, stride=STRIDE)
         fits, errors = [], []
         for _ in range(self.bags):
             counter.advance(0)

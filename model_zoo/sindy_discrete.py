@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
-from model_zoo.sparse_regression import Regression, SparsePolynomial
-from model_zoo.stepwise import lagged_steps
+from model_zoo.sparse.polynomial import left_sides
+from model_zoo.sparse.regression import Regression, SparsePolynomial
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.registry import register_model
@@ -21,42 +19,31 @@ class SindyDiscrete(SparsePolynomial):
     """x_{k+1} = Theta(x_k, u_k) Xi with all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
 
     Sequentially thresholded least squares drops coefficients below ``threshold`` (of quantities
-    divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range.
+    divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
+    open is chosen by free runs, as `SparsePolynomial` says. Of a periodic state the change is predicted.
     """
 
     knowledge = "black"
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0, "state_lags": 0}}
 
-    def __init__(
-        self,
-        *,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
-        carry, control, after = lagged_steps(dataset, lags)
-        return Regression(np.concatenate([carry, control], axis=1), after)
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        features = self.features_of(dataset.system, lags)
+        seen = features(data.carry, data.control)
+        return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
 
     def left_sides(self) -> list[tuple[str, str]]:
-        return [(f"{channel.name}[+1]", channel.unit) for channel in self.system.states]
+        return left_sides(self.system)
 
-    def kernel(self) -> DynamicsKernel:
+    def kernel(self) -> DynamicsKernel | None:
         from sysid_evo.engine.kernels import stepping_kernel
 
-        return stepping_kernel(
-            self.predictor(), self.system, output="next_state", lags=self.lags, rest_band=self.rest_band
-        )
+        polynomial = self.predictor()
+        if polynomial is None:
+            return None
+        return stepping_kernel(polynomial, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        return self.polynomial(np.concatenate([carry, control], axis=1))
+        return self.features.anchor(carry[:, : self.system.nx]) + self.polynomial(carry, control)

@@ -1,11 +1,20 @@
 from .controllers import Controller, RecurrentNetwork, View
+from .cross_validation import EpisodeFold
 from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .errors import SysidEvoError
-from .evolution import Champion, ControllerEvolution, EvolutionStrategy, MuPlusLambda, evolve, evolve_controller
+from .evolution import (
+    Aggregate,
+    Champion,
+    ControllerEvolution,
+    EvolutionStrategy,
+    MuPlusLambda,
+    evolve,
+    evolve_controller,
+)
 from .interoperation import to_control
-from .motion import PlanarBody
+from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
 from .registry import (
     Spec,
@@ -31,6 +40,7 @@ from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState
 
 __all__ = [
+    "Aggregate",
     "Champion",
     "Channel",
     "Controller",
@@ -39,7 +49,9 @@ __all__ = [
     "Dynamics",
     "DynamicsModel",
     "DynamicsRunner",
+    "EpisodeFold",
     "EvolutionStrategy",
+    "Motion",
     "MuPlusLambda",
     "PlanarBody",
     "PointToPoint",

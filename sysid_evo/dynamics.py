@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import functools
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from sklearn.base import BaseEstimator
+import numpy.typing as npt
+from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
-from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
+from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
+from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
+from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values
+from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
     from sysid_evo.data import Dataset
@@ -83,17 +88,26 @@ class DynamicsModel(Dynamics, BaseEstimator):
     the control is neutral, and so are the earlier controls in the carry, which may still act.
 
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
-    ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper).
+    ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
+    ``limits`` what numbers they may be (types follow from the constructor's annotations);
+    ``requires`` the optional packages that `fit` imports.
+
+    A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
+    ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
+    ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
 
     What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
-    anything else is derived from them when needed. Every `fit` also records ``system_`` and
+    anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
+    forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped; ``fit_seconds`` is how long it took.
+    ranges, beyond which a simulation is clipped (a periodic state has no limits); ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
+    requires: ClassVar[tuple[str, ...]] = ()
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
@@ -101,10 +115,52 @@ class DynamicsModel(Dynamics, BaseEstimator):
     system_: System
     envelope_: Array
 
+    _derived: ClassVar[frozenset[str]] = frozenset()
+
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
+        cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
+        cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
-            cls.fit = _recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+        if "__init__" in cls.__dict__:
+            cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
+
+    def set_params(self, **parameters: Any) -> Self:
+        """Change hyper-parameters; a wrong name or value is refused and changes nothing."""
+        check_names(type(self), [name.split("__")[0] for name in parameters])
+        before = self.get_params(deep=False)
+        super().set_params(**parameters)
+        try:
+            self.check_parameters()
+        except InvalidArgument:
+            super().set_params(**before)
+            raise
+        return self
+
+    def variant(self, **parameters: Any) -> Self:
+        """Return a copy with everything that was learned, and other hyper-parameters."""
+        other: Self = clone(self).set_params(**parameters)
+        other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
+        return other
+
+    def check_parameters(self) -> None:
+        """Raise `InvalidArgument` if a hyper-parameter has the wrong type or is out of its ``limits``.
+
+        Called by the constructor, `set_params` and `fit`; a family adds what concerns several at once.
+        """
+        check_values(type(self), self.get_params(deep=False))
+
+    @classmethod
+    def check_installed(cls) -> None:
+        """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
+        require_packages(cls, cls.requires)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
+        for derived in self._derived:
+            self.__dict__.pop(derived, None)
+        super().__setattr__(name, value)
 
     @property
     def system(self) -> System:  # type: ignore[override]  # known only after fit
@@ -120,13 +176,25 @@ class DynamicsModel(Dynamics, BaseEstimator):
         controls = getattr(self, "control_lags_", 0) if self.control_lags is None else self.control_lags
         return states, controls
 
+    def keep_lags(self, chosen: tuple[int, int]) -> None:
+        """Record the numbers of lags that `fit` chose where the hyper-parameters leave them open."""
+        if self.state_lags is None:
+            self.state_lags_ = chosen[0]
+        if self.control_lags is None:
+            self.control_lags_ = chosen[1]
+
+    @property
+    def layout(self) -> CarryLayout:
+        """Where states and controls stand in the carry."""
+        return CarryLayout(self.system.nx, self.system.nu, *self.lags)
+
     @property
     def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
         return max(self.lags)
 
     @property
     def n_carry(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
-        return self.system.nx * (1 + self.lags[0]) + self.system.nu * self.lags[1]
+        return self.layout.size
 
     @property
     def envelope(self) -> Array | None:
@@ -144,15 +212,31 @@ class DynamicsModel(Dynamics, BaseEstimator):
     def check_system(self, system: System) -> None:
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
+    def record(self, dataset: Dataset) -> None:
+        """Record the system and the envelope of ``dataset``, as every `fit` does first."""
+        self.system_ = dataset.system
+        states = np.concatenate([episode.states for episode in dataset.episodes])
+        self.envelope_ = training_envelope(states, self.envelope_multiple)
+        for i in dataset.system.periods:
+            self.envelope_[:, i] = -np.inf, np.inf
+
+    def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
+        """Return minus the simulation error, so that more is better, as scikit-learn wants it.
+
+        The model runs free from every fourth moving sample for one second, at least ten steps. The
+        error is the root mean square divided by the standard deviation of the recording, the mean over
+        steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
+        passes ``y``, which is unused.
+        """
+        data = as_dataset(dataset, f"{type(self).__name__}.score")
+        return -simulation_error(self, judging_windows(data, self.n_lags))
+
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return self.lagged(states, controls)
 
     def lagged(self, states: Array, controls: Array) -> Array:
         """Return state, earlier states and earlier controls, newest first, side by side."""
-        state_lags, control_lags = self.lags
-        parts = [states[:, -1 - lag] for lag in range(state_lags + 1)]
-        parts += [controls[:, -1 - lag] for lag in range(control_lags)]
-        return np.concatenate(parts, axis=1)
+        return np.concatenate(self.layout.started(states, controls), axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         after = self.held(carry, control, self.next_state(carry, control))
@@ -163,20 +247,18 @@ class DynamicsModel(Dynamics, BaseEstimator):
 
         Like `held` for (B, n) arrays, or any number of axes before the last.
         """
-        state_lags, control_lags = self.lags
-        if not state_lags and not control_lags:
-            return after
-        nx, nu = self.system.nx, self.system.nu
-        states = carry[..., : nx * state_lags]
-        controls = np.concatenate([control, carry[..., nx * (1 + state_lags) :]], axis=-1)
-        return np.concatenate([after, states, controls[..., : nu * control_lags]], axis=-1)
+        parts = self.layout.moved(carry, control, after)
+        return np.concatenate(parts, axis=-1) if len(parts) > 1 else after
 
     @property
     def rest_band(self) -> Array | None:
         """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
         if not self.rest_hold:
             return None
-        return REST_BAND * (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        ranges = (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
+        for i, period in self.system.periods.items():
+            ranges[i] = period
+        return REST_BAND * ranges
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
         """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and all controls are neutral.
@@ -186,13 +268,12 @@ class DynamicsModel(Dynamics, BaseEstimator):
         band = self.rest_band
         if band is None:
             return after
-        neutral, (state_lags, control_lags) = self.system.neutral_state, self.lags
-        nx, nu = self.system.nx, self.system.nu
-        still = (np.abs(carry[..., :nx] - neutral) <= band).all(axis=-1)
-        idle = (control == self.system.neutral_control).all(axis=-1)
-        if control_lags:
-            past = carry[..., nx * (1 + state_lags) : nx * (1 + state_lags) + nu * control_lags]
-            idle = idle & (past == np.tile(self.system.neutral_control, control_lags)).all(axis=-1)
+        layout, neutral, idle_control = self.layout, self.system.neutral_state, self.system.neutral_control
+        still = (np.abs(carry[..., : layout.nx] - neutral) <= band).all(axis=-1)
+        past = carry[..., layout.earlier_controls]
+        idle = (control == idle_control).all(axis=-1) & (past == np.tile(idle_control, layout.control_lags)).all(
+            axis=-1
+        )
         return np.where((still & idle)[..., None], neutral, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
@@ -205,39 +286,75 @@ class DynamicsModel(Dynamics, BaseEstimator):
 
     def simulate(
         self,
-        states: Array,
-        past_controls: Array,
-        controls: Array,
+        states: npt.ArrayLike | Trajectory,
+        past_controls: npt.ArrayLike | None = None,
+        controls: npt.ArrayLike | None = None,
         *,
         samples: int | None = None,
-        rng: np.random.Generator | None = None,
+        rng: np.random.Generator | int | None = None,
     ) -> Array:
-        """Run free under recorded controls: return the states (B, H, nx) after each of H steps.
+        """Run free under recorded controls and return the states after each of H steps.
 
-        ``states`` (B, L + 1, nx) and ``past_controls`` (B, L, nu) are the measured history (L at
-        least ``n_lags``; more is left unused), ``controls`` is (B, H, nu). States are clipped to
-        the envelope; a state that is not a number becomes its upper limit there and stays nan
-        without one. With ``samples``, a stochastic model is run that often: (samples, B, H, nx).
+        One run: ``simulate(x0, u)`` with the state (nx,) or a history (L + 1, nx), and controls
+        (H, nu), (H,) for one control; returns (H, nx). Without enough history the first state is repeated,
+        and the controls before the run are neutral, unless given: ``simulate(history, past_u, u)``.
+        ``simulate(trajectory)`` starts from its first ``n_lags`` + 1 states and runs to its end.
+
+        Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
+        and (B, L, nu), L at least ``n_lags`` (more is left unused), and (B, H, nu); returns (B, H, nx).
+
+        States are clipped to the envelope; a state that is not a number becomes its upper limit there
+        and stays nan without one. With ``samples``, a stochastic model is run that often, and these are
+        the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
-        system = self.system
+        system, lags = self.system, self.n_lags
+        if isinstance(states, Trajectory):
+            run = states
+            if len(run) <= lags:
+                raise InvalidData(
+                    f"{type(self).__name__} needs {lags + 1} states to start, {run.name!r} ends with them"
+                )
+            states, past_controls, controls = run.states[: lags + 1], run.controls[:lags], run.controls[lags:]
+        elif controls is None:
+            past_controls, controls = None, past_controls
+        if controls is None:
+            raise InvalidArgument("simulate: expected a state and controls, or a Trajectory; got no controls")
+        alone = np.ndim(states) < 3 and np.ndim(controls) < 3
+        if alone:
+            states, past_controls, controls = one_run(system, lags, states, past_controls, controls)
+        simulated = self._simulated(states, past_controls, controls, samples, as_generator(rng))
+        return simulated[..., 0, :, :] if alone else simulated
+
+    def _simulated(
+        self,
+        states: npt.ArrayLike,
+        past_controls: npt.ArrayLike | None,
+        controls: npt.ArrayLike,
+        samples: int | None,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Return (B, H, nx), or (samples, B, H, nx)."""
+        system, lags = self.system, self.n_lags
         states = check_shape("states", states, (None, None, system.nx))
         controls = check_shape("controls", controls, (len(states), None, system.nu))
+        if past_controls is None:
+            past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
         past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
-        lags = self.n_lags
         if states.shape[1] < lags + 1:
             raise InvalidData(f"{type(self).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
         states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
         if samples is not None:
             states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
         batch, horizon = controls.shape[:2]
-        rng = np.random.default_rng(0) if rng is None else rng
+
+        def step(carry: Array, control: Array) -> Array:
+            noise = rng.standard_normal((batch, self.n_noise)) if self.n_noise else None
+            return clip_state(self.step(carry, control, noise), self.envelope)[0]
+
         draws = rng.standard_normal((batch, self.n_draws)) if self.n_draws else None
         out = np.empty((batch, horizon, system.nx))
         with np.errstate(all="ignore"):
-            carry = self.start(states, past_controls, draws)
-            for k in range(horizon):
-                noise = rng.standard_normal((batch, self.n_noise)) if self.n_noise else None
-                carry, _ = clip_state(self.step(carry, controls[:, k], noise), self.envelope)
+            for k, carry in enumerate(chained(step, self.start(states, past_controls, draws), controls)):
                 out[:, k] = carry[:, : system.nx]
         return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
 
@@ -268,39 +385,17 @@ def training_envelope(states: Array, multiple: float) -> Array:
     return np.stack([centre - multiple * half, centre + multiple * half])
 
 
-def _recorded(fit: Any) -> Any:
-    """Wrap a family's `fit`: check the system before it, record system and envelope, undo what is interrupted."""
+def _checked(init: Any) -> Any:
+    """Wrap a family's constructor: a wrong name or value is refused where it is given."""
 
-    @functools.wraps(fit)
-    def wrapped(
-        self: DynamicsModel, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None
-    ) -> DynamicsModel:
-        self.check_system(dataset.system)
-        before = dict(vars(self))
-        began, told = time.perf_counter(), (0, 1)
-
-        def report(done: int, total: int) -> None:
-            nonlocal told
-            told = done, total
-            if progress is not None:
-                progress(done, total)
-
-        try:
-            report(0, 1)
-            self.system_ = dataset.system
-            states = np.concatenate([episode.states for episode in dataset.episodes])
-            self.envelope_ = training_envelope(states, self.envelope_multiple)
-            fitted: object = fit(self, dataset, rng=rng, progress=report)
-            if fitted is not self:
-                raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
-            if told[0] != told[1]:
-                report(told[1], told[1])
-        except BaseException:  # an interruption too leaves what was there before
-            self.__dict__.clear()
-            self.__dict__.update(before)
-            raise
-        self.fit_seconds = time.perf_counter() - began
-        return self
+    @functools.wraps(init)
+    def wrapped(self: DynamicsModel, *arguments: Any, **parameters: Any) -> None:
+        outermost = type(self).__init__ is wrapped
+        if outermost:
+            check_names(type(self), parameters)
+        init(self, *arguments, **parameters)
+        if outermost:
+            self.check_parameters()
 
     return wrapped
 

@@ -35,6 +35,10 @@ class InvalidArgument(SysidEvoError, ValueError):
     """An argument is out of its range."""
 
 
+class UnknownParameter(InvalidArgument, TypeError):
+    """A constructor has no parameter of this name."""
+
+
 class UnknownName(SysidEvoError, KeyError):
     """A registry has no entry of this name."""
 

@@ -13,6 +13,7 @@ from sysid_evo.arrays import Array, Seeds
 TASK_STREAM = 0
 NOISE_STREAM = 1
 DRAW_STREAM = 2
+CONTROLLER_STREAM = 3
 
 
 def generator(seed: int | np.unsignedinteger, stream: int) -> np.random.Generator:
@@ -31,11 +32,11 @@ def trial_seeds(seed: int, trials: int, *, generation: int = 0) -> Seeds:
     )
 
 
-def step_noise(seeds: Seeds, horizon: int, n_noise: int) -> Array:
-    """Return standard normal numbers for every trial and step, (E, horizon, n_noise)."""
+def step_noise(seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STREAM) -> Array:
+    """Return standard normal numbers for every trial and step, (E, horizon, n_noise): a dynamics' or another stream."""
     if not n_noise:
         return np.empty((len(seeds), horizon, 0))
-    return np.stack([generator(seed, NOISE_STREAM).standard_normal((horizon, n_noise)) for seed in seeds])
+    return np.stack([generator(seed, stream).standard_normal((horizon, n_noise)) for seed in seeds])
 
 
 def trial_draws(seeds: Seeds, n_draws: int) -> Array:

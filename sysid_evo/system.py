@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
@@ -23,10 +24,13 @@ Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
 
 @dataclass(frozen=True)
 class Channel:
-    """One state or control: its name, unit, limits, discrete levels and neutral value.
+    """One state or control: its name, unit, limits, discrete levels, neutral value and period.
 
     ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
-    continuous. ``neutral`` is the value at rest (a state) or without a command (a control).
+    continuous. ``neutral`` is the value at rest (a state) or without a command (a control): by
+    default 0, or the limit nearest to it. ``period`` makes a state come round again, 2 pi for an
+    angle in rad: values that differ by whole periods are the same one, and there are no limits.
+    None for all others.
     """
 
     name: str
@@ -34,11 +38,17 @@ class Channel:
     low: float = -np.inf
     high: float = np.inf
     levels: tuple[float, ...] | None = None
-    neutral: float = 0.0
+    neutral: float = np.nan
+    period: float | None = None
 
     def __post_init__(self) -> None:
         if not self.name:
             raise InvalidSystem("channel: expected a name, got an empty string")
+        if self.period is not None:
+            if not 0.0 < self.period < np.inf:
+                raise InvalidSystem(f"channel {self.name!r}: expected a finite period > 0, got {self.period}")
+            if self.levels is not None or (self.low, self.high) != (-np.inf, np.inf):
+                raise InvalidSystem(f"channel {self.name!r}: expected a period or limits, got both")
         if self.levels is not None:
             levels = tuple(float(level) for level in self.levels)
             if len(levels) < 2 or not all(a < b for a, b in pairwise(levels)):
@@ -50,6 +60,8 @@ class Channel:
                 raise InvalidSystem(f"channel {self.name!r}: levels {levels} lie outside [{self.low}, {self.high}]")
         if not self.low < self.high:
             raise InvalidSystem(f"channel {self.name!r}: expected low < high, got [{self.low}, {self.high}]")
+        if np.isnan(self.neutral):
+            object.__setattr__(self, "neutral", float(min(max(0.0, self.low), self.high)))
         if not (np.isfinite(self.neutral) and self.low <= self.neutral <= self.high):
             raise InvalidSystem(
                 f"channel {self.name!r}: expected a neutral value within [{self.low}, {self.high}], got {self.neutral}"
@@ -61,7 +73,7 @@ class Channel:
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the channel as strict JSON (an absent limit is null)."""
+        """Return the channel as strict JSON (an absent limit is null, without a period there is no such key)."""
         return {
             "name": self.name,
             "unit": self.unit,
@@ -69,6 +81,7 @@ class Channel:
             "high": self.high if np.isfinite(self.high) else None,
             "levels": None if self.levels is None else list(self.levels),
             "neutral": self.neutral,
+            **({} if self.period is None else {"period": self.period}),
         }
 
     @classmethod
@@ -81,12 +94,16 @@ class Channel:
             high=np.inf if value["high"] is None else value["high"],
             levels=None if value["levels"] is None else tuple(value["levels"]),
             neutral=value["neutral"],
+            period=value.get("period"),
         )
 
 
 @dataclass(frozen=True)
 class System:
-    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose."""
+    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose.
+
+    A name in place of a `Channel` is a channel without unit and limits.
+    """
 
     states: tuple[Channel, ...]
     controls: tuple[Channel, ...]
@@ -95,8 +112,8 @@ class System:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "states", tuple(self.states))
-        object.__setattr__(self, "controls", tuple(self.controls))
+        object.__setattr__(self, "states", _channels("states", self.states))
+        object.__setattr__(self, "controls", _channels("controls", self.controls))
         if not self.states:
             raise InvalidSystem("system: expected at least one state channel, got none")
         names = [channel.name for channel in (*self.states, *self.controls)]
@@ -105,6 +122,9 @@ class System:
             raise InvalidSystem(f"system: channel names must differ, repeated: {', '.join(repeated)}")
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt}")
+        for control in self.controls:
+            if control.period is not None:
+                raise InvalidSystem(f"control {control.name!r}: expected no period, which only states have")
         if self.motion is not None:
             self.motion.check(self.state_names)
 
@@ -176,18 +196,111 @@ class System:
         """Return the change from ``before`` to ``after`` per second, (..., nx) each.
 
         The motion takes the rotation of its frame out of the velocities it knows (paper,
-        footnote 1); all other channels are plain differences.
+        footnote 1); all other channels are plain differences, of periodic ones the shortest way round.
         """
         before, after = check_last("before", before, self.nx), check_last("after", after, self.nx)
+        if self.periods:
+            after = self.near(after, before)
         if self.motion is None:
             return (after - before) / self.dt
         return self.motion.acceleration(before, after, self.dt, self.state_names)
+
+    @cached_property
+    def periods(self) -> Mapping[int, float]:
+        """The period of each periodic state, by its place."""
+        return {i: channel.period for i, channel in enumerate(self.states) if channel.period is not None}
+
+    def difference(self, after: Array, before: Array) -> Array:
+        """Return ``after`` - ``before`` (..., nx), of periodic states the shortest way round."""
+        change = np.asarray(after - before, dtype=np.float64)
+        for i, period in self.periods.items():
+            change[..., i] = wrap(change[..., i], period)
+        return change
+
+    def near(self, states: Array, reference: Array) -> Array:
+        """Return ``states`` (..., nx) with periodic ones moved by whole periods to be nearest to ``reference``."""
+        return reference + self.difference(states, reference) if self.periods else states
+
+    def wrapped(self, states: Array) -> Array:
+        """Return ``states`` (..., nx) with periodic ones within half a period of their neutral value."""
+        return self.near(states, np.broadcast_to(self.neutral_state, np.shape(states)))
+
+    def unwrapped(self, states: Array) -> Array:
+        """Return the states of one run (T, nx) without the jumps of periodic ones; the first stays what it is."""
+        if not self.periods:
+            return states
+        smooth = np.array(states, dtype=np.float64)
+        for i, period in self.periods.items():
+            smooth[:, i] = np.unwrap(smooth[:, i], period=period)
+        return smooth
+
+    def regressors(self, states: Array) -> Array:
+        """Return ``states`` (..., nx) with each periodic one replaced by its sine and cosine, one beside the other."""
+        columns: list[Array] = []
+        for i in range(self.nx):
+            if i in self.periods:
+                angle = TURN / self.periods[i] * states[..., i]
+                columns += [np.sin(angle), np.cos(angle)]
+            else:
+                columns.append(states[..., i])
+        return np.stack(columns, axis=-1)
+
+    @cached_property
+    def regressor_names(self) -> tuple[str, ...]:
+        """The names of the columns of `regressors`."""
+        pairs = [(f"sin {c.name}", f"cos {c.name}") if c.period else (c.name,) for c in self.states]
+        return tuple(name for pair in pairs for name in pair)
 
     def integrate(self, state: Array, acceleration: Array) -> Array:
         """Return the state one ``dt`` later: the exact inverse of `acceleration`."""
         if self.motion is None:
             return state + acceleration * self.dt
         return self.motion.integrate(state, acceleration, self.dt, self.state_names)
+
+    def differences(self, other: System) -> tuple[str, ...]:
+        """Return in what ``other`` is another system for a controller, in words; empty if it is the same.
+
+        Names, units and order of the channels count, legal controls, the sampling time and the motion.
+        Limits of states do not: they are what a recording happened to show.
+        """
+        found = []
+        for what, mine, theirs in (
+            ("states", self.states, other.states),
+            ("controls", self.controls, other.controls),
+        ):
+            names = [", ".join(map(_described, side)) for side in (mine, theirs)]
+            if names[0] != names[1]:
+                found.append(f"{what} {names[0] or 'none'} against {names[1] or 'none'}")
+        if len(self.controls) == len(other.controls):
+            for own, its in zip(self.controls, other.controls, strict=True):
+                legal = [(c.low, c.high, c.levels, c.neutral) for c in (own, its)]
+                if own.name == its.name and legal[0] != legal[1]:
+                    found.append(f"legal values of {own.name}: {_legal(own)} against {_legal(its)}")
+        if not np.isclose(self.dt, other.dt, rtol=1e-9, atol=0.0):
+            found.append(f"{1 / self.dt:g} Hz against {1 / other.dt:g} Hz")
+        if self.motion != other.motion:
+            kinds = ["none" if s.motion is None else str(s.motion.to_dict()) for s in (self, other)]
+            found.append(f"motion {kinds[0]} against {kinds[1]}")
+        return tuple(found)
+
+    def turning(self, state: Array) -> Array:
+        """Return w(x) (..., nx): how the motion's turning frame changes the state, per second; zero without one."""
+        if self.motion is None:
+            return np.zeros_like(state)
+        return self.motion.turning(state, self.state_names)
+
+    def move(self, pose: Array, before: Array, after: Array, dt: float | None = None) -> Array:
+        """Return the pose (..., n_pose) after ``dt`` s (default: the system's), given the states at both ends.
+
+        Without a motion there is no pose, and what came comes back.
+        """
+        if self.motion is None:
+            return pose
+        return self.motion.move(pose, before, after, self.dt if dt is None else dt, self.state_names)
+
+    def seen_from(self, origin: Array, pose: Array) -> Array:
+        """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); without a motion what came."""
+        return pose if self.motion is None else self.motion.seen_from(origin, pose)
 
     def with_dt(self, dt: float) -> System:
         """Return the same system sampled every ``dt`` seconds."""
@@ -213,6 +326,25 @@ class System:
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def _described(channel: Channel) -> str:
+    parts = [*([channel.unit] if channel.unit else []), *([f"period {channel.period:g}"] if channel.period else [])]
+    return f"{channel.name} ({', '.join(parts)})" if parts else channel.name
+
+
+def _legal(channel: Channel) -> str:
+    return str(list(channel.levels)) if channel.levels else f"[{channel.low:g}, {channel.high:g}]"
+
+
+def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
+    """Return ``given`` with every name made a channel; one name alone is one channel."""
+    listed = [given] if isinstance(given, (str, Channel)) else list(given)
+    channels = [Channel(entry) if isinstance(entry, str) else entry for entry in listed]
+    for channel in channels:
+        if not isinstance(channel, Channel):
+            raise InvalidSystem(f"system: expected Channel(...) or names as {what}, got {type(channel).__name__}")
+    return tuple(channels)
 
 
 @cache

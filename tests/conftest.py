@@ -23,7 +23,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled kernels in a folder of this session, which its workers share, not in the user's cache."""
+    """Libraries work on one thread; compiled kernels stay in a folder of this session, which its workers share."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     if "SYSID_EVO_CACHE" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")
         os.environ["SYSID_EVO_CACHE"] = folder.name

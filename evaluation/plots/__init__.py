@@ -1,4 +1,4 @@
-"""Plots; each draws on ``ax`` or on a new figure and returns the axes."""
+"""Plots for the report and for notebooks; each draws on ``ax`` or on a new figure and returns the axes."""
 
 from evaluation.plots.canvas import new_figure, style, to_svg
 from evaluation.plots.evolution import plot_fitness

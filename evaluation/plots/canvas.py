@@ -12,8 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from evaluation.plots.theme import GRID, INK, LINES, REFERENCE_GREY
+
 STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
+    "axes.edgecolor": INK.light,
+    "axes.labelcolor": INK.light,
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -22,15 +26,20 @@ STYLE: dict[Any, Any] = {
     "axes.labelsize": 9.0,
     "font.size": 9.0,
     "grid.alpha": 0.3,
+    "grid.color": GRID.light,
     "legend.fontsize": 8.0,
     "legend.frameon": False,
+    "svg.fonttype": "none",
     "svg.hashsalt": "sysid-evo",
+    "text.color": INK.light,
     "text.parse_math": False,
+    "xtick.color": INK.light,
+    "ytick.color": INK.light,
 }
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7B4FA3", "#8C6D31")
+COLOURS = tuple(colour.light for colour in LINES)
 DASHES = ("-", "--", ":")
-MEASURED = "#111111"
-REFERENCE = "#888888"
+MEASURED = INK.light
+REFERENCE = REFERENCE_GREY.light
 
 
 @contextmanager
@@ -58,8 +67,8 @@ def line_style(number: int) -> dict[str, Any]:
 
 
 def to_svg(figure: Figure) -> str:
-    """Return the figure as SVG text; the same figure always gives the same text."""
+    """Return the figure as SVG text on no background; the same figure always gives the same text."""
     stream = io.StringIO()
     with style():
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     return stream.getvalue()

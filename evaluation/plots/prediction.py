@@ -11,6 +11,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from evaluation.plots.canvas import MEASURED, REFERENCE, axes_or_new, line_style
 from evaluation.prediction import PERSISTENCE, Prediction
+from sysid_evo.arrays import Array
+from sysid_evo.system import System
 
 FLOOR = 1e-3
 
@@ -40,7 +42,7 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel("horizon (s)")
-    ax.set_ylabel("N = RMSE / std, mean over channels")
+    ax.set_ylabel("N (standard deviations)")
     if drawn:
         values = np.concatenate(drawn)
         ax.set_ylim(max(FLOOR, 0.8 * values.min()), 1.25 * values.max())
@@ -70,13 +72,20 @@ def plot_free_run(
     begin = cases.protocol.first + 1
     time = dt * (begin + np.arange(len(case.states)))
     shown = (time >= first) & (time <= last)
-    measured = case.states[shown, channel]
+    measured = _drawn(cases.system, case.states[shown], channel)
     ax.plot(time[shown], measured, color=MEASURED, linewidth=2.2, label="measured", alpha=0.85)
     for name in [m.name for m in prediction.models if m.free_states] if models is None else models:
         states = prediction.model(name).free_states[run]
-        ax.plot(time[shown], states[shown, channel], linewidth=1.1, label=name, **model_style(prediction, name))
+        ax.plot(
+            time[shown],
+            _drawn(cases.system, states[shown], channel),
+            linewidth=1.1,
+            label=name,
+            **model_style(prediction, name),
+        )
     if len(measured):
-        middle, half = (measured.max() + measured.min()) / 2.0, (measured.max() - measured.min()) / 2.0
+        middle = (np.nanmax(measured) + np.nanmin(measured)) / 2.0
+        half = (np.nanmax(measured) - np.nanmin(measured)) / 2.0
         low, high = ax.get_ylim()
         reach = 3.0 * max(half, 1e-9)
         ax.set_ylim(max(low, middle - reach), min(high, middle + reach))
@@ -85,6 +94,14 @@ def plot_free_run(
     ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)
     ax.set_xlabel("time (s)")
     return ax
+
+
+def _drawn(system: System, states: Array, channel: int) -> Array:
+    """Return one channel of a run (T, nx) to draw; a periodic one is wrapped, and its line breaks at a jump."""
+    values = np.array(system.wrapped(states)[:, channel])
+    if channel in system.periods:
+        values[1:][np.abs(np.diff(values)) > 0.5 * system.periods[channel]] = np.nan
+    return values
 
 
 def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from evaluation.labels import folded
-from evaluation.plots.canvas import COLOURS, REFERENCE, axes_or_new
+from evaluation.plots.canvas import COLOURS, MEASURED, REFERENCE, axes_or_new
 from evaluation.transfer import NOT_RUN, TransferMatrix, TransferSummary
 
 MARKS = (
@@ -32,15 +32,15 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
     for i, champion in enumerate(matrix.champions):
         for j, column in enumerate(matrix.columns):
             if column in champion.against:
-                ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor="black", linewidth=1.6))
+                ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor=MEASURED, linewidth=1.6))
             dark = np.isfinite(means[i, j]) and (means[i, j] - low) > 0.6 * (top - low)
             spread = f"\n({stds[i, j]:.1f})" if np.isfinite(stds[i, j]) else ""
             text = f"{means[i, j]:.1f}{spread}"
             if not np.isfinite(means[i, j]):
                 text = "–" if matrix.cell(champion.name, column).reason == NOT_RUN else "failed"
-            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
+            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
     if matrix.robot is not None and columns > 1:
-        ax.axvline(columns - 1.5, color="black", linewidth=2.0)
+        ax.axvline(columns - 1.5, color=MEASURED, linewidth=2.0)
     ax.set_xticks(range(columns), [folded(c) for c in matrix.columns])
     ax.set_yticks(range(rows), [folded(name, 26) for name in matrix.rows])
     ax.xaxis.tick_top()
@@ -56,8 +56,11 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "") -> Axes:
-    """Draw, for each controller, claimed fitness and fitness elsewhere, with two standard errors."""
+def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
+    """Draw, for each controller, claimed fitness and fitness elsewhere, with two standard errors.
+
+    Ticks below a claim are the champions of several evolution seeds. Names are folded to ``name_width``.
+    """
     ax = axes_or_new(ax, 7.0, 1.2 + 0.34 * len(summary.controllers))
     for kind, label, marker, face, edge in MARKS:
         found = [
@@ -82,10 +85,13 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
         values = [e.value for kind, *_ in MARKS if (e := getattr(controller, kind)) is not None]
         if len(values) > 1:
             ax.plot([min(values), max(values)], [row, row], color=REFERENCE, linewidth=0.8, zorder=0)
-    ax.set_yticks(range(len(summary.controllers)), [folded(c.name, 26) for c in summary.controllers])
+        if len(controller.seed_fitness) > 1:
+            seeds = controller.seed_fitness
+            ax.plot(seeds, [row + 0.3] * len(seeds), "|", color=COLOURS[0], markersize=6)
+    ax.set_yticks(range(len(summary.controllers)), [folded(c.name, name_width) for c in summary.controllers])
     ax.set_ylim(len(summary.controllers) - 0.5, -0.5)
     ax.set_xlim(min(0.0, ax.get_xlim()[0]), None)
     ax.set_xlabel(f"fitness ({unit})" if unit else "fitness")
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2 if name_width > 20 else 1)
     return ax

@@ -52,12 +52,17 @@ def assess_prediction(
 def assess_model(
     name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
 ) -> ModelPrediction:
-    """Measure one model; whatever it raises becomes the reason of a failed row."""
+    """Measure one model, see `score_model`; whatever it raises becomes the reason of a failed row."""
     family = family or type(model).__name__
     try:
-        forecasts = forecast(model, cases)
+        return score_model(name, model, cases, family=family)
     except Exception as error:  # a plugin may fail in any way; the other rows must go on
         return ModelPrediction(name, family, reason=f"{type(error).__name__}: {error}")
+
+
+def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
+    """Simulate the measured cases with one model and condense the errors."""
+    forecasts = forecast(model, cases)
     notes = []
     if model.n_lags > cases.protocol.history:
         notes.append(
@@ -99,7 +104,8 @@ def _score(
 ) -> ErrorScore:
     """Score the rows ``scored`` (N,) of (N, nx); blocks without such a row are not drawn."""
     protocol = cases.protocol
-    truth, guess = true[scored], predicted[scored]
+    truth = true[scored]
+    guess = cases.system.near(predicted[scored], truth)
     errors = BlockErrors.of(guess - truth, blocks[scored])
     resampled = errors.resampled_n(cases.std, protocol.resamples, protocol.seed)
     return ErrorScore(
@@ -116,7 +122,8 @@ def _score(
 
 def _curve(forecasts: Forecasts, cases: MeasuredCases) -> Array:
     """Return N (H,) after every step; nan at a step where no target moves."""
-    squares = np.where(cases.moving[:, :, None], (forecasts.windows - cases.windows.states) ** 2, 0.0).sum(axis=0)
+    errors = cases.system.difference(forecasts.windows, cases.windows.states)
+    squares = np.where(cases.moving[:, :, None], errors**2, 0.0).sum(axis=0)
     count = cases.moving.sum(axis=0)[:, None]
     mean = np.divide(squares, count, out=np.full_like(squares, np.nan), where=count > 0)
     return metrics.mean_over_channels(np.sqrt(mean) / np.where(cases.std > 0, cases.std, np.nan))

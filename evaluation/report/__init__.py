@@ -2,10 +2,10 @@
 
 from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
 from evaluation.report.document import to_json
-from evaluation.report.page import to_html
+from evaluation.report.overview import drive_command
 from evaluation.report.save import save_report
-from evaluation.report.terminal import tables
-from evaluation.report.verdict import Finding, verdict
+from evaluation.report.terminal import brief, tables
+from evaluation.report.verdict import Finding, tells_nothing, verdict
 
 __all__ = [
     "DataSummary",
@@ -14,9 +14,11 @@ __all__ = [
     "Finding",
     "ModelSummary",
     "Report",
+    "brief",
+    "drive_command",
     "save_report",
     "tables",
-    "to_html",
+    "tells_nothing",
     "to_json",
     "verdict",
 ]

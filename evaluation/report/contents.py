@@ -5,14 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from evaluation.exploitability import ModelExploitability
-from evaluation.prediction import Prediction
+from evaluation.prediction import ModelPrediction, Prediction, measured_cases
 from evaluation.transfer import TransferMatrix, TransferSummary, summarise
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidData
+from sysid_evo.plan import Cell, Store
+from sysid_evo.store import versions
 from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from evaluation.comparison.planning import Comparison
+
+
+HELD_BY_THE_MATRIX = ("run",)
+"""Kinds of cells whose failures the transfer matrix tells itself."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,8 @@ class Report:
     """Everything a comparison found. Parts that were not computed are None or empty.
 
     ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
-    are in seconds and the only thing that differs between two equal runs.
+    are in seconds and the only thing that differs between two equal runs. ``controllers`` gives the file
+    of each controller, relative to the folder of the run.
     """
 
     title: str
@@ -84,6 +95,41 @@ class Report:
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
+    controllers: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, comparison: Comparison, store: Store) -> Report:
+        """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
+
+        Raises `InvalidData` if there are no data, or no model was fitted.
+        """
+        parts = store.outcome(comparison.data)
+        if parts.value is None:
+            raise InvalidData(f"{comparison.data.title}: {parts.reason}")
+        training, test = parts.value.training, parts.value.test
+        fitted = {label: store.outcome(fit) for label, fit in comparison.fits.items()}
+        models = {label: outcome.value for label, outcome in fitted.items() if outcome.value is not None}
+        if not models:
+            reasons = "; ".join(f"{label}: {outcome.reason}" for label, outcome in fitted.items())
+            raise InvalidData(f"no model could be fitted: {reasons}")
+        matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
+        found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
+        return cls(
+            title=comparison.title,
+            data=DataSummary.of(training, training if test is None else test),
+            models=tuple(
+                ModelSummary.of(label, model, family=comparison.fits[label].spec.name)
+                for label, model in models.items()
+            ),
+            prediction=_prediction(comparison, store),
+            matrix=matrix,
+            exploitability=() if found is None or matrix is None else found,
+            failures=tuple(_failures(comparison, store)),
+            settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
+            versions=versions(),
+            controllers=_controllers(comparison, store),
+            timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
+        )
 
     @cached_property
     def transfer(self) -> TransferSummary | None:
@@ -115,3 +161,47 @@ def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
         EpisodeSummary(episode.name, len(episode), episode.duration, float(moving.mean()))
         for episode, moving in zip(dataset.episodes, dataset.moving, strict=True)
     )
+
+
+def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
+    """Return where the file of each controller stands, relative to the run folder."""
+    if comparison.matrix is None:
+        return {}
+    return {
+        cell.name: f"{store.where(cell).relative_to(store.path).as_posix()}.json"
+        for cell in comparison.matrix.champions
+        if store.find(cell.digest) is not None
+    }
+
+
+def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
+    """Return the prediction errors of all models, those that failed with their reason."""
+    if not comparison.predictions:
+        return None
+    parts = store.outcome(comparison.data).value
+    rows = []
+    for label, cell in comparison.predictions.items():
+        outcome = store.outcome(cell)
+        if outcome.value is not None:
+            rows.append(outcome.value)
+        elif label not in comparison.fits or store.outcome(comparison.fits[label]).value is not None:
+            rows.append(ModelPrediction(label, cell.family, reason=outcome.reason or ""))
+    protocol = next(iter(comparison.predictions.values())).protocol
+    return Prediction(measured_cases(parts.training, parts.test, protocol), tuple(rows))
+
+
+def _failures(comparison: Comparison, store: Store) -> list[Failure]:
+    """Return the cells that failed themselves; those that only needed one of them are left out."""
+    found = []
+    for cell in comparison.plan:
+        record = store.find(cell.digest)
+        told = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
+        if record is not None and record.status == "failed" and not told:
+            found.append(Failure(cell.title, record.reason or ""))
+        elif record is None and not told and not _blocked(cell, store):
+            found.append(Failure(cell.title, store.outcome(cell).reason or ""))
+    return found
+
+
+def _blocked(cell: Cell, store: Store) -> bool:
+    return any(store.outcome(needed).value is None for needed in cell.needs)

@@ -17,7 +17,7 @@ from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, Transfe
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
-SCHEMA = "sysid-evo/report/1"
+SCHEMA = "sysid-evo/report/2"
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -39,6 +39,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "failures": [asdict(failure) for failure in report.all_failures],
         "settings": report.settings,
@@ -112,19 +113,8 @@ def _difference(difference: Difference) -> dict[str, Any]:
 
 
 def _champion(champion: Champion) -> dict[str, Any]:
-    return {
-        "name": champion.name,
-        "against": champion.against,
-        "aggregate": champion.aggregate,
-        "seed": champion.seed,
-        "controller": champion.controller,
-        "controller_parameters": champion.controller_parameters,
-        "task": champion.task,
-        "task_parameters": champion.task_parameters,
-        "parameters": champion.parameters,
-        "history": champion.history,
-        "estimator_delay": champion.estimator_delay,
-    }
+    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
+    return {**known, "parameters": champion.parameters, "history": champion.history}
 
 
 def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
@@ -167,7 +157,7 @@ def _summary(summary: TransferSummary) -> dict[str, Any]:
 
 
 def _controller(controller: ControllerSummary) -> dict[str, Any]:
-    return {**asdict(controller), "kept": controller.kept}
+    return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:

@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from evaluation.plots.theme import style_sheet
 from evaluation.report import pictures as draw
-from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
+from evaluation.report.overview import command_sheet, overview_sheet
 from evaluation.report.pictures import Picture
 from evaluation.report.sheets import Sheet
+from evaluation.report.tables import (
+    channel_list,
+    channel_sheet,
+    controller_sheet,
+    episode_sheet,
+    exploitability_sheet,
+    failure_sheet,
+    key_sheet,
+    model_sheet,
+    prediction_sheet,
+    probe_sheet,
+    transfer_sheet,
+)
+from evaluation.report.transferring import unknown
 from evaluation.report.verdict import verdict
+from evaluation.transfer import TransferMatrix, TransferSummary
 
 TEMPLATE = "page.html.j2"
+JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
+"""Where a long name may break."""
+SHORTEST = 0.05
+"""Seconds below which the time of a cell is left out."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +61,15 @@ def to_html(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["joints"] = lambda name: Markup(str(escape(name)).replace("+", "+<wbr>"))
+    environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
+    environment.filters["svg"] = Markup
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
     page: str = environment.get_template(TEMPLATE).render(
-        report=report, verdict=verdict(report), sections=list(sections(report))
+        report=report,
+        verdict=verdict(report),
+        overview=overview_sheet(report),
+        sections=list(sections(report)),
+        colours=Markup(style_sheet()),
     )
     return page
 
@@ -53,49 +79,53 @@ def sections(report: Report) -> Iterable[Section]:
     if report.prediction is not None:
         yield _prediction(report)
     if report.matrix is not None and report.transfer is not None:
-        matrix, summary = report.matrix, report.transfer
-        yield Section(
-            "Transfer",
-            _present(
-                draw.transfer_picture(matrix),
-                draw.claims_picture(matrix, summary),
-                sheets_of.controller_sheet(matrix, summary),
-                draw.fitness_picture(matrix),
-                draw.traces_picture(matrix),
-                _folded(sheets_of.transfer_sheet(matrix)),
-            ),
-            ["Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."],
-        )
+        yield _transfer(report, report.matrix, report.transfer)
     if report.exploitability:
-        with_probes = bool(report.exploitability[0].probes)
         yield Section(
             "Exploitability",
-            _present(
-                draw.probe_picture(report.exploitability),
-                sheets_of.exploitability_sheet(report.exploitability),
-                sheets_of.probe_sheet(report.exploitability) if with_probes else None,
-            ),
+            [
+                exploitability_sheet(report.exploitability),
+                *([probe_sheet(report.exploitability)] if report.exploitability[0].probes else []),
+            ],
             [model.sentence for model in report.exploitability],
         )
     if report.all_failures:
-        yield Section("Failures", [sheets_of.failure_sheet(report)])
+        yield Section("Failures", [failure_sheet(report)])
     yield Section(
         "Data",
-        _present(sheets_of.episode_sheet(report), sheets_of.channel_list(report)),
+        _present(episode_sheet(report), channel_list(report)),
         [_data_sentence(report), *report.notes],
     )
     settings = [
-        sheets_of.key_sheet(title, values)
+        key_sheet(title, values)
         for title, values in (
             ("Settings", report.settings),
             ("Versions", report.versions),
-            ("Timings (s)", {key: round(value, 2) for key, value in report.timings.items()}),
+            (f"Timings (s) from {SHORTEST:g} s", _timings(report)),
         )
         if values
     ]
-    models = [sheets_of.model_sheet(report)] if report.models else []
+    models = [model_sheet(report)] if report.models else []
     if settings or models:
         yield Section("Settings", [*models, *settings])
+
+
+def _transfer(report: Report, matrix: TransferMatrix, summary: TransferSummary) -> Section:
+    return Section(
+        "Transfer",
+        _present(
+            transfer_sheet(matrix),
+            draw.claims_picture(matrix, summary),
+            controller_sheet(matrix, summary),
+            command_sheet(report),
+            draw.fitness_picture(matrix),
+            draw.traces_picture(matrix),
+        ),
+        [
+            "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere.",
+            *unknown(summary),
+        ],
+    )
 
 
 def _prediction(report: Report) -> Section:
@@ -106,10 +136,10 @@ def _prediction(report: Report) -> Section:
         draw.horizon_picture(prediction) if prediction.cases.horizons else None,
         draw.free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
     )
-    channels = [sheets_of.channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
+    channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [sheets_of.prediction_sheet(prediction), *pictures, *channels],
+        [prediction_sheet(prediction), *pictures, *channels],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],
@@ -126,9 +156,9 @@ def _data_sentence(report: Report) -> str:
     )
 
 
+def _timings(report: Report) -> dict[str, float]:
+    return {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
+
+
 def _present(*items: Picture | Sheet | None) -> list[Picture | Sheet]:
     return [item for item in items if item is not None]
-
-
-def _folded(sheet: Sheet) -> Sheet:
-    return Sheet(sheet.title, sheet.columns, sheet.rows, sheet.note, details=True)

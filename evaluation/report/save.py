@@ -7,7 +7,6 @@ from pathlib import Path
 
 from evaluation.report.contents import Report
 from evaluation.report.document import to_json
-from evaluation.report.page import to_html
 from sysid_evo.files import write_atomically
 
 DOCUMENT, PAGE = "report.json", "report.html"
@@ -15,6 +14,8 @@ DOCUMENT, PAGE = "report.json", "report.html"
 
 def save_report(report: Report, folder: str | Path) -> tuple[Path, Path]:
     """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths."""
+    from evaluation.report.page import to_html  # brings matplotlib, for which no mistake should wait
+
     folder = Path(folder)
     text = json.dumps(to_json(report), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     page = to_html(report)

@@ -7,13 +7,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evaluation.transfer import ControllerSummary, Estimate
+
+
+@dataclass(frozen=True)
+class Heat:
+    """What the page paints behind the cells of a table, without its first column.
+
+    ``shades`` (rows, columns) from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
+    a line stands left of the ``divided`` column. ``alarm`` paints in the colour of warnings.
+    """
+
+    shades: tuple[tuple[float | None, ...], ...]
+    framed: frozenset[tuple[int, int]] = frozenset()
+    divided: int | None = None
+    alarm: bool = False
+
 
 @dataclass(frozen=True)
 class Sheet:
     """A table: the first column names the rows. A cell may hold several lines.
 
     ``note`` says how the numbers came about; ``details`` asks the page to fold the table away, ``prose``
-    to set its cells as text rather than as numbers.
+    to set its cells as text rather than as numbers, ``code`` as commands to copy; ``heat`` paints them.
     """
 
     title: str
@@ -22,6 +38,8 @@ class Sheet:
     note: str = ""
     details: bool = False
     prose: bool = False
+    code: bool = False
+    heat: Heat | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
@@ -33,21 +51,20 @@ def number(value: float | None, digits: int = 1) -> str:
 
 
 def three_digits(value: float) -> str:
-    """Return ``value`` in four characters where it can be: .123, 1.23, 12.3, 123."""
-    if not np.isfinite(value):
-        return "–"
+    """Return ``value`` with about three digits: 0.123, 1.23, 12.3, 123."""
     size = abs(value)
-    text = f"{value:.{3 if size < 0.9995 else 2 if size < 9.995 else 1 if size < 99.95 else 0}f}"
-    return text.replace("0.", ".", 1) if size < 0.9995 else text
+    return number(value, 3 if size < 0.9995 else 2 if size < 9.995 else 1 if size < 99.95 else 0)
 
 
-def percent(share: float | None) -> str:
-    """Return a share as per cent, with a decimal below ten."""
-    if share is None or not np.isfinite(share):
-        return "–"
-    if 0 < share < 0.0005:
-        return "<0.1 %"
-    return f"{100 * share:.1f} %" if 0 < share < 0.0995 else f"{100 * share:.0f} %"
+def plus_minus(estimate: Estimate | None) -> str:
+    """Return ``11.5 ±0.3``, the value and its standard error; a dash for None."""
+    return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
+
+
+def seed_range(controller: ControllerSummary) -> str:
+    """Return the fitness of the worst and the best champion of several evolution seeds; empty for fewer than two."""
+    found = controller.seed_fitness
+    return f"{min(found):.1f} to {max(found):.1f}" if len(found) > 1 else ""
 
 
 def lines(*parts: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -10,20 +12,43 @@ from rich.text import Text
 from evaluation.labels import folded
 from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
+from evaluation.report.overview import drive_command, overview_sheet
+from evaluation.report.predicting import main_horizon
 from evaluation.report.sheets import Sheet
-from evaluation.report.verdict import main_horizon, verdict
+from evaluation.report.verdict import verdict
 
 WIDTH = 80
 GAP = 2
-NAME = 20
+NAMES = (28, 20, 13)
+"""Widths to which the names of rows are folded: the first that saves dividing the table."""
+DIVIDED = 20
+"""And the width in a table that is divided all the same."""
+SHOWN_FAILURES = 5
+
+
+def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
+    """Return the verdict and one short table: what fits on a screen.
+
+    ``folder``, the run folder, is put before the file of the chosen controller. The path of the report is not
+    in it: whoever saves the report prints it, last.
+    """
+    parts = _verdict(report)
+    if report.all_failures:
+        shown, count = report.all_failures[:SHOWN_FAILURES], len(report.all_failures)
+        reasons = [_indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
+        more = [_indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
+        parts.append(Group(*reasons, *more))
+    if (sheet := overview_sheet(report)) is not None:
+        parts += to_rich(sheet)
+    pick = None if report.transfer is None else report.transfer.pick
+    if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
+        parts.append(Text.assemble(("Drive with the chosen controller: ", "bold"), command, overflow="fold"))
+    return parts
 
 
 def tables(report: Report) -> list[RenderableType]:
-    """Return the verdict and the main tables as rich renderables, each at most 80 columns wide."""
-    parts: list[RenderableType] = [Text(report.title, style="bold")]
-    for finding in verdict(report):
-        answers = [Padding(Text(answer), (0, 0, 0, 2)) for answer in finding.answers]
-        parts.append(Group(Text(finding.question, style="bold cyan"), *answers))
+    """Return the verdict and all main tables as rich renderables, each at most 80 columns wide."""
+    parts = _verdict(report)
     for sheet in _sheets(report):
         parts += to_rich(sheet)
     if report.exploitability:
@@ -36,14 +61,15 @@ def tables(report: Report) -> list[RenderableType]:
 def to_rich(sheet: Sheet) -> list[RenderableType]:
     """Return ``sheet`` as one table, or as several with the same rows where it is wider than 80 columns."""
     parts: list[RenderableType] = []
-    for number, group in enumerate(_column_groups(sheet)):
+    names, groups = _layout(sheet)
+    for number, group in enumerate(groups):
         continued = " (continued)" if number else ""
         parts.append(Text(sheet.title + continued, style="bold"))
         table = Table(box=None, padding=(0, 1))
         chosen = [0, *group]
         for column in chosen:
             # names and prose may wrap; numbers never do
-            wraps = column == 0 or _width(sheet, column) > WIDTH // 2
+            wraps = column == 0 or _width(sheet, column, names) > WIDTH // 2
             table.add_column(
                 Text(sheet.columns[column]),
                 justify="left" if wraps else "right",
@@ -52,7 +78,7 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
                 vertical="top",
             )
         for row in sheet.rows:
-            table.add_row(Text(folded(row[0], NAME)), *(Text(row[column]) for column in group))
+            table.add_row(Text(folded(row[0], names)), *(Text(row[column]) for column in group))
         parts.append(table)
     if sheet.note:
         parts.append(Padding(Text(sheet.note, style="dim"), (0, 0, 1, 1)))
@@ -78,13 +104,33 @@ def _sheets(report: Report) -> list[Sheet]:
     return sheets
 
 
-def _column_groups(sheet: Sheet) -> list[list[int]]:
-    """Divide the columns after the first into groups that fit beside it."""
-    head = _width(sheet, 0) + GAP
+def _verdict(report: Report) -> list[RenderableType]:
+    parts: list[RenderableType] = [Text(report.title, style="bold")]
+    for finding in verdict(report):
+        answers = [_indented(answer) for answer in finding.answers]
+        parts.append(Group(Text(finding.question, style="bold cyan"), *answers))
+    return parts
+
+
+def _indented(text: str) -> Padding:
+    return Padding(Text(text), (0, 0, 0, 2))
+
+
+def _layout(sheet: Sheet) -> tuple[int, list[list[int]]]:
+    """Return the width of the names, and the other columns in groups that fit beside them: one, if possible."""
+    for names in NAMES:
+        groups = _column_groups(sheet, names)
+        if len(groups) == 1:
+            return names, groups
+    return DIVIDED, _column_groups(sheet, DIVIDED)
+
+
+def _column_groups(sheet: Sheet, names: int) -> list[list[int]]:
+    head = _width(sheet, 0, names) + GAP
     groups: list[list[int]] = [[]]
     used = head
     for column in range(1, len(sheet.columns)):
-        width = min(_width(sheet, column), WIDTH // 2) + GAP
+        width = min(_width(sheet, column, names), WIDTH // 2) + GAP
         if groups[-1] and used + width > WIDTH:
             groups.append([])
             used = head
@@ -93,7 +139,6 @@ def _column_groups(sheet: Sheet) -> list[list[int]]:
     return groups
 
 
-def _width(sheet: Sheet, column: int) -> int:
-    names = column == 0
-    cells = [sheet.columns[column], *(folded(row[0], NAME) if names else row[column] for row in sheet.rows)]
-    return max(len(line) for cell in cells for line in cell.split("\n"))
+def _width(sheet: Sheet, column: int, names: int) -> int:
+    rows = [folded(row[0], names) if column == 0 else row[column] for row in sheet.rows]
+    return max(len(line) for cell in (sheet.columns[column], *rows) for line in cell.split("\n"))

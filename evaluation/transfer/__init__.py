@@ -1,11 +1,11 @@
 """Which controllers work elsewhere than where they were evolved."""
 
-from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, run_cell, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, run_cell, run_on, transfer_seeds
+from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.summary import (
     ControllerSummary,
-    Estimate,
     RankCorrelation,
     TransferSummary,
     summarise,
@@ -22,10 +22,14 @@ __all__ = [
     "TransferMatrix",
     "TransferSummary",
     "cell_of",
+    "fitness_on",
+    "is_exploited",
     "load_measured",
     "person",
     "run_cell",
+    "run_on",
     "save_measured",
+    "seed_spread",
     "summarise",
     "transfer",
     "transfer_seeds",

@@ -26,9 +26,9 @@ NOT_RUN = "not run"
 
 @dataclass(frozen=True)
 class Trace:
-    """One recorded trial. ``waypoints`` (k, 2) in m are those passed, in order, and the next one.
+    """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
 
-    ``waypoint_radius`` is in m; a task without waypoints has none.
+    ``waypoint_radius`` is in m; a task without markers has none.
     """
 
     trajectory: Trajectory
@@ -134,16 +134,17 @@ def transfer_seeds(seed: int, trials: int) -> Seeds:
 
 
 def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
-    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept.
-
-    Whatever is raised becomes the reason of a failed cell.
-    """
+    """Run ``champion``, see `run_on`; whatever is raised becomes the reason of a failed cell."""
     try:
-        controller = make_controller(champion.controller, **champion.controller_parameters)
-        task = make_task(champion.task, **champion.task_parameters)
-        rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
+        return run_on(champion, column, runner, seeds, traces=traces)
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
         return Cell(champion.name, column, reason=f"{type(error).__name__}: {error}")
+
+
+def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
+    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
+    controller, task = make_controller(champion.controller), make_task(champion.task)
+    rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
     return cell_of(champion, column, rollouts, task, traces=traces)
 
 
@@ -161,20 +162,16 @@ def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, 
         diverged_share=float((fitness < task.worst).mean()),
         unit=task.fitness_unit,
         engine=rollouts.engine,
-        traces=_traces(rollouts, traces, float(getattr(task, "waypoint_radius", 0.0))),
+        traces=_traces(rollouts, traces, task),
         missing=rollouts.missing,
     )
 
 
-def _traces(rollouts: Rollouts, wanted: int, radius: float) -> tuple[Trace, ...]:
+def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
     """Return the first trials that were recorded; a trial without a step has no trajectory."""
-    waypoints = getattr(rollouts.task_state, "waypoints", None)
-    passed = getattr(rollouts.task_state, "passed", None)
     trials = np.flatnonzero(rollouts.survived[0] > 0)
     kept = []
     for trial, trajectory in list(zip(trials, rollouts.trajectories, strict=False))[:wanted]:
-        seen = np.empty((0, 2))
-        if waypoints is not None and passed is not None:
-            seen = waypoints[trial, : passed[trial] + 1].copy()
-        kept.append(Trace(trajectory, float(rollouts.fitness[0, trial]), seen, radius))
+        scene = task.scene(rollouts.task_state, int(trial))
+        kept.append(Trace(trajectory, float(rollouts.fitness[0, trial]), scene.markers, scene.radius))
     return tuple(kept)

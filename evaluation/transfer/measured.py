@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from evaluation.transfer.cell import Cell
 from evaluation.transfer.matrix import TransferMatrix
-from sysid_evo.errors import ArtefactError, SysidEvoError
+from sysid_evo.errors import SysidEvoError
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
-from sysid_evo.store import RunFolder
+from sysid_evo.registry import Spec
+from sysid_evo.system import System
 
 FOLDER = Path("results") / "measured"
+BY_HAND = Spec("by_hand")
+"""What stands for a controller where a person drives."""
 
 
 @dataclass(frozen=True)
@@ -28,46 +34,55 @@ class Measured:
     on_robot: bool
     physical: bool = False
 
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of everything in it."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()
 
-def person(name: str = "human", *, task: str = "point_to_point") -> Champion:
+    def to_json(self) -> str:
+        """Return it as strict JSON."""
+        value = {
+            "cell": self.cell.to_dict(),
+            "champion": self.champion.to_dict(),
+            "parameters": self.champion.parameters.tolist(),
+            "history": self.champion.history.tolist(),
+            "on_robot": self.on_robot,
+            "physical": self.physical,
+        }
+        return json.dumps(value, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Measured:
+        """Undo `to_json`."""
+        value = json.loads(text)
+        champion = Champion.from_dict(value["champion"], value["parameters"], value["history"])
+        return cls(champion, Cell.from_dict(value["cell"]), value["on_robot"], value["physical"])
+
+
+def person(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:
     """Return the row of somebody who drives by hand: without parameters, evolved against nothing."""
-    return Champion(name, np.empty(0), (), "min", 0, np.empty((0, 3)), controller="", task=task)
+    return Champion(
+        name, np.empty(0), (), "min", 0, np.empty((0, 3)), controller=BY_HAND, task=Spec.parse(task), system=system
+    )
 
 
-def save_measured(run: RunFolder, measured: Measured) -> Path:
-    """Store a cell in ``run``; it takes the place of an earlier one of the same row and column."""
-    champion = measured.champion
-    value = {
-        "cell": measured.cell.to_dict(),
-        "champion": {
-            **asdict(champion),
-            "parameters": champion.parameters.tolist(),
-            "history": champion.history.tolist(),
-        },
-        "on_robot": measured.on_robot,
-        "physical": measured.physical,
-    }
-    text = json.dumps(value, allow_nan=False)
-    name = f"{champion.name}@{measured.cell.column}.json".replace(":", "-").replace("/", "-")
-    return write_atomically(run.path / FOLDER / name, lambda file: file.write_text(text))
+def save_measured(run: Path, measured: Measured) -> Path:
+    """Store a cell in the run folder ``run``; it takes the place of an earlier one of the same row and column."""
+    name = f"{measured.champion.name}@{measured.cell.column}.json"
+    text = measured.to_json()
+    return write_atomically(run / FOLDER / re.sub(r"[^\w.@+-]+", "-", name), lambda file: file.write_text(text))
 
 
-def load_measured(run: RunFolder) -> tuple[Measured, ...]:
-    """Return every measured cell of ``run``, the oldest first. Raises `ArtefactError`."""
-    files = sorted((run.path / FOLDER).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
-    return tuple(_load(file) for file in files)
-
-
-def _load(path: Path) -> Measured:
-    try:
-        value = json.loads(path.read_text())
-        champion = dict(value["champion"])
-        champion["parameters"] = np.asarray(champion["parameters"], dtype=np.float64)
-        champion["history"] = np.asarray(champion["history"], dtype=np.float64).reshape(-1, 3)
-        champion["against"] = tuple(champion["against"])
-        return Measured(Champion(**champion), Cell.from_dict(value["cell"]), value["on_robot"], value["physical"])
-    except (OSError, ValueError, KeyError, TypeError, SysidEvoError) as error:
-        raise ArtefactError(f"{path}: not a stored cell of the transfer matrix: {error}") from error
+def load_measured(run: Path) -> tuple[tuple[Measured, ...], tuple[str, ...]]:
+    """Return every measured cell of the run folder, the oldest first, and a remark for each that is damaged."""
+    files = sorted((run / FOLDER).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
+    found, remarks = [], []
+    for file in files:
+        try:
+            found.append(Measured.from_json(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
+            remarks.append(f"{file} is damaged and left out: {type(error).__name__}: {error}")
+    return tuple(found), tuple(remarks)
 
 
 def with_measured(matrix: TransferMatrix | None, measured: Sequence[Measured]) -> TransferMatrix | None:

@@ -7,20 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.transfer.cell import Cell
+from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.arrays import Array
-from sysid_evo.evolution import Champion, aggregate
-
-RESAMPLES = 1000
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A mean fitness, or a difference of two, and its standard error (bootstrap over trials; nan for one trial)."""
-
-    value: float
-    standard_error: float
+from sysid_evo.evolution import Champion
 
 
 @dataclass(frozen=True)
@@ -31,7 +21,7 @@ class ControllerSummary:
     ``others`` the mean over all other models; ``other_families`` the median over the
     ``judges``, the models of families that it was not evolved against; ``achieved`` that on the
     robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
-    None where there is nothing to tell.
+    None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run.
     """
 
     name: str
@@ -45,6 +35,18 @@ class ControllerSummary:
     reality_gap: Estimate | None
     judges: tuple[str, ...]
     on_robot: bool
+    seed_fitness: tuple[float, ...] = ()
+
+    @property
+    def elsewhere(self) -> Estimate | None:
+        """Fitness on the robot, or on the other models where it was not run on a robot."""
+        return self.others if self.achieved is None else self.achieved
+
+    @property
+    def exploited(self) -> bool | None:
+        """Whether its claim is exploited; None where that cannot be said, or it was evolved on the robot itself."""
+        gap = self.exploitation_gap if self.achieved is None else self.reality_gap
+        return None if self.on_robot else is_exploited(self.claimed, gap)
 
     @property
     def kept(self) -> float | None:
@@ -105,46 +107,29 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
     others = [column for column in matrix.models if column not in against]
     judges = [column for column in others if matrix.families[column] not in families]
 
-    def drawn(columns: Sequence[str]) -> list[Array]:
-        cells = [matrix.cell(name, column) for column in columns]
-        return [_draws(cell, seed) for cell in cells if not cell.failed]
+    def alone(columns: Sequence[str]) -> list[Array]:
+        found = [fitness_on(champion, [column], matrix, seed=seed) for column in columns]
+        return [draws for draws in found if draws is not None]
 
-    known = all(column in matrix.columns and not matrix.cell(name, column).failed for column in against)
-    claimed = aggregate(champion.aggregate, np.stack(drawn(against))) if known and against else None
-    elsewhere, judged = drawn(others), drawn(judges)
+    claimed = fitness_on(champion, against, matrix, seed=seed)
+    elsewhere, judged = alone(others), alone(judges)
     mean = np.mean(elsewhere, axis=0) if elsewhere else None
     median = np.median(judged, axis=0) if judged else None
-    robot = drawn([matrix.robot]) if matrix.robot is not None else []
-    achieved = robot[0] if robot else None
+    achieved = None if matrix.robot is None else fitness_on(champion, [matrix.robot], matrix, seed=seed)
     return ControllerSummary(
         name=name,
         against=against,
         aggregate=champion.aggregate,
-        claimed=_estimate(claimed),
-        others=_estimate(mean),
-        other_families=_estimate(median),
-        achieved=_estimate(achieved),
-        exploitation_gap=_estimate(None if claimed is None or mean is None else claimed - mean),
-        reality_gap=_estimate(None if claimed is None or achieved is None else claimed - achieved),
+        claimed=Estimate.of(claimed),
+        others=Estimate.of(mean),
+        other_families=Estimate.of(median),
+        achieved=Estimate.of(achieved),
+        exploitation_gap=Estimate.of(None if claimed is None or mean is None else claimed - mean),
+        reality_gap=Estimate.of(None if claimed is None or achieved is None else claimed - achieved),
         judges=tuple(column for column in judges if not matrix.cell(name, column).failed),
         on_robot=matrix.robot is not None and matrix.robot in against,
+        seed_fitness=tuple(champion.seed_fitness),
     )
-
-
-def _draws(cell: Cell, seed: int) -> Array:
-    """Return the mean fitness, then that of every bootstrap draw of trials, (1 + resamples,).
-
-    Cells with as many trials meet the same draws, so that differences between them are paired. A
-    single trial has no spread: its draws are nan.
-    """
-    if cell.trials < 2:
-        return np.concatenate([[cell.mean], np.full(RESAMPLES, np.nan)])
-    picks = np.random.default_rng(seed).integers(0, cell.trials, (RESAMPLES, cell.trials))
-    return np.concatenate([[cell.mean], cell.fitness[picks].mean(axis=1)])
-
-
-def _estimate(draws: Array | None) -> Estimate | None:
-    return None if draws is None else Estimate(float(draws[0]), float(draws[1:].std()))
 
 
 def _correlation(

@@ -12,7 +12,6 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.trials import RestWatch, Tape
 from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
-from sysid_evo.motion import seen_from
 from sysid_evo.tasks import Task, TaskState
 
 
@@ -67,7 +66,7 @@ class HumanPilot(Pilot):
 
     def in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
-        return np.zeros_like(pose) if self.origin is None else seen_from(self.origin, pose)
+        return np.zeros_like(pose) if self.origin is None else self._task.system.seen_from(self.origin, pose)
 
     def decide(self, tick: int, estimate: Estimate) -> Array | None:
         phase, keys = self.progress.phase, self._keyboard.keys
@@ -107,9 +106,7 @@ class HumanPilot(Pilot):
             self._state, _ = self._task.advance(
                 self._state, tape.states[-1][None], estimate.state[None], pose=pose[None]
             )
-        tape.ticks.append(step)
-        tape.states.append(estimate.state)
-        tape.poses.append(pose)
+        tape.note(step, estimate.state, pose)
         if step >= self._task.horizon or not self._state.alive[0]:
             self.progress = self._progress(Phase.FINISHED)
             return None
@@ -119,10 +116,9 @@ class HumanPilot(Pilot):
         return control
 
     def _progress(self, phase: Phase) -> Progress:
-        waypoint = getattr(self._state, "waypoint", None)
         return Progress(
             phase=phase,
             steps=self._tape.ticks[-1] if self._tape.ticks else 0,
             score=float(self._task.fitness(self._state)[0]),
-            waypoint=None if waypoint is None else waypoint[0].copy(),
+            waypoint=self._task.scene(self._state, 0).next_marker,
         )

@@ -15,7 +15,6 @@ from hardware.listener import Command, Listener, RobotStatus
 from hardware.measurement import Measurement
 from hardware.robot import Robot
 from sysid_evo.arrays import Array
-from sysid_evo.motion import PlanarBody
 from sysid_evo.tasks import Task
 
 RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
@@ -74,14 +73,16 @@ class Instruments(Listener):
 
     def setting(self) -> dict[str, Any]:
         """Return what stays the same in a session, as strict JSON."""
-        task, system = self._task, self._robot.system
+        system = self._robot.system
+        task = self._task.bind(system)
+        scene = task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)
         return {
             "robot": self._robot.name,
             "dt": system.dt,
             "horizon": task.horizon,
             "unit": task.fitness_unit,
-            "arena": getattr(task, "arena_radius", None),
-            "waypoint_radius": getattr(task, "waypoint_radius", None),
+            "arena": scene.extent,
+            "waypoint_radius": scene.radius or None,
             "controls": [channel.name for channel in (system.controls[0], system.controls[-1])][: system.nu],
         }
 
@@ -109,7 +110,8 @@ class Instruments(Listener):
         }
 
     def _speed(self, state: Array | None) -> float | None:
-        motion = self._robot.system.motion
-        if state is None or not isinstance(motion, PlanarBody) or not np.isfinite(state).all():
+        system = self._robot.system
+        forward = None if system.motion is None else system.motion.roles().get("forward")
+        if state is None or forward is None or not np.isfinite(state).all():
             return None
-        return float(state[motion.indices(self._robot.system.state_names)[0]])
+        return float(state[system.state_names.index(forward)])

@@ -12,7 +12,7 @@ class InvalidWord(ValueError):
 
 
 class Seat:
-    """One open page. What it says counts only while it drives, and keys only after it has held none."""
+    """One open page. Its words count only while it drives, and its keys only once it has said that none is held."""
 
     def __init__(self, seats: Seats, keyboard: Keyboard) -> None:
         self._seats = seats

@@ -14,6 +14,7 @@ from hardware.driving.keyboard import Keyboard
 from hardware.driving.while_driving import WhileDriving
 from hardware.listener import Listener
 from hardware.loop.control_loop import ControlLoop
+from hardware.loop.demands import check_loop
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.robot import Robot
@@ -65,6 +66,7 @@ class HandDriving:
         recorder: Callable[[str, GateLimits], Listener] | None = None,
         origin: Array | None = None,
     ) -> None:
+        check_loop(robot.system)
         self._robot = robot
         self._task = task.bind(robot.system)
         self._keyboard = keyboard

@@ -2,18 +2,96 @@
 
 from __future__ import annotations
 
-from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.car_physics import CarPhysics
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtr
+
+from hardware.arguments import seed as checked_seed
+from hardware.emulation.car_parameters import FINE_DT, CarParameters
+from hardware.emulation.car_physics import BODY, BUFFER, LATENCY, Lane, coefficients, fine_step
 from hardware.emulation.emulated_robot import EmulatedRobot
+from hardware.toy_car import CAR
+from sysid_evo.arrays import Array
+from sysid_evo.dynamics import Dynamics
 from sysid_evo.registry import register_robot
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 
 
+class CarPhysics(Dynamics):
+    """The toy car at 5 ms, the rate of the tracker: what its 20 Hz form repeats.
+
+    The carry is forward speed, lateral speed, yaw rate; the ten commands under way; motor (lagged
+    drive, -1 to 1), sag (share of the voltage), battery (1 is full), slack (-1 to 1, thrust passes
+    at the end that the motor pushes to), steering angle (rad), force noise (m/s2), yaw noise
+    (rad/s2). Friction is a projection and not a force, so the car comes to exact rest and stays
+    there; noise fades with speed and cannot move a standing car.
+
+    Draws: battery level (uniform over its spread), force noise, yaw noise. Noise: force, yaw.
+    A start takes the oldest command for one that has been held for long.
+    """
+
+    n_carry = BODY + 7
+    n_lags = LATENCY
+    n_noise = 2
+    n_draws = 3
+
+    def __init__(self, parameters: CarParameters | None = None) -> None:
+        self.parameters = CarParameters() if parameters is None else parameters
+        self.coefficients = coefficients(self.parameters)
+        self.system = CAR.with_dt(FINE_DT)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        p, batch = self.parameters, len(states)
+        draws = np.zeros((batch, self.n_draws)) if draws is None else draws
+        carry = np.zeros((self.n_carry, batch)).T
+        carry[:, :3] = states[:, -1]
+        carry[:, BUFFER] = controls[:, -LATENCY:].reshape(batch, 2 * LATENCY)
+        drive, steer = controls[:, -LATENCY, 0], controls[:, -LATENCY, 1]
+        c = self.coefficients
+        carry[:, BODY] = drive
+        carry[:, BODY + 1] = p.sag * np.abs(drive)
+        carry[:, BODY + 2] = 1.0 + p.battery_spread * (2.0 * ndtr(draws[:, 0]) - 1.0)
+        carry[:, BODY + 3] = np.sign(drive)
+        carry[:, BODY + 4] = steer * (c.steer_mean + c.steer_difference * steer) + c.steer_offset
+        carry[:, BODY + 5] = p.force_noise * draws[:, 1]
+        carry[:, BODY + 6] = p.yaw_noise * draws[:, 2]
+        return carry
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        before = carry.T
+        after = np.empty((self.n_carry, len(carry)))
+        if len(carry) == 1:
+            lanes: list[Lane] = before[:, 0].tolist()
+            draws: list[Lane] = [0.0, 0.0] if noise is None else noise[0].tolist()
+        else:
+            lanes = list(before)
+            draws = [0.0, 0.0] if noise is None else list(noise.T)
+        results = fine_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
+        after[3 : BODY - 2] = before[5:BODY]
+        after[BODY - 2 : BODY] = control.T
+        for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
+            after[row] = result
+        return after.T
+
+    def kernel(self) -> DynamicsKernel:
+        return self.held_kernel(1)
+
+    def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
+        from hardware.emulation.kernels.car import car_kernel
+
+        return car_kernel(self.coefficients, repeats)
+
+
 @register_robot("emulated_car")
 def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
-    """The toy car of the paper in simulation; with a seed another of its kind, see `CarParameters.perturbed`."""
-    nominal = CarParameters()
+    """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
+    nominal, seed = CarParameters(), checked_seed("robot emulated_car", seed)
     if seed is None:
         return EmulatedRobot("emulated_car", CarPhysics(nominal), repeats=REPEATS)
     return EmulatedRobot(f"emulated_car:{seed}", CarPhysics(nominal.perturbed(seed)), repeats=REPEATS)

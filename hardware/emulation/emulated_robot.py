@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.optical_tracker import OpticalTracker
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from hardware.measurement import Measurement
+from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import IncompatibleSystem
@@ -20,9 +19,13 @@ NOISE_BLOCK = 1024  # frames of noise drawn at once
 
 
 class EmulatedRobot(SimulatedRobot):
-    """A planar robot whose physics step at the tracker's rate; controllers see every ``repeats``-th."""
+    """A planar robot whose physics step at the tracker's rate; controllers see every ``repeats``-th.
 
-    def __init__(self, name: str, physics: Dynamics, *, repeats: int) -> None:
+    ``gate`` says what the body can do, if that is more than the limits that hold for most
+    (`GateLimits`). Raises `IncompatibleSystem` for another motion.
+    """
+
+    def __init__(self, name: str, physics: Dynamics, *, repeats: int, gate: GateLimits | None = None) -> None:
         if not isinstance(physics.system.motion, PlanarBody):
             raise IncompatibleSystem(f"robot {name!r}: the emulated tracker needs a planar body, got another motion")
         self.name = name
@@ -30,9 +33,10 @@ class EmulatedRobot(SimulatedRobot):
         self.frame_period = physics.system.dt
         self.dynamics: HeldControl = HeldControl(physics, repeats)
         self.system = self.dynamics.system
+        self.gate = GateLimits.read(gate)
 
     def connect(self, *, seed: int | None = None) -> EmulatedConnection:
-        return EmulatedConnection(self.name, self.physics, seed=seed)
+        return EmulatedConnection(self.name, self.physics, seed=seed, gate=self.gate)
 
 
 class EmulatedConnection(SimulatedConnection):
@@ -41,8 +45,9 @@ class EmulatedConnection(SimulatedConnection):
     Noise, draws and the tracker's errors come from ``seed``.
     """
 
-    def __init__(self, name: str, physics: Dynamics, *, seed: int | None) -> None:
+    def __init__(self, name: str, physics: Dynamics, *, seed: int | None, gate: GateLimits | None = None) -> None:
         system = physics.system
+        self._gate = GateLimits.read(gate)
         super().__init__(name, system, system.dt)
         self._physics = physics
         body, tracker = np.random.SeedSequence(seed).spawn(2)
@@ -52,6 +57,10 @@ class EmulatedConnection(SimulatedConnection):
         controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
         self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
         self._noise = np.empty((0, physics.n_noise))
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        return self._gate
 
     @property
     def state(self) -> Array:
@@ -65,8 +74,7 @@ class EmulatedConnection(SimulatedConnection):
             self._noise = self._rng.standard_normal((NOISE_BLOCK, physics.n_noise))
         before, nx = self._carry, system.nx
         self._carry = physics.step(before, self.control[None], self._noise[row : row + 1])
-        motion = cast("PlanarBody", system.motion)
-        self.pose = motion.move(self.pose, before[0, :nx], self._carry[0, :nx], system.dt, system.state_names)
+        self.pose = system.move(self.pose, before[0, :nx], self._carry[0, :nx])
 
     def _look(self, time: float) -> Measurement:
         pose = self._tracker.observe(self.pose)

@@ -26,8 +26,8 @@ class HasHeldKernel(Protocol):
 class HeldControl(Dynamics):
     """``fine`` seen every ``repeats`` of its steps, under a control held in between.
 
-    One step takes ``repeats`` times the noise of the fine one, (B, repeats * fine.n_noise), the
-    earliest first. A history is held in the same way: each coarse sample stands for ``repeats``.
+    One step takes the noise of ``repeats`` fine ones, (B, repeats * fine.n_noise), the earliest first.
+    In a history each coarse sample stands for ``repeats`` equal fine ones.
     """
 
     def __init__(self, fine: Dynamics, repeats: int) -> None:

@@ -79,9 +79,8 @@ class ModelledConnection(SimulatedConnection):
         if self._phase <= 0:
             return
         system, share = self._dynamics.system, self._phase / FRAMES
-        assert system.motion is not None
         now = self._after if self._phase == FRAMES else self._before + share * (self._after - self._before)
-        self.pose = system.motion.move(self._origin, self._before, now, share * system.dt, system.state_names)
+        self.pose = system.move(self._origin, self._before, now, share * system.dt)
         if self._phase == FRAMES:
             self._phase, self._origin = 0, self.pose
 

@@ -6,10 +6,11 @@ import time
 from collections import deque
 from dataclasses import replace
 
+from hardware.connection import Connection
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 

@@ -7,8 +7,9 @@ from abc import abstractmethod
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.system import System

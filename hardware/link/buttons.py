@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.messages import EXCLUSIVE, Buttons
+from hardware.toy_car import CAR
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidArgument
 

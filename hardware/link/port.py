@@ -14,6 +14,7 @@ from sysid_evo.errors import InvalidArgument, LinkLost
 
 BAUD = 115200
 BY_ID = Path("/dev/serial/by-id")
+NO_DEVICE = "no such device; is the robot plugged in?"
 CHUNK = 4096
 CHUNKS = 16  # read at most at once, so that a chattering device cannot hold the host up
 
@@ -100,7 +101,7 @@ class SerialPort:
 
 def _reason(error: OSError) -> str:
     reasons = {
-        errno.ENOENT: "no such device; is the robot plugged in?",
+        errno.ENOENT: NO_DEVICE,
         errno.EACCES: "not permitted; see the udev rule in docs/hardware.md",
         errno.EAGAIN: "another program uses it",
         errno.EBUSY: "another program uses it",

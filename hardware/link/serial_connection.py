@@ -8,13 +8,14 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 
+from hardware.connection import Connection
 from hardware.link.buttons import buttons_of, control_of
 from hardware.link.messages import HelloAcknowledgement
 from hardware.link.port import SerialPort
 from hardware.link.session import HostSession
 from hardware.listener import RobotStatus
 from hardware.measurement import Measurement
-from hardware.robot import Connection
+from hardware.trackers.gates import GateLimits
 from hardware.trackers.tracker import TrackerStream
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
@@ -30,7 +31,10 @@ class SerialConnection(Connection):
     `LinkLost`, and only another `connect` drives on. Without a tracker `measure` never sees a frame.
     """
 
-    def __init__(self, port: SerialPort, session: HostSession, tracker: TrackerStream | None) -> None:
+    def __init__(
+        self, port: SerialPort, session: HostSession, tracker: TrackerStream | None, gate: GateLimits | None = None
+    ) -> None:
+        self._gate = GateLimits.read(gate)
         self._port = port
         self._session = session
         self._tracker = tracker
@@ -44,6 +48,10 @@ class SerialConnection(Connection):
     @property
     def time(self) -> float:
         return time.monotonic()
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        return self._gate
 
     @property
     def status(self) -> RobotStatus | None:

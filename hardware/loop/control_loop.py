@@ -10,19 +10,19 @@ from typing import Protocol
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.listener import Command, Listener, RobotStatus
+from hardware.loop.demands import TIME_TO_LIVE, check_loop
 from hardware.loop.estimator import PoseEstimator
 from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Connection
 from hardware.trackers.gates import PoseGate
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System
 
-TIME_TO_LIVE = 0.15  # s for which a command is valid
 STALE = 0.1  # s: an older pose means neutral
 LOST = 0.5  # s: an older pose ends the run
 FIRST_POSE = 1.0  # s within which the first estimate must exist
@@ -50,6 +50,8 @@ class ControlLoop:
     Every command is checked and valid for 150 ms. Without a ``gate`` of its own the body of the first
     frame is followed, within the connection's ``gate_limits``.
 
+    Raises `IncompatibleSystem` for a system that it cannot drive (`check_loop`).
+
     A run that ends as it should leaves the robot in neutral, the connection open, poses and gate as
     they are; any other way out, exceptions included, closes the connection first.
     """
@@ -64,6 +66,7 @@ class ControlLoop:
         gate: PoseGate | None = None,
         stops: Stops | None = None,
     ) -> None:
+        check_loop(system)
         self.connection = connection
         self.system = system
         self.stops = Stops() if stops is None else stops
@@ -217,5 +220,7 @@ class ControlLoop:
         return math.inf if self._seen is None else now - self._seen
 
     def _why_no_pose(self, what: str) -> str:
+        """Return ``what`` with the frames that were not used, and the limit that they go beyond, if they do."""
         counts = ", ".join(f"{count} {why}" for why, count in self._rejected.most_common())
-        return f"{what}; frames not used: {counts}" if counts else what
+        beyond = "" if self._gate is None else self._gate.excess
+        return what + (f"; frames not used: {counts}" if counts else "") + (f" ({beyond})" if beyond else "")

@@ -38,8 +38,8 @@ def measure_delays(
 ) -> tuple[EstimateDelay, ...]:
     """Return the delay of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
 
-    The delay is the vertex of the parabola through the highest correlation and its neighbours, looked
-    for from 0 to 0.2 s; estimates that early in the recording are left out.
+    The delay is where the parabola through the highest correlation and its neighbours has its top,
+    looked for from 0 to 0.2 s. Estimates from the first 0.2 s of the recording are left out.
     """
     truth = check_shape("truth", truth, (len(times), system.nx))
     estimates = check_shape("estimates", estimates, (len(estimate_times), system.nx))
@@ -84,7 +84,7 @@ def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: f
     poses = np.zeros((len(times), motion.n_pose))
     for k in range(1, len(times)):
         dt = float(times[k] - times[k - 1])
-        poses[k] = motion.move(poses[k - 1], states[k - 1], states[k], dt, system.state_names)
+        poses[k] = system.move(poses[k - 1], states[k - 1], states[k], dt)
     return states, poses
 
 

@@ -10,7 +10,7 @@ from hardware.loop.pilot import Estimate
 from hardware.measurement import Measurement
 from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.motion import PlanarBody, rotate
+from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 
 WINDOW = 0.1  # s
@@ -50,8 +50,8 @@ class PoseEstimator:
             raise IncompatibleSystem(f"poses do not tell the states {', '.join(untold)}: no estimator for this system")
         self.window = window
         self.lag = lag
-        self._nx = system.nx
-        self._forward, self._lateral, self._yaw_rate = motion.indices(system.state_names)
+        self._motion = motion
+        self._names = system.state_names
         self._times: deque[float] = deque()
         self._poses: deque[Array] = deque()
 
@@ -89,12 +89,9 @@ class PoseEstimator:
         coefficients = np.linalg.lstsq(np.stack([np.ones_like(t), t, t * t], axis=1), poses, rcond=None)[0]
         at = -self.lag / self.window
         rates = (coefficients[1] + 2.0 * at * coefficients[2]) / self.window
-        heading = coefficients[0, 2] + at * coefficients[1, 2] + at * at * coefficients[2, 2]
-        forward, lateral = rotate(rates[0], rates[1], -heading)
-        state = np.zeros(self._nx)
-        state[self._forward], state[self._yaw_rate] = forward, rates[2]
-        if self._lateral is not None:
-            state[self._lateral] = lateral
+        there = coefficients[0] + at * coefficients[1] + at * at * coefficients[2]
+        told = self._motion.velocities(there, rates)
+        state = np.array([told[name] for name in self._names], dtype=np.float64)
         return Estimate(time, self._poses[-1].copy(), state, time - newest)
 
     def _covers(self, first: int) -> bool:

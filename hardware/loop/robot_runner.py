@@ -9,6 +9,7 @@ import numpy as np
 
 from hardware.listener import Listener
 from hardware.loop.control_loop import ControlLoop
+from hardware.loop.demands import check_loop
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.loop.trials import REST_LIMIT, TrialSeries
@@ -45,6 +46,7 @@ class RobotRunner:
 
     def drive(self, controller: Controller, parameters: Array, task: Task, seeds: Seeds) -> tuple[Rollouts, LoopReport]:
         """Do as `run`, and also return how the loop went."""
+        check_loop(self.robot.system)
         task = task.bind(self.robot.system)
         controller = controller.bind(len(task.observations), self.robot.system.nu)
         parameters = check_shape("parameters", parameters, (None, controller.n_parameters))

@@ -8,22 +8,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hardware.connection import Connection
 from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import STALE, ControlLoop
 from hardware.loop.delay import estimator_delays
+from hardware.loop.demands import LATEST, check_loop
 from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System
 
 SECONDS = 3.0
 STILL_DISTANCE = 0.02  # m and
-STILL_ANGLE = 0.1  # rad: a robot told nothing stays within
-LARGEST_LATENESS = 0.05  # s
+STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,11 @@ class Finding:
 def self_test(
     robot: Robot, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
 ) -> tuple[Finding, ...]:
-    """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves."""
+    """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
+
+    Raises `IncompatibleSystem` if the control loop cannot drive its system.
+    """
+    check_loop(robot.system)
     began = time.perf_counter()
     try:
         connection = robot.connect(seed=seed)
@@ -165,4 +170,4 @@ def _loop(report: LoopReport) -> Finding:
         f"{report.ticks} commands, 99 % of them within {1e3 * figures['lateness_p99']:.1f} ms of when they were due "
         f"(all within {1e3 * figures['longest_lateness']:.1f}), {report.skipped} left out."
     )
-    return Finding("loop", figures["longest_lateness"] <= LARGEST_LATENESS and report.skipped == 0, sentence, figures)
+    return Finding("loop", figures["longest_lateness"] <= LATEST and report.skipped == 0, sentence, figures)

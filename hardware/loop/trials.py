@@ -12,8 +12,8 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine import Rollouts
-from sysid_evo.motion import rotate
 from sysid_evo.progress import Progress
+from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 
@@ -52,6 +52,12 @@ class Tape:
     poses: list[Array] = field(default_factory=list)
     controls: list[Array] = field(default_factory=list)
 
+    def note(self, tick: int, state: Array, pose: Array) -> None:
+        """Write down where the robot is at ``tick``; the control that is decided on then goes to ``controls``."""
+        self.ticks.append(tick)
+        self.states.append(state)
+        self.poses.append(pose)
+
     def trajectory(self, dt: float, name: str) -> Trajectory:
         """Return the trial at every sample; at a missing one states lie on the line between, and the control stays."""
         grid = np.arange(self.ticks[-1] + 1)
@@ -69,8 +75,8 @@ class TrialSeries(Pilot):
     """Lets every candidate (P, n_parameters) drive a trial of every seed (E,), all candidates before the next seed.
 
     Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
-    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. A
-    controller's output that is not a number becomes a control that is not one, which ends the run.
+    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
+    controller's output is not a number, neither is the control, and the loop ends the run.
     """
 
     def __init__(
@@ -95,6 +101,7 @@ class TrialSeries(Pilot):
         self._progress = progress
         began = task.begin(seeds)
         self._states = [began for _ in parameters]
+        self._noise = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
         self._memory = np.zeros((len(parameters), len(seeds), controller.n_memory))
         self._began: int | None = None
         self._waiting_since = 0
@@ -140,13 +147,12 @@ class TrialSeries(Pilot):
             moved, _ = task.advance(here, before, np.tile(state, (len(only), 1)), pose=np.tile(pose, (len(only), 1)))
             here = here.keep(moved, only)
         self._states[candidate] = here
-        tape.ticks.append(step)
-        tape.states.append(state)
-        tape.poses.append(pose)
+        tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
             return None
         states = np.where(only[:, None], state, self.system.neutral_state)
-        view = View(task.observe(here, states)[None], states[None], here)
+        noise = self._noise[None, :, step] if self.controller.n_noise else None
+        view = View(task.observe(here, states)[None], states[None], here, noise)
         raw, memory = self.controller.act(self.parameters[[candidate]], self._memory[[candidate]], view)
         self._memory[candidate, trial] = memory[0, trial]
         if not np.isfinite(raw[0, trial]).all():
@@ -158,8 +164,7 @@ class TrialSeries(Pilot):
     def _in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) as seen from the origin."""
         assert self.origin is not None
-        x, y = rotate(pose[0] - self.origin[0], pose[1] - self.origin[1], -self.origin[2])
-        return np.array([x, y, pose[2] - self.origin[2]])
+        return self.system.seen_from(self.origin, pose)
 
     def rollouts(self, why_missing: str) -> Rollouts:
         """Return the trials that every candidate finished; the others are missing for the reason given."""

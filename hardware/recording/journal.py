@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,22 @@ from sysid_evo.system import System
 SUFFIX = ".rcj"
 MAGIC = b"RCJ\r\n\x1a\n\x00"
 SCHEMA = "sysid-evo/journal/1"
+TAKEN = "{}: a recording is there already; choose another folder or name"
+
+
+def check_journals(folder: Path, names: Iterable[str]) -> None:
+    """Raise `InvalidArgument` unless journals of these ``names`` can be begun in ``folder``; makes nothing."""
+    for name in names:
+        path = folder / f"{name}{SUFFIX}"
+        if path.exists():
+            raise InvalidArgument(TAKEN.format(path))
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise InvalidArgument(f"{folder}: expected a folder for journals, but {place} is a file")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InvalidArgument(f"{folder}: expected a folder that can be written, but {place} does not permit it")
 
 
 class JournalWriter(Session):
@@ -46,7 +62,7 @@ class JournalWriter(Session):
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
         except FileExistsError:
-            raise InvalidArgument(f"{path}: a recording is there already; choose another folder or name") from None
+            raise InvalidArgument(TAKEN.format(path)) from None
         self._size = 0
         self._folder = path.parent
         self.append(MAGIC + seal(Kind.HEADER, pack_header({"schema": SCHEMA, **header})))

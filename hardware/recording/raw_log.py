@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hardware.loop.control_loop import TIME_TO_LIVE
+from hardware.loop.demands import TIME_TO_LIVE
 from hardware.measurement import Measurement
 from hardware.recording.journal import Journal
 from hardware.recording.records import TimedCommand
@@ -15,17 +15,17 @@ from sysid_evo.data.raw import RawLog
 from sysid_evo.errors import InvalidData
 
 BREAK = 3.0
-"""Periods of the tracker left out where a track breaks; the preparation bridges 2.5 and splits beyond."""
+"""How many periods of the tracker are left out where a track breaks: the preparation bridges up to 2.5."""
 CLOCK_TOLERANCE = 1e-6  # s
 
 
 def raw_log(journal: Journal, limits: GateLimits | None = None) -> RawLog:
     """Return the run in ``journal``, from its first tick on, as rows of poses and commands in force.
 
-    The frames pass the same gate as in the loop, or one of other ``limits``; those it drops are left
-    out, and where a track breaks enough of them that the preparation splits there. A command is in
-    force from when it was sent until the next, for 150 ms at most. Raises `InvalidData` if there are
-    fewer than two rows.
+    The frames pass the same gate as in the loop, or one of other ``limits``, and those that it drops are
+    left out. Where a track breaks, so many more are left out that the preparation splits there. A
+    command is in force from when it was sent until the next, for 150 ms at most. Raises `InvalidData`
+    if there are fewer than two rows.
     """
     rows, _ = rows_of(journal, limits)
     return rows

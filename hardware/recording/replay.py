@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Iterator
@@ -11,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hardware.arguments import number, text
 from hardware.measurement import Measurement
 from hardware.recording.journal import SUFFIX, read_journal
 from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import TrackerStream
 from sysid_evo.data.tables import reader_for
-from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 
 COLUMNS = ("t", "x", "y", "heading")
@@ -26,10 +26,11 @@ STEP = 0.1  # s: the longest it waits without a word
 @register_tracker("replay")
 @dataclass(frozen=True)
 class ReplayTracker(ProcessTracker):
-    """The frames of ``body`` in a journal, or in a log with the columns t, x, y, heading in s, m, m, rad.
+    """The frames of ``body`` in the file ``path``: a journal, or a log with the columns t, x, y, heading.
 
-    ``speed`` 1 is the log's own pace, 2 twice as fast, on `time.monotonic`; at speed 0 frames come as
-    fast as they are asked for, with the times of the log. The end of the log is a lost link.
+    The log's units are s, m, m, rad. ``speed`` 1 is the log's own pace, 2 twice as fast, on
+    `time.monotonic`; at speed 0 frames come as fast as they are asked for, with the times of the log.
+    The end of the log is a lost link.
     """
 
     body: str
@@ -38,8 +39,13 @@ class ReplayTracker(ProcessTracker):
     name = "replay"
 
     def __post_init__(self) -> None:
-        if not (self.speed >= 0.0 and math.isfinite(self.speed)):
-            raise InvalidArgument(f"tracker replay: expected a speed of 0 or more, got {self.speed}")
+        text("tracker replay: body", self.body)
+        text("tracker replay: path", self.path)
+        number("tracker replay: speed", self.speed, least=0.0)
+
+    def check(self) -> None:
+        super().check()
+        _there(Path(self.path))
 
     def open(self) -> TrackerStream:
         """Read the log and begin. Raises `InvalidData` if it cannot be read, `LinkLost` if the body is not in it."""
@@ -86,8 +92,7 @@ class _AskedStream(TrackerStream):
 
 def logged(path: Path, body: str) -> list[Measurement]:
     """Return the frames of ``body`` in a log; a table's are all its. Raises `InvalidData`, `LinkLost`."""
-    if not path.is_file():
-        raise InvalidData(f"{path}: expected a log, found nothing there")
+    _there(path)
     if path.suffix == SUFFIX:
         frames = [frame for frame in read_journal(path).frames if frame.body == body]
         if not frames:
@@ -102,3 +107,8 @@ def logged(path: Path, body: str) -> list[Measurement]:
         Measurement(float(t), float(t), number, body, True, pose)
         for number, (t, pose) in enumerate(zip(times, poses, strict=True))
     ]
+
+
+def _there(path: Path) -> None:
+    if not path.is_file():
+        raise InvalidData(f"{path}: expected a log, found nothing there")

@@ -10,26 +10,26 @@ from pathlib import Path
 
 import numpy as np
 
+from hardware.connection import Connectable, Connection
 from hardware.loop.control_loop import ControlLoop
+from hardware.loop.demands import check_loop
 from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
 from hardware.recording.excitation import Manoeuvre, excitation
-from hardware.recording.journal import SUFFIX, read_journal
+from hardware.recording.journal import SUFFIX, check_journals, read_journal
 from hardware.recording.journal_reader import column_names
 from hardware.recording.raw_log import raw_log
 from hardware.recording.recorder import Recorder
-from hardware.robot import Connection, Robot
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.preparation import prepare
+from sysid_evo.data import Dataset
+from sysid_evo.data.preparation import Prepared, prepare, said_once
 from sysid_evo.data.raw import RawLog
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import Progress
-from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 
 PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each begins at rest
@@ -79,7 +79,7 @@ class Recorded:
 
 
 def record(
-    robot: Robot,
+    robot: Connectable,
     manoeuvres: Sequence[Manoeuvre],
     folder: Path,
     *,
@@ -92,10 +92,13 @@ def record(
     An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays
     connected and stands in neutral for 2 s in between. The first fault ends the recording: the
     report says which, and the journals keep what was recorded. ``progress`` counts control samples.
-    Raises `LinkLost` if the robot cannot be reached, `InvalidArgument` if there is a journal already.
+    Raises `LinkLost` if the robot cannot be reached; before it connects, `InvalidArgument` if one of
+    the journals is there already or cannot be, `IncompatibleSystem` if the loop cannot drive the system.
     """
     if not manoeuvres:
         raise InvalidArgument("record: expected at least one manoeuvre, got none")
+    check_loop(robot.system)
+    check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
     stops = Stops() if stops is None else stops
@@ -127,7 +130,7 @@ def record(
 
 def _run(
     connection: Connection,
-    robot: Robot,
+    robot: Connectable,
     manoeuvre: Manoeuvre,
     listeners: Sequence[Recorder],
     stops: Stops,
@@ -169,23 +172,22 @@ def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None
 
 def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
     """Return the data set of ``logs``; a note names each that is too short. Raises `InvalidData` if all are."""
-    episodes: list[Trajectory] = []
-    notes: list[str] = []
+    made: list[Prepared] = []
+    left_out: list[str] = []
     for log in logs:
         try:
-            made = prepare(log, system)
+            made.append(prepare(log, system))
         except InvalidData as error:
-            notes.append(f"left out: {error}")
-            continue
-        episodes.extend(made.episodes)
-        notes.extend(note for note in made.notes if note not in notes)
+            left_out.append(f"left out: {error}")
+    episodes = [episode for one in made for episode in one.episodes]
+    notes = [*left_out, *said_once(made)]
     if not episodes:
         raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))
 
 
 def record_dataset(
-    robot: str,
+    robot: Connectable,
     *,
     seed: int,
     duration: float,
@@ -199,17 +201,17 @@ def record_dataset(
     on an emulated robot, the same recording. Raises `LinkLost` or `InvalidData` if it is too short
     to make a data set of it.
     """
-    machine = make_robot(robot)
-    manoeuvres = excitation(machine.system, duration=duration, rng=np.random.default_rng(seed))
+    check_loop(robot.system)
+    manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if folder is None else folder
-        report = record(machine, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
         logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
-        return Recorded(tuple(logs), prepared(logs, machine.system), report)
+        return Recorded(tuple(logs), prepared(logs, robot.system), report)
     except InvalidData as error:
         if report.reason.is_fault:
-            raise LinkLost(f"{robot}: {report.sentence}; {error}") from error
+            raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
         raise
 
 

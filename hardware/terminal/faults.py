@@ -69,6 +69,8 @@ class Fault:
     @classmethod
     def read(cls, entries: Mapping[str, Any]) -> Self:
         """Return the fault that a mapping describes, as in a robot's file. Raises `InvalidArgument`."""
+        if not isinstance(entries, Mapping):
+            raise InvalidArgument(f'fault: expected a table such as {{kind = "unplug", at = 3.0}}, got {entries!r}')
         known = {item.name for item in fields(cls)}
         unknown = sorted(set(entries) - known)
         if unknown or "kind" not in entries:

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
+from hardware.arguments import choice, number
 from sysid_evo.arrays import Array
-from sysid_evo.errors import InvalidArgument
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,9 @@ class Axes:
     heading_offset: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.up not in ("y", "z"):
-            raise InvalidArgument(f"tracker: expected up to be 'y' or 'z', got {self.up!r}")
-        if not (self.scale > 0.0 and math.isfinite(self.scale) and math.isfinite(self.heading_offset)):
-            raise InvalidArgument(
-                f"tracker: expected scale above 0 and a finite heading_offset, got {self.scale}, {self.heading_offset}"
-            )
+        choice("tracker: up", self.up, ("y", "z"))
+        number("tracker: scale", self.scale, above=0.0)
+        number("tracker: heading_offset", self.heading_offset)
 
     def planar(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
         """Return x, y in m and heading in [-pi, pi) of a body at ``position`` turned by ``rotation`` (x, y, z, w)."""

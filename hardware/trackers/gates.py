@@ -5,15 +5,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from hardware.arguments import number, table, whole
 from hardware.measurement import Measurement
+from hardware.trackers.excess import WORDS, Excess, distance, turn
 from sysid_evo.arrays import Array
-from sysid_evo.errors import InvalidArgument
 
 ACCEPTED = ""
+JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST = "jumped", "flipped", "too fast", "turned too fast"
+CONTRADICTIONS = (JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST)
+"""Why a frame cannot follow on the one before."""
 LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
+MOST_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -31,10 +36,12 @@ class GateLimits:
 
     It moves at most ``speed`` dt + ``position_error`` and never over ``jump`` m; it turns at most
     ``yaw_rate`` dt + ``heading_error`` and never over ``turn`` rad. While it is told to drive, no
-    more than ``frozen`` poses in a row are equal to the last bit: a real tracker's noise sees to that
-    (None for one without noise). A body that jumped within reach, as after a dropout, is believed
-    again after ``confirm`` frames that agree with each other; beyond reach, where it can only be another
-    body or a flipped one, after ``recover`` s, which is longer than a run goes on without a pose.
+    more than ``frozen`` poses in a row are equal to the last bit: a real tracker is never that still
+    (None for one without noise). A body that turns up elsewhere is believed again when its frames agree
+    with each other: after ``confirm`` of them if it could have got there, as after a dropout; after
+    ``recover`` s if it could not, because then it is another body or a flipped one. A run ends before.
+
+    A robot that can do more says so: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
     """
 
     speed: float = 5.0
@@ -49,10 +56,24 @@ class GateLimits:
 
     def __post_init__(self) -> None:
         for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
-            if not getattr(self, name) > 0.0:
-                raise InvalidArgument(f"gate: expected {name} above 0, got {getattr(self, name)}")
-        if self.confirm < 1 or (self.frozen is not None and self.frozen < 1):
-            raise InvalidArgument("gate: expected confirm and frozen to be at least 1 frame")
+            value = getattr(self, name)
+            if value != math.inf:
+                number(f"gate: {name}", value, above=0.0)
+        for name in ("position_error", "heading_error"):
+            number(f"gate: {name}", getattr(self, name), least=0.0)
+        whole("gate: confirm", self.confirm, least=1, most=MOST_FRAMES)
+        if self.frozen is not None:
+            whole("gate: frozen", self.frozen, least=1, most=MOST_FRAMES)
+
+    @classmethod
+    def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
+        """Return limits from a table such as ``[gate]`` in a robot's file; None means the ones that hold for most.
+
+        Raises `InvalidArgument`.
+        """
+        if isinstance(given, GateLimits):
+            return given
+        return cls(**table("gate", {} if given is None else given, (item.name for item in fields(cls))))
 
     def to_dict(self) -> dict[str, float | None]:
         """Return the limits as strict JSON (an absent limit is null)."""
@@ -85,6 +106,13 @@ class PoseGate:
         self._repeats = 0
         self._thawed = False
         self._counts: Counter[str] = Counter()
+        self._before: Measurement | None = None
+        self._excess = Excess({name: getattr(self.limits, name) for name in WORDS})
+
+    @property
+    def excess(self) -> str:
+        """By how much the frames since the newest believed one go beyond a limit, in a sentence; "" if they do not."""
+        return self._excess.sentence
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -94,6 +122,12 @@ class PoseGate:
     def accept(self, measurement: Measurement, *, driving: bool) -> Verdict:
         """Return the verdict on the next frame; ``driving``: a command other than neutral is in force."""
         verdict = self._judge(measurement, driving)
+        if verdict.accepted:
+            self._excess.clear()
+            self._before = measurement
+        elif verdict.reason in CONTRADICTIONS and self._last is not None and self._before is not None:
+            self._excess.add(self._last, self._before, measurement)
+            self._before = measurement
         self._counts[verdict.reason if not verdict.accepted else "accepted"] += 1
         if verdict.broke:
             self._counts["tracks"] += 1
@@ -133,7 +167,8 @@ class PoseGate:
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
         """Count equal poses under a drive command; say whether there are too many.
 
-        A frozen pose stays frozen when the robot is stopped for it, or it would be believed and driven on.
+        A pose that was found frozen stays so when the robot is stopped: else it would be believed again,
+        and the robot driven on.
         """
         limit = self.limits.frozen
         bits = pose.tobytes()
@@ -149,30 +184,33 @@ class PoseGate:
     def _contradiction(self, before: Measurement, after: Measurement) -> str:
         """Return why ``after`` cannot follow on ``before``, "" if it can."""
         limits = self.limits
-        if _distance(before, after) > limits.jump:
-            return "jumped"
-        if _turn(before, after) > limits.turn:
-            return "flipped"
+        if distance(before, after) > limits.jump:
+            return JUMPED
+        if turn(before, after) > limits.turn:
+            return FLIPPED
         return self._out_of_reach(before, after)
 
     def _out_of_reach(self, before: Measurement, after: Measurement) -> str:
         """Return what the body would have had to exceed to get from ``before`` to ``after``, "" if nothing."""
         limits, dt = self.limits, after.source_time - before.source_time
-        if _distance(before, after) > limits.speed * dt + limits.position_error:
-            return "too fast"
-        if _turn(before, after) > limits.yaw_rate * dt + limits.heading_error:
-            return "turned too fast"
+        if distance(before, after) > limits.speed * dt + limits.position_error:
+            return TOO_FAST
+        if turn(before, after) > limits.yaw_rate * dt + limits.heading_error:
+            return TURNED_TOO_FAST
         return ACCEPTED
 
     def _follows_rival(self, frame: Measurement) -> bool:
-        """Whether a frame continues the dropped ones rather than the track, which time brings within its reach."""
+        """Whether a frame continues the dropped frames rather than the track.
+
+        The track alone cannot tell: the longer ago its last frame, the more lies within its reach.
+        """
         if self._last is None or not self._rival or self._contradiction(self._rival[-1], frame) != ACCEPTED:
             return False
         return self._effort(self._rival[-1], frame) < self._effort(self._last, frame)
 
     def _effort(self, before: Measurement, after: Measurement) -> float:
         """Return the least time in s to get from one pose to the other."""
-        return max(_distance(before, after) / self.limits.speed, _turn(before, after) / self.limits.yaw_rate)
+        return max(distance(before, after) / self.limits.speed, turn(before, after) / self.limits.yaw_rate)
 
     def _confirmed(self, frame: Measurement) -> bool:
         """Add a frame to the track that rivals the accepted one; say whether it is believed by now."""
@@ -191,11 +229,3 @@ class PoseGate:
 
 def _sound(*values: float) -> bool:
     return all(-LARGEST < value < LARGEST for value in values)
-
-
-def _distance(before: Measurement, after: Measurement) -> float:
-    return math.hypot(after.pose[0] - before.pose[0], after.pose[1] - before.pose[1])
-
-
-def _turn(before: Measurement, after: Measurement) -> float:
-    return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))

@@ -1,7 +1,7 @@
 """Vicon and VRPN, read with the package motioncapture.
 
 The package gives no time stamps, neither of the frame nor of its arrival: frames are stamped when
-they come, and ``latency``, if it is known, is taken off.
+they come, and ``latency`` s, if it is known, are taken off.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from hardware.arguments import number, text
 from hardware.measurement import Measurement
 from hardware.trackers.axes import Axes
 from hardware.trackers.process import ProcessTracker
@@ -24,7 +25,10 @@ from sysid_evo.registry import register_tracker
 
 @dataclass(frozen=True)
 class MotionCaptureTracker(ProcessTracker):
-    """The rigid body ``body`` of the system ``kind`` at ``host``; lengths in m unless ``scale`` says otherwise.
+    """The rigid body ``body`` of the system ``kind`` at ``host``.
+
+    ``up`` is the axis that points up, ``scale`` the unit of length in m; ``heading_offset`` rad are added
+    to the heading; ``latency`` s are taken off the times of arrival. Raises `InvalidArgument`.
 
     A system that ``polls`` answers with the last pose when there is no new one: a pose that is the
     same to the last bit is then no frame.
@@ -36,11 +40,14 @@ class MotionCaptureTracker(ProcessTracker):
     scale: float = 1.0
     heading_offset: float = 0.0
     latency: float = 0.0
-    package: ClassVar[str | None] = "motioncapture"
+    requires: ClassVar[tuple[str, ...]] = ("motioncapture",)
     kind: ClassVar[str]
     polls: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        text(f"tracker {self.kind}: body", self.body)
+        text(f"tracker {self.kind}: host", self.host)
+        number(f"tracker {self.kind}: latency", self.latency, least=0.0)
         self._axes()
 
     @property

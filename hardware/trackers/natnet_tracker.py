@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from hardware.arguments import flag, number, text, whole
 from hardware.measurement import Measurement
 from hardware.trackers.axes import Axes
 from hardware.trackers.process import ProcessTracker
@@ -28,9 +29,11 @@ SILENCE = 0.1  # s after which it says that nothing came
 class NatNetTracker(ProcessTracker):
     """The rigid body ``body`` as streamed by the server at ``server`` to this host's address ``local``.
 
-    Lengths are in m unless ``scale`` says otherwise; Motive's default is y ``up``. Times are the
-    frames' own, mapped by `SourceClock`; they are late by the shortest way of a frame from the
-    exposure to here, and ``latency`` s are taken off for that.
+    ``multicast`` says which way Motive streams, to ``multicast_address`` if it is true; the ports are
+    ``command_port`` and ``data_port``. Motive's default is y ``up``; ``scale`` is its unit of length in
+    m, ``heading_offset`` rad are added to the heading. Times are the frames' own, mapped by
+    `SourceClock`; they are late by the shortest way of a frame from the exposure to here, and
+    ``latency`` s are taken off for that. Raises `InvalidArgument`.
     """
 
     body: str
@@ -45,9 +48,15 @@ class NatNetTracker(ProcessTracker):
     heading_offset: float = 0.0
     latency: float = 0.0
     name = "natnet"
-    package: ClassVar[str | None] = "natnet"
+    requires: ClassVar[tuple[str, ...]] = ("natnet",)
 
     def __post_init__(self) -> None:
+        for name in ("body", "server", "local", "multicast_address"):
+            text(f"tracker natnet: {name}", getattr(self, name))
+        for name in ("command_port", "data_port"):
+            whole(f"tracker natnet: {name}", getattr(self, name), least=1, most=65535)
+        flag("tracker natnet: multicast", self.multicast)
+        number("tracker natnet: latency", self.latency, least=0.0)
         self._axes()
 
     def frames(self) -> Iterator[Measurement | None]:

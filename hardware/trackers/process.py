@@ -9,7 +9,6 @@ process ends in any way, the system closes it, and the other is ended by a signa
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import math
 import os
@@ -25,19 +24,15 @@ import numpy as np
 
 from hardware.measurement import Measurement
 from hardware.trackers.tracker import Tracker, TrackerStream
-from sysid_evo.errors import LinkLost, MissingExtra
+from sysid_evo.errors import LinkLost
 
 RECORD = 512  # bytes: what POSIX promises to write whole into a pipe
 PATIENCE = 10.0  # s for the source to answer
 
 
 class ProcessTracker(Tracker):
-    """A tracker whose frames are made in a process of its own; a frozen dataclass of JSON values.
+    """A tracker whose frames are made in a process of its own; a frozen dataclass of JSON values."""
 
-    ``package`` is the optional package it needs there, from the extra of the same name.
-    """
-
-    package: ClassVar[str | None] = None
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
     @abstractmethod
@@ -50,11 +45,7 @@ class ProcessTracker(Tracker):
 
     def open(self) -> TrackerStream:
         """Start the process and wait for its source. Raises `LinkLost`, `MissingExtra`."""
-        if self.package is not None and importlib.util.find_spec(self.package) is None:
-            raise MissingExtra(
-                f"tracker {self.name!r} needs the package {self.package!r}, which is not installed. "
-                f'Install it with: pip install "sysid-evo[{self.package}]"'
-            )
+        self.check()
         return ProcessStream(self)
 
     def describe(self) -> dict[str, Any]:

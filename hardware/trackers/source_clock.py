@@ -35,4 +35,4 @@ class SourceClock:
                 self._offset += LEAK * max(source - self._newest, 0.0)
         self._offset = min(self._offset, arrival - source)
         self._newest = max(self._newest, source)
-        return source + self._offset
+        return min(source + self._offset, arrival)

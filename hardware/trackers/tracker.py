@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from hardware.measurement import Measurement
 from hardware.session import Session
+from sysid_evo.extras import check_installed
 
 
 class TrackerStream(Session):
@@ -28,10 +30,19 @@ class TrackerStream(Session):
 
 
 class Tracker(ABC):
-    """A source of poses of one ``body``, described by its arguments and opened for a session."""
+    """A source of poses of one ``body``, described by its arguments and opened for a session.
 
+    The constructor checks its arguments and touches nothing else: no network, no device, no file.
+    ``requires`` are the modules that it imports only when it is opened.
+    """
+
+    requires: ClassVar[tuple[str, ...]] = ()
     name: str
     body: str
+
+    def check(self) -> None:
+        """Raise what `open` would raise and what can be known without opening anything: a package, a file."""
+        check_installed(f"tracker {self.name!r}", self.requires)
 
     @abstractmethod
     def open(self) -> TrackerStream:

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from hardware.arguments import choice, text, whole
 from hardware.measurement import Measurement
 from hardware.trackers.message import LONGEST, FrameMessage, parse_message
 from hardware.trackers.source_clock import SourceClock
 from hardware.trackers.tracker import Tracker, TrackerStream
-from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 
 BUFFER = 1 << 18  # bytes the system keeps for us: over two seconds of a body at 200 Hz
@@ -40,10 +41,12 @@ class UdpTracker(Tracker):
     name = "udp"
 
     def __post_init__(self) -> None:
-        if self.clock not in ("source", "host"):
-            raise InvalidArgument(f"tracker udp: expected clock 'source' or 'host', got {self.clock!r}")
-        if not 0 <= self.port <= 65535:
-            raise InvalidArgument(f"tracker udp: expected a port from 0 to 65535, got {self.port}")
+        text("tracker udp: body", self.body)
+        whole("tracker udp: port", self.port, least=0, most=65535)
+        text("tracker udp: host", self.host)
+        choice("tracker udp: clock", self.clock, ("source", "host"))
+        if self.sender is not None:
+            text("tracker udp: sender", self.sender)
 
     def open(self) -> UdpStream:
         """Listen; frames may begin at any time. Raises `LinkLost` if the port is taken or the host is not ours."""

@@ -13,10 +13,11 @@ import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, lowest, splat_quarter, store, view, where_less
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, split
 from sysid_evo.engine.kernels.stepping import Predictor
 
-N_CARRY, N_CONTROL, N_OUT, COUNT, GROUPS, RIDGE, HEADER = range(7)
+HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "ridge")
 UNREACHED = FAR**2
 FIRST = 2
 
@@ -32,8 +33,19 @@ def plane_predictor(
     n, n_out = len(metric), values.shape[1]
     boxes, near, value = pack(points, values, split(points, np.arange(len(points))))
     groups = boxes.shape[2] // BUCKET
-    head = np.array([n_carry, n - n_carry, n_out, count, groups, ridge], dtype=np.float64)
-    flat = np.concatenate([head, metric, limits.ravel(), boxes.ravel(), near.ravel(), value.ravel()])
+    flat = HEAD.pack(
+        metric,
+        limits,
+        boxes,
+        near,
+        value,
+        n_carry=n_carry,
+        n_control=n - n_carry,
+        n_out=n_out,
+        count=count,
+        groups=groups,
+        ridge=ridge,
+    )
     of_one_lane = n + 2 * count + 3 * BUCKET + groups * BUCKET
     of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
     return Predictor(plane_through_neighbours, flat, n_scratch=-(-(of_one_lane + of_a_quarter * QUARTER) // LANES))
@@ -57,10 +69,10 @@ def pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Arr
 
 def plane_through_neighbours(x, u, p, y, scratch):
     """Write the next state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
-    n_carry, n_control, n_out = int(p[N_CARRY]), int(p[N_CONTROL]), int(p[N_OUT])
-    count, groups = int(p[COUNT]), int(p[GROUPS])
+    n_carry, n_control, n_out = int(p[HEAD.n_carry]), int(p[HEAD.n_control]), int(p[HEAD.n_out])
+    count, groups = int(p[HEAD.count]), int(p[HEAD.groups])
     n = n_carry + n_control
-    metric, limits = view(p, HEADER), view(p, HEADER + n)
+    metric, limits = view(p, HEAD.size), view(p, HEAD.size + n)
     boxes = view(limits, 2 * n_out)
     near = view(boxes, 2 * n * groups * BUCKET)
     values = view(near, n * groups * BUCKET * BUCKET)
@@ -90,7 +102,7 @@ def plane_through_neighbours(x, u, p, y, scratch):
                 for row in range(n_out):
                     target[(k * n_out + row) * QUARTER + lane] = values[winner * n_out + row]
         weigh(nearness, count, work)
-        plane(nearness, offset, target, n, n_out, count, p[RIDGE], work)
+        plane(nearness, offset, target, n, n_out, count, p[HEAD.ridge], work)
         for row in range(n_out):
             within(view(target, row * QUARTER), count, n_out, view(work, row * QUARTER))
             add_inside(

@@ -6,18 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sysid_evo.cli.comparing import DATA_PARTS, runner_of
-from sysid_evo.cli.console import err, out
+from sysid_evo.cli.console import out, tell
+from sysid_evo.cli.exits import code_of_loop
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from evaluation.report import Report
     from evaluation.transfer import Measured
     from hardware.listener import Listener
     from hardware.loop.report import LoopReport
     from hardware.robot import Robot
-    from sysid_evo.cli.progress import Bars
     from sysid_evo.engine import Rollouts
 
 TRACES = 10
@@ -39,25 +37,26 @@ def drive_controller(
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
     in ``folder``, or of the one that the file belongs to, whose report is then made again.
     """
-    import time
-
     from evaluation.transfer import Measured, cell_of, transfer_seeds
     from hardware.loop.report import Reason
     from hardware.loop.robot_runner import RobotRunner
     from hardware.loop.stops import Stops
+    from hardware.preflight import check_driving
+    from hardware.robot import find_robot
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import LinkLost
-    from sysid_evo.registry import make_controller, make_robot, make_task
-    from sysid_evo.store import RunFolder, load_champion
+    from sysid_evo.registry import make_controller, make_task
+    from sysid_evo.store import load_champion
 
     champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
-    machine: Robot = make_robot(robot)
+    machine = find_robot(robot)
+    champion.check_system(machine.system)
     folder = folder or owner_of(controller)
     if seed is None:
-        seed = (RunFolder(folder).settings() or {}).get("seed", champion.seed) if folder else champion.seed
-    column, cell = column_of(machine), f"drive {champion.name} on {machine.name}"
-    task = make_task(champion.task, **champion.task_parameters)
-    began = time.monotonic()
+        seed = seed_of_run(folder) if folder else champion.seed
+    column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
+    task, law = make_task(champion.task), make_controller(champion.controller)
+    check_driving(machine, task, law, champion.parameters[None])
     with Bars() as bars, Stops() as stops:
         runner = RobotRunner(
             machine,
@@ -65,36 +64,41 @@ def drive_controller(
             seed=seed,
             listeners=listeners,
             stops=stops,
-            progress=lambda done, total: bars.progress(cell, done, total),
+            progress=bars.advance,
         )
-        bars.start(cell)
+        bars.begin(title)
         try:
             rollouts, report = runner.drive(
-                make_controller(champion.controller, **champion.controller_parameters),
+                law,
                 champion.parameters[None],
                 task,
                 transfer_seeds(seed, trials),
             )
         except LinkLost as error:
-            bars.finish(cell, cached=False, reason=str(error))
-            return Reason.LINK_LOST.exit_code
+            bars.end(title, str(error))
+            return code_of_loop(Reason.LINK_LOST)
         measured = Measured(
             champion,
             cell_of(champion, column, rollouts, task, traces=TRACES),
             on_robot=True,
             physical=machine.dynamics is None,
         )
-        reason = report.sentence if report.reason.is_fault else None
-        bars.finish(cell, cached=False, reason=reason)
+        bars.end(title, report.sentence if report.reason.is_fault else None)
     out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)
     out.print(trials_table(measured, rollouts))
     out.print(punctuality(report), highlight=False)
-    if folder is not None:
-        run = RunFolder(folder)
-        run.record(cell, seconds=time.monotonic() - began, reason=reason)
-        if not measured.cell.failed:
-            append(folder, measured)
-    return report.reason.exit_code
+    if folder is not None and not measured.cell.failed:
+        append(folder, measured)
+    return code_of_loop(report.reason)
+
+
+def seed_of_run(run: Path | None) -> int:
+    """Return the seed of the experiment in a run folder, 0 if there is none: everybody meets the same trials."""
+    from evaluation.comparison import FILE, Experiment
+
+    if run is None or not (run / FILE).is_file():
+        return 0
+    return Experiment.of(Experiment.read(run)).seed
 
 
 def column_of(robot: Robot) -> str:
@@ -110,19 +114,16 @@ def owner_of(controller: Path) -> Path | None:
 
 def append(folder: Path, *measured: Measured) -> None:
     """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
+    from evaluation.comparison import FILE
     from evaluation.transfer import save_measured
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.store import RunFolder
+    from sysid_evo.cli.reporting import report_again
 
     for item in measured:
-        save_measured(RunFolder(folder), item)
-    with Bars() as bars:
-        made = report_again(folder, bars)
-    page = folder / "report.html"
-    if made is not None:
-        out.print(f"Report: {page}", highlight=False, markup=False, soft_wrap=True)
+        save_measured(folder, item)
+    if (folder / FILE).is_file() and report_again(folder) is not None:
+        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
     else:
-        err.print(f"stored in {folder}, which has no report (compare makes one)", highlight=False, markup=False)
+        tell(f"stored in {folder}, which has no report (compare makes one)")
 
 
 def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
@@ -156,39 +157,3 @@ def punctuality(report: LoopReport) -> str:
         f"{report.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
         f"{1e3 * gap:.0f} ms; {report.skipped} left out, {report.stale} neutral for want of a pose."
     )
-
-
-def report_again(folder: Path, bars: Bars) -> Report | None:
-    """Make the report of a run again, with the cells measured since; None if it is no comparison's run.
-
-    What the run has done already is read, prediction and exploitability are computed again.
-    """
-    import json
-
-    from evaluation.comparison import ComparisonSettings
-    from evaluation.comparison import compare as run_comparison
-    from evaluation.report import save_report
-    from sysid_evo.data import Dataset
-    from sysid_evo.data.reading import is_stored
-    from sysid_evo.store import RunFolder
-
-    run = RunFolder(folder)
-    asked = run.settings()
-    parts = [folder / "data" / name for name in DATA_PARTS]
-    if asked is None or not all(is_stored(part) for part in parts):
-        return None
-    settings = ComparisonSettings.from_dict(asked)
-    written = folder / "report.json"
-    robot = asked.get("robot") if settings.controllers else None
-    training, test = (Dataset.load(part) for part in parts)
-    report = run_comparison(
-        run,
-        training,
-        test,
-        settings,
-        observer=bars,
-        robot=None if robot is None else (robot, runner_of(robot)),
-        title=json.loads(written.read_text(encoding="utf-8"))["title"] if written.is_file() else folder.name,
-    )
-    save_report(report, folder)
-    return report

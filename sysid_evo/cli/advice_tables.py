@@ -23,7 +23,9 @@ def episode_table(dataset: Dataset) -> RenderableType:
         for episode, moving in zip(dataset, dataset.moving, strict=True)
     ]
     total = f"{len(dataset)} episodes", f"{dataset.n_steps + len(dataset)}", f"{dataset.duration:.1f}", ""
-    return _table(_title(dataset), ("episode", "samples", "s", "in motion"), _cut([*rows, total]), names=1)
+    head = "episode", "samples", "s", "in motion"
+    shown = len(head) if dataset.system.motion is not None else len(head) - 1
+    return _table(_title(dataset), head[:shown], _cut([row[:shown] for row in (*rows, total)]), names=1)
 
 
 def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
@@ -32,7 +34,7 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
         (
             _unit(use.name, use.unit),
             "  ".join(f"{level:.3g}: {share:.0%}" for level, share in zip(use.levels, use.shares, strict=True)),
-            f"{use.per_minute:.0f}",
+            f"{60.0 / use.per_minute:.3g}" if use.switches else "-",
         )
         for use in advice.controls
     ]
@@ -48,7 +50,7 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
         (
             f"{delay.control} x speed" if delay.at_speed else delay.control,
             delay.state,
-            *((f"{delay.steps}", f"{1e3 * delay.seconds:.0f}") if delay.clear else ("-", "-")),
+            *((f"{delay.steps}", f"{round(1e3 * delay.seconds)}") if delay.clear else ("-", "-")),
             f"{delay.strength:+.2f}",
         )
         for delay in advice.delays
@@ -59,8 +61,11 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
     ]
     names = tuple(use.name for use in advice.controls)
     parts: list[RenderableType] = [
-        Text(f"{_title(dataset)}, {advice.moving:.0%} in motion", style="bold"),
-        _table("Excitation", ("control", "share of time near each level", "switches/min"), controls, names=2),
+        Text(
+            _title(dataset) + (f", {advice.moving:.0%} in motion" if dataset.system.motion is not None else ""),
+            style="bold",
+        ),
+        _table("Excitation", ("control", "share of time near each level", "s per switch"), controls, names=2),
         _table("States", ("state", "RMS", "lowest", "highest", "95 % below Hz"), states, names=1),
         _table(
             f"Coverage: {advice.cells} of {advice.grid} state cells visited",
@@ -95,7 +100,8 @@ def advice_as_json(dataset: Dataset, advice: Advice) -> str:
 
 def _title(dataset: Dataset) -> str:
     name = dataset.system.name or "data set"
-    return f"{name}: {len(dataset)} episodes, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
+    episodes = "1 episode" if len(dataset) == 1 else f"{len(dataset)} episodes"
+    return f"{name}: {episodes}, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
 
 
 def _unit(name: str, unit: str) -> str:

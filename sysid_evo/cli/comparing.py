@@ -2,185 +2,272 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import json as json_format
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sysid_evo.cli.console import err, out
+from sysid_evo.cli.console import complain, err, out, session, tell
+from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
+    Aggregate,
     Columns,
+    Controller,
+    DryRun,
     EstimatorDelay,
+    Generations,
+    Json,
+    Out,
     Plugins,
+    Preset,
+    Runs,
     Seed,
+    Strategy,
+    Task,
     Test,
+    Trials,
+    given,
+    listed,
     load_plugins,
-    new_run_folder,
-    split_names,
+    seconds,
 )
 
 if TYPE_CHECKING:
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.data import Dataset
-    from sysid_evo.engine import Runner
-    from sysid_evo.store import RunFolder
+    from collections.abc import Mapping
 
-DEFAULT_ROBOT = "emulated_car"
-RECORDED_MINUTES = 6.0
-PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
-DEFAULT_FAMILIES = {"paper": PAPER_FAMILIES}
-OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
-"""What is compared when no family is named and the preset has no choice of its own."""
-DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
-"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
-DATA_PARTS = ("training", "test")
-"""Folders in the run's ``data`` folder."""
-HELD_BACK = 0.25
-"""Share of every episode held back for the test when no episode is named."""
+    from evaluation.comparison import Comparison
+    from evaluation.report import Report
+    from sysid_evo.plan import Outcome, Plan, Store
 
 
 def compare(
-    data: Annotated[Path | None, typer.Option(help="Recordings of a robot (default: record an emulated one).")] = None,
+    data: Annotated[
+        list[Path] | None, typer.Option(help="Recordings of a robot (default: record an emulated one); repeatable.")
+    ] = None,
     test: Test = None,
-    models: Annotated[str | None, typer.Option(help="Families, separated by commas, or 'all'.")] = None,
-    ensembles: Annotated[str | None, typer.Option(help="Members joined by +, ensembles separated by commas.")] = None,
+    models: Annotated[
+        str | None, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas, or 'all'.")
+    ] = None,
+    ensembles: Annotated[str | None, typer.Option(help="Labels joined by +, ensembles separated by commas.")] = None,
     robot: Annotated[
         str | None, typer.Option(help="Robot for the last column (default without --data: emulated_car).")
     ] = None,
-    preset: Annotated[str, typer.Option(help="Budget: quick, standard or paper.")] = "quick",
-    only: Annotated[str | None, typer.Option(help="'prediction' leaves the controllers out.")] = None,
-    generations: Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")] = None,
-    aggregate: Annotated[str, typer.Option(help="Of an ensemble's fitnesses: min, mean, median.")] = "min",
-    estimator_delay: EstimatorDelay = 0.0,
-    yardstick: Annotated[bool, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")] = False,
-    seed: Seed = 0,
-    folder: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
+    minutes: Annotated[float | None, typer.Option(min=0.1, help="Length of the recording of a robot (6).")] = None,
+    preset: Preset = None,
+    only: Annotated[
+        str | None, typer.Option(help="'prediction' leaves the controllers out, 'fit' prediction errors, too.")
+    ] = None,
+    task: Task = None,
+    controller: Controller = None,
+    strategy: Strategy = None,
+    aggregate: Aggregate = None,
+    generations: Generations = None,
+    trials: Trials = None,
+    runs: Runs = None,
+    estimator_delay: EstimatorDelay = None,
+    yardstick: Annotated[
+        bool | None, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")
+    ] = None,
+    seed: Seed = None,
+    folder: Out = None,
     columns: Columns = None,
     plugin: Plugins = None,
+    config: Annotated[
+        Path | None, typer.Option(help="experiment.toml, or a run folder with one; other options win over it.")
+    ] = None,
+    dry_run: DryRun = False,
+    json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
 ) -> None:
     """Fit models, evolve controllers in them, and compare both: which predict, which transfer.
 
     With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
     """
-    from evaluation.comparison import ComparisonSettings
-    from evaluation.comparison import compare as run_comparison
-    from evaluation.report import save_report, tables
-    from sysid_evo.cli.progress import Bars
+    from evaluation.comparison import Experiment, unsettled
     from sysid_evo.errors import InvalidArgument
-    from sysid_evo.experiment import controller_preset
-    from sysid_evo.registry import models as registry
-    from sysid_evo.store import RunFolder
 
-    if only not in (None, "prediction"):
-        raise InvalidArgument(f"--only: expected 'prediction', got {only!r}")
-    load_plugins(plugin)
-    families = split_names(models) or DEFAULT_FAMILIES.get(preset, OTHER_FAMILIES)
-    if families == ("all",):
-        families = tuple(name for name, _ in registry.load_all())
-    evolution = replace(controller_preset(preset), aggregate=aggregate, estimator_delay=estimator_delay / 1000.0)
-    settings = ComparisonSettings(
-        models=families,
-        ensembles=choose_ensembles(ensembles, families),
+    settings = Experiment.read(config) if config is not None else {}
+    if settings.pop("data_digest", None) and not (data or robot or "data" in settings or "robot" in settings):
+        raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
+    if preset is not None and settings:
+        load_plugins([Path(file) for file in settings.get("plugins", ())])
+        settings = unsettled(settings)
+    settings |= given(
+        data=None if data is None else tuple(str(path.resolve()) for path in data),
+        test=None if test is None else tuple(test),
+        models=listed("--models", models),
+        ensembles=listed("--ensembles", ensembles),
+        robot=robot,
+        minutes=minutes,
         preset=preset,
-        seed=seed,
-        evolution=evolution if generations is None else replace(evolution, generations=generations),
-        controllers=only is None,
+        only=only,
+        task=task,
+        controller=controller,
+        strategy=strategy,
+        aggregate=aggregate,
+        generations=generations,
+        trials=trials,
+        runs=runs,
+        estimator_delay=seconds(estimator_delay),
         yardstick=yardstick,
-    )
-    for family in families:
-        registry.get(family)
-    if yardstick and data is not None and robot is None:
-        raise InvalidArgument("--yardstick: name the emulated robot that it is evolved on with --robot")
-    path = new_run_folder(folder)
-    with Bars(path) as bars:
-        robot = robot or (DEFAULT_ROBOT if data is None else None)
-        dataset = record(robot or DEFAULT_ROBOT, seed, bars) if data is None else read(data, columns)
-        training, held_back = dataset.split(test if test else HELD_BACK)
-        asked = {**settings.to_dict(), "robot": robot, "data": training.fingerprint, "test": held_back.fingerprint}
-        run = RunFolder.open(path, asked)
-        keep_data(run, training, held_back)
-        report = run_comparison(
-            run,
-            training,
-            held_back,
-            settings,
-            observer=bars,
-            robot=None if robot is None or only else (robot, runner_of(robot)),
-            title=f"{data.name if data is not None else robot}: {', '.join(families)}",
-        )
-        _, page = save_report(report, run.path)
-    for table in tables(report):
-        out.print(table)
-    err.print(where_time_went(report.timings), highlight=False)
-    out.print(f"Report: {page}", highlight=False, soft_wrap=True)
-
-
-def keep_data(run: RunFolder, training: Dataset, test: Dataset) -> None:
-    """Store both parts of the data in the run folder, so that its report can be made again."""
-    from sysid_evo.data.reading import is_stored
-
-    for name, part in zip(DATA_PARTS, (training, test), strict=True):
-        if not is_stored(run.path / "data" / name):
-            part.save(run.path / "data" / name)
-
-
-def where_time_went(timings: Mapping[str, float]) -> str:
-    """Return the seconds that each kind of cell took, the longest first."""
-    kinds: dict[str, float] = {}
-    for cell, seconds in timings.items():
-        kind = cell.split(" ", 1)[0]
-        kinds[kind] = kinds.get(kind, 0.0) + seconds
-    total = sum(kinds.values())
-    parts = [f"{kind} {seconds:.1f} s" for kind, seconds in sorted(kinds.items(), key=lambda item: -item[1])]
-    return f"Time: {total:.1f} s in all: {', '.join(parts)}"
-
-
-def choose_ensembles(text: str | None, families: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Read ``a+b,a+b+c``; by default those of `DEFAULT_ENSEMBLES` that can be formed, else all families together."""
-    if text is None:
-        chosen = [members for members in DEFAULT_ENSEMBLES if set(members) <= set(families)]
-        return tuple(chosen) or ((families,) if len(families) > 1 else ())
-    return tuple(tuple(member.strip() for member in ensemble.split("+")) for ensemble in split_names(text))
-
-
-def record(robot: str, seed: int, bars: Bars) -> Dataset:
-    """Record the excitation manoeuvres on an emulated robot."""
-    from hardware.recording.scripted import record_dataset
-    from sysid_evo.errors import LinkLost
-
-    cell = f"record {robot}"
-    bars.start(cell)
-    recorded = record_dataset(
-        robot,
         seed=seed,
-        duration=60.0 * RECORDED_MINUTES,
-        progress=lambda done, total: bars.progress(cell, done, total),
+        columns=None if columns is None else existing(columns),
+        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
     )
-    bars.finish(cell, cached=False, reason=None)
-    if recorded.report.reason.is_fault:
-        raise LinkLost(f"{robot}: {recorded.report.sentence}")
-    return recorded.dataset
+    try:
+        experiment = Experiment.of(settings)
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{'' if config is None else f'{config}, or an option: '}{error}") from error
+    run_experiment(experiment, folder, dry_run=dry_run, json=json, verbose=verbose)
 
 
-def read(data: Path, columns: Path | None) -> Dataset:
-    """Read recordings and tell what their preparation noted."""
+def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json: bool, verbose: bool) -> None:
+    """Plan an experiment, run what is not done yet, and print what it found."""
+    from evaluation.comparison import check_experiment, check_run_folder, finished, plan_comparison
+    from evaluation.report import tells_nothing
+    from evaluation.transfer import load_measured
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.errors import InvalidData
+    from sysid_evo.plan import Store, execute
+
+    load_plugins([Path(plugin) for plugin in experiment.plugins])
+    path = check_run_folder(folder)
+    check_experiment(experiment)
+    dataset = read_data(experiment)
+    measured, damaged = load_measured(path)
+    comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
+    store = Store(path)
+    for remark in (*comparison.plan.remarks, *damaged):
+        tell(remark, label="note: ", style="dim")
+    if dry_run:
+        print_plan(comparison.plan, store, json=json)
+        return
+    session.run = path
+    store_experiment(comparison, path)
+    with Bars(path) as bars:
+        outcomes = execute(comparison.plan, store, observer=bars)
+    failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
+    stopped = outcomes[comparison.data.digest].error
+    if isinstance(stopped, ConnectionError):  # no robot, no data, no report
+        raise stopped
+    empty = False
+    try:
+        if experiment.only == "fit":
+            print_fits(comparison, store, outcomes, json=json)
+        else:
+            report = finished(comparison, store)
+            print_report(report, path, json=json, verbose=verbose)
+            empty = tells_nothing(report)
+    except InvalidData as error:
+        if not failed:
+            raise
+        complain(error)
+    if failed:
+        tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+    if failed or empty:
+        raise typer.Exit(SOME_FAILED)
+
+
+def read_data(experiment: Any) -> Any:
+    """Read the recordings of an experiment, if it has some, and tell what their preparation noted."""
+    if experiment.data is None:
+        return None
     from sysid_evo.data import Dataset
 
-    dataset = Dataset.read(data, columns=columns)
+    dataset = Dataset.read(experiment.data, columns=experiment.columns)
     for note in dataset.notes:
-        err.print(f"note: {note}", markup=False, highlight=False)
+        tell(note, label="note: ", style="dim")
     return dataset
 
 
-def runner_of(spec: str) -> Runner:
-    """Return how controllers are run on an emulated robot. Raises `InvalidArgument` for a physical one."""
-    from sysid_evo.engine import DynamicsRunner
-    from sysid_evo.errors import InvalidArgument
-    from sysid_evo.registry import make_robot
+def store_experiment(comparison: Comparison, path: Path) -> None:
+    """Write ``experiment.toml``; if another one stood there, say in what it differs."""
+    from evaluation.comparison import FILE, Experiment
 
-    robot = make_robot(spec)
-    if robot.dynamics is None:
-        raise InvalidArgument(f"{spec} is a physical robot: it cannot be a column of an automatic comparison")
-    return DynamicsRunner(robot.dynamics)
+    file = path / FILE
+    wanted = comparison.experiment.model_dump(mode="json", exclude_none=True)
+    if file.is_file():
+        found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
+        differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
+        if differing:
+            tell(f"{file} had other {', '.join(differing)}; what both need is kept", label="note: ", style="dim")
+    comparison.experiment.write(file)
+
+
+def print_plan(plan: Plan, store: Store, *, json: bool) -> None:
+    """Print the cells, about how long they take, and which are done."""
+    from rich.table import Table
+
+    done = {cell.digest for cell in plan if store.done(cell)}
+    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
+    total = sum(seconds for _, seconds, _ in rows)
+    if json:
+        cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
+        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
+        out.print_json(json_format.dumps(document))
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("cell", overflow="fold")
+    table.add_column("about", justify="right", no_wrap=True)
+    for title, about, kept in rows:
+        table.add_row(title, "kept" if kept else f"{about:.1f} s")
+    out.print(table)
+    out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)
+
+
+def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> None:
+    """Print the verdict, the short table, and where the report is."""
+    from evaluation.report import brief, tables, to_json
+
+    if json:
+        out.print_json(json_format.dumps(to_json(report)))
+        return
+    for part in tables(report) if verbose else brief(report, folder=path):
+        out.print(part)
+    err.print(where_time_went(report.timings), highlight=False)
+    out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outcome], *, json: bool) -> None:
+    """Print where each fitted model stands, and why one does not."""
+    from rich.table import Table
+
+    rows = []
+    for label, cell in comparison.fits.items():
+        outcome = outcomes[cell.digest]
+        rows.append(
+            {
+                "model": label,
+                "seconds": round(outcome.seconds, 1),
+                "file": None if outcome.failed else f"{store.where(cell)}.json",
+                "reason": outcome.reason,
+            }
+        )
+    if json:
+        out.print_json(json_format.dumps(rows))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("model", "seconds", "stored as"):
+        table.add_column(heading, justify="right" if heading == "seconds" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
+    out.print(table)
+    labels = ",".join(str(row["model"]) for row in rows if row["file"])
+    if labels:
+        tell(f"evolve against them with: sysid-evo evolve --run {store.path} --against {labels}")
+
+
+def where_time_went(timings: Mapping[str, float]) -> str:
+    """Return the seconds that each kind of cell took, whenever that was, the longest first."""
+    kinds: dict[str, float] = {}
+    for cell, taken in timings.items():
+        kind = cell.split(" ", 1)[0]
+        kinds[kind] = kinds.get(kind, 0.0) + taken
+    parts = [f"{kind} {taken:.1f} s" for kind, taken in sorted(kinds.items(), key=lambda item: -item[1])]
+    return f"Computing took {sum(kinds.values()):.1f} s in all: {', '.join(parts)}"
+
+
+def existing(columns: Path) -> str:
+    """Return the path of a column map, or the name of a shipped one."""
+    return str(columns.resolve()) if columns.exists() else str(columns)

@@ -1,8 +1,56 @@
-"""Where the command line writes: results on standard output, everything else on standard error."""
+"""Where the command line writes: results on standard output, everything else on standard error.
+
+``err`` is for progress and remarks, which ``--quiet`` leaves out; ``problems`` for errors, which it does not.
+"""
 
 from __future__ import annotations
 
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
 from rich.console import Console
+from rich.text import Text
 
 out = Console()
 err = Console(stderr=True)
+problems = Console(stderr=True)
+
+
+@dataclass
+class Session:
+    """What this command was asked: to show tracebacks, and where it logs."""
+
+    debug: bool = False
+    run: Path | None = None
+
+
+session = Session()
+
+
+def tell(text: str, *, label: str = "", style: str = "") -> None:
+    """Print a sentence on standard error, behind a coloured label."""
+    err.print(Text.assemble((label, style), text), soft_wrap=True)
+
+
+def complain(error: BaseException) -> None:
+    """Print an error on standard error, with its traceback if asked for; the run's log always holds it."""
+    text = "".join(traceback.format_exception(error))
+    if session.debug:
+        problems.print(text, markup=False, highlight=False, soft_wrap=True)
+    problems.print(Text.assemble(("error: ", "bold red"), sentence_of(error)))
+    if session.run is not None and session.run.is_dir():
+        from sysid_evo.plan import Store
+
+        try:
+            Store(session.run).log(error=sentence_of(error), traceback=text)
+        except OSError as failed:
+            problems.print(f"the error could not be logged: {failed}", markup=False, highlight=False)
+
+
+def sentence_of(error: BaseException) -> str:
+    """Return what an error says; one of the operating system names its file."""
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}. What was finished until then is kept; the same command goes on from there"
+    return str(error) or type(error).__name__

@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, latest_run_folder, load_plugins
+from sysid_evo.cli.options import Plugins, Task, check_new_folder, latest_run_folder, load_plugins
 
 if TYPE_CHECKING:
-    from hardware.robot import Robot
     from hardware.trackers.gates import GateLimits
     from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.system import System
 
 DEFAULT_ROBOT = "emulated_car"
+DEFAULT_TASK = "point_to_point"
 CONTROLLED = "trials"
 CONTROLLER_TRIALS = 10
 
 
 def drive(
     robot: Annotated[
-        str | None, typer.Option(help="A registered robot, NAME:SEED, or a TOML file (default: emulated_car).")
+        str | None, typer.Option(help="Robot, NAME(parameter=value, ...), or a TOML file (default: emulated_car).")
     ] = None,
     model: Annotated[str | None, typer.Option(help="Instead: a fitted model, its family in --run or its file.")] = None,
     controller: Annotated[Path | None, typer.Option(help="File of an evolved controller, to drive instead.")] = None,
+    task: Task = None,
     run: Annotated[Path | None, typer.Option(help="Run folder whose transfer matrix gets the scores.")] = None,
     name: Annotated[str | None, typer.Option(help="Row of the matrix for who drives by hand, such as human.")] = None,
     trials: Annotated[
@@ -49,20 +50,22 @@ def drive(
     mean neutral. --out makes a data set of what is driven; --name adds the trials that are driven to
     their end to the run's transfer matrix. --controller adds what it achieves on the robot.
 
-    The exit code says why driving ended: 0 as it should; 10 link lost, 11 tracker lost, 12 the robot
-    stopped itself, 13 the control was not a number, 14 a thread died, 15 the robot does not come to rest;
-    129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
+    The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
+    says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
     from sysid_evo.cli.hand_driving import append_row, drive_by_hand
     from sysid_evo.errors import InvalidArgument
 
     load_plugins(plugin)
-    _check_folder(folder)
+    if folder is not None:
+        check_new_folder(folder)
     if controller is not None:
-        if model is not None or name is not None:
-            raise InvalidArgument("drive: --controller drives a robot and has a row; leave out --model and --name")
+        if model is not None or name is not None or task is not None:
+            raise InvalidArgument(
+                "drive: --controller drives a robot and has a row and a task; leave out --model, --name and --task"
+            )
         raise typer.Exit(_controlled(controller, robot or DEFAULT_ROBOT, trials, run, seed, tracker_origin, folder))
-    driven = _choose(robot, model, run, name)
+    driven = _choose(robot, model, run, name, task or DEFAULT_TASK)
     ended, code = drive_by_hand(driven, seed, trials, folder, tracker_origin, page=(host, port, open_page))
     if folder is not None:
         _store(folder, driven.robot.system, [(trial.name, trial.limits) for trial in ended])
@@ -71,14 +74,15 @@ def drive(
     raise typer.Exit(code)
 
 
-def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None) -> Driven:
+def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None, task: str) -> Driven:
     from hardware.emulation.modelled_robot import ModelledRobot
     from hardware.emulation.pacing import in_real_time
+    from hardware.robot import find_robot
     from sysid_evo.cli.achieving import column_of
-    from sysid_evo.cli.evolving import find_dynamics
+    from sysid_evo.cli.evolving import dynamics_of, find_column
     from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.errors import InvalidArgument
-    from sysid_evo.registry import make_robot
+    from sysid_evo.plan import Store
 
     if model is not None and robot is not None:
         raise InvalidArgument("drive: expected one of --robot and --model, got both")
@@ -86,27 +90,12 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     wanted = run is not None or name is not None or (model is not None and not file)
     where = latest_run_folder(run) if wanted else None
     if model is None:
-        machine = make_robot(robot or DEFAULT_ROBOT)
-        return Driven(in_real_time(machine), column_of(machine), where, on_robot=True)
-    stem = Path(model).stem if file else model
-    family, dash, number = stem.rpartition("-")
-    column = family if dash and number.isdecimal() else stem
-    return Driven(in_real_time(ModelledRobot(column, find_dynamics(where or Path(), model))), column, where, False)
-
-
-def _check_folder(folder: Path | None) -> None:
-    """Make the folder of a recording now, not when the first key is pressed."""
-    from sysid_evo.errors import InvalidArgument
-
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        empty = not any(folder.iterdir())
-    except OSError as error:
-        raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}: {error}") from error
-    if not empty:
-        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")
+        machine = find_robot(robot or DEFAULT_ROBOT)
+        return Driven(in_real_time(machine), column_of(machine), where, on_robot=True, task=task)
+    store = Store(where or Path())
+    column = find_column(store, model)
+    modelled = ModelledRobot(column.label, dynamics_of(store, column))
+    return Driven(in_real_time(modelled), column.label, where, on_robot=False, task=task)
 
 
 def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | None]]) -> None:
@@ -143,11 +132,11 @@ def _controlled(
     tracker_origin: bool,
     folder: Path | None,
 ) -> int:
+    from hardware.robot import find_robot
     from sysid_evo.cli.achieving import drive_controller
     from sysid_evo.cli.hand_driving import recorder_of
-    from sysid_evo.registry import make_robot
 
-    machine: Robot = make_robot(robot)
+    machine = find_robot(robot)
     recorder = None if folder is None else recorder_of(folder, machine, CONTROLLED)
     try:
         code = drive_controller(

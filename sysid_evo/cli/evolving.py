@@ -2,112 +2,227 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json as json_format
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sysid_evo.cli.console import err, out
+from sysid_evo.cli.console import out, session
+from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
+    Aggregate,
+    Controller,
+    DryRun,
     EstimatorDelay,
+    Generations,
+    Json,
     Plugins,
     Preset,
+    Runs,
     Seed,
+    Strategy,
+    Task,
+    Trials,
+    given,
     latest_run_folder,
     load_plugins,
-    new_run_folder,
-    split_names,
+    seconds,
 )
 
 if TYPE_CHECKING:
+    from evaluation.comparison import Column
     from sysid_evo.dynamics import Dynamics
+    from sysid_evo.evolution import ControllerEvolution
+    from sysid_evo.plan import Record, Store
+
+CLAIM_TRIALS = 100
 
 
 def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
-    aggregate: Annotated[str, typer.Option(help="How their fitnesses become one: min, mean, median.")] = "min",
+    aggregate: Aggregate = None,
+    task: Task = None,
+    controller: Controller = None,
+    strategy: Strategy = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
     preset: Preset = "standard",
-    generations: Annotated[int | None, typer.Option(min=1, help="Instead of the preset's.")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")] = None,
-    runs: Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")] = None,
-    estimator_delay: EstimatorDelay = 0.0,
-    seed: Seed = 0,
+    generations: Generations = None,
+    trials: Trials = None,
+    runs: Runs = None,
+    estimator_delay: EstimatorDelay = None,
+    seed: Seed = None,
     plugin: Plugins = None,
+    dry_run: DryRun = False,
+    json: Json = False,
 ) -> None:
     """Evolve a controller against one model or against an ensemble of them at once.
 
-    A model is named by its family, as it stands in the run folder (or family-seed), by the path of
-    its file, or by the name of an emulated robot. Against robots alone, the controller is stored in a
-    new run folder unless --run names one. For a real robot give the delay that `sysid-evo robots
-    check` tells, so that controllers meet it in the models.
+    A model is named as it was when it was fitted in the run folder, by the path of its file, or by the
+    name of an emulated robot. Against robots and files alone, the controller is stored in a new run
+    folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
+    so that controllers meet it in the models.
     """
+    from evaluation.comparison import EvolveCell, Experiment, RunCell, check_run_folder
+    from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
-    from sysid_evo.engine import DynamicsRunner
-    from sysid_evo.evolution import aggregate as check_aggregate
-    from sysid_evo.experiment import controller_preset, ensemble_name, evolve_champions
-    from sysid_evo.randomness import trial_seeds
-    from sysid_evo.store import RunFolder
-    from sysid_evo.wrappers import DelayedEstimate
+    from sysid_evo.plan import Plan, Store, execute
 
     load_plugins(plugin)
-    members = split_names(against)
-    check_aggregate(aggregate, [[0.0]])
-    alone = run is None and all(is_robot(member) for member in members)
-    folder = new_run_folder(None) if alone else latest_run_folder(run)
-    dynamics = {member: find_dynamics(folder, member) for member in members}
-    runners = {member: DynamicsRunner(found) for member, found in dynamics.items()}
-    settings = controller_preset(preset)
-    settings = replace(
-        settings,
+    settings = given(
         aggregate=aggregate,
-        generations=generations or settings.generations,
-        trials=trials or settings.trials,
-        runs=runs or settings.runs,
-        estimator_delay=estimator_delay / 1000.0,
+        task=task,
+        controller=controller,
+        strategy=strategy,
+        preset=preset,
+        generations=generations,
+        trials=trials,
+        runs=runs,
+        estimator_delay=seconds(estimator_delay),
+        seed=seed,
     )
-    system = next(iter(dynamics.values())).system
-    name = ensemble_name(members, aggregate)
-    with Bars() as bars:
-        outcome = evolve_champions(
-            RunFolder(folder), [members], runners, system, settings, seed=seed, observer=bars, reuse=False
-        )[name]
-    if outcome.value is None:
-        raise typer.Exit(1)
-    task = settings.make_task(system)
-    seeds = trial_seeds(seed, 100, generation=2**32)
-    for member, found in dynamics.items():
-        runner = DynamicsRunner(DelayedEstimate(found, settings.estimator_delay))
-        fitness = runner.run(settings.make_controller(task), outcome.value.parameters[None], task, seeds).fitness
-        out.print(f"{member}: {fitness.mean():.1f} ± {fitness.std():.1f} {task.fitness_unit} in 100 fresh trials")
-    err.print(f"stored as {RunFolder(folder).controller(name, seed)}", highlight=False, markup=False)
+    experiment = Experiment.of(settings)
+    members = split_members(against)
+    alone = run is None and not any(is_model_of_a_run(member) for member in members)
+    store = Store(check_run_folder(None) if alone else latest_run_folder(run))
+    columns = tuple(find_column(store, member) for member in members)
+    evolution = experiment.evolution
+    check_evolution(store, columns, evolution)
+    champion = EvolveCell(columns, evolution, experiment.seed)
+    delay = evolution.estimator_delay
+    claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
+    plan = Plan.of([champion, *claims])
+    if dry_run:
+        print_plan(plan, store, json=json)
+        return
+    session.run = store.path
+    with Bars(store.path if run is not None else None) as bars:
+        outcomes = execute(plan, store, observer=bars)
+    failed = [cell for cell in plan if outcomes[cell.digest].failed]
+    file = f"{store.where(champion)}.json"
+    found: dict[str, Any] = {"controller": champion.name, "file": file, "claims": {}}
+    if champion not in failed:
+        unit = ""
+        for cell in claims:
+            value = store.outcome(cell).value
+            if value is not None:
+                unit = value.unit
+                found["claims"][cell.column.label] = {"mean": value.mean, "std": value.std, "trials": value.trials}
+        if json:
+            out.print_json(json_format.dumps({**found, "unit": unit}))
+        else:
+            for label, claim in found["claims"].items():
+                spread = f"{claim['mean']:.1f} ± {claim['std']:.1f} {unit} in {claim['trials']} fresh trials"
+                out.print(f"{label}: {spread}", highlight=False, markup=False)
+            out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
+    if failed:
+        raise typer.Exit(SOME_FAILED)
+
+
+def split_members(text: str) -> tuple[str, ...]:
+    """Split ``a,b,c`` at the commas outside brackets. Raises `InvalidArgument`."""
+    from sysid_evo.cli.options import listed
+    from sysid_evo.errors import InvalidArgument
+
+    members = listed("--against", text) or ()
+    repeated = sorted({member for member in members if members.count(member) > 1})
+    if repeated:
+        raise InvalidArgument(f"--against: {', '.join(repeated)} is named twice")
+    return members
+
+
+def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> None:
+    """Check that all members have one system, and that task and controller fit it. Raises what does not."""
+    from sysid_evo.errors import IncompatibleSystem
+
+    systems = {column.label: dynamics_of(store, column).system for column in columns}
+    (first, system), *others = systems.items()
+    for label, other in others:
+        differences = system.differences(other)
+        if differences:
+            raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
+    task = evolution.make_task(system)
+    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def is_file(name: str) -> bool:
+    """Whether ``name`` is the path of a stored model."""
+    return Path(name).suffix in (".json", ".safetensors")
 
 
 def is_robot(name: str) -> bool:
-    """Whether ``name`` is that of a robot, perhaps with the seed of a variant (``name:seed``)."""
-    from sysid_evo.registry import robots
-
-    return name.split(":")[0] in robots.names()
-
-
-def find_dynamics(folder: Path, name: str) -> Dynamics:
-    """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`."""
+    """Whether ``name`` is a spec of a registered robot, or a file that describes one."""
     from sysid_evo.errors import InvalidArgument
-    from sysid_evo.registry import make_robot
-    from sysid_evo.store import load_model
+    from sysid_evo.registry import robot_spec, robots
 
+    if name.endswith(".toml"):
+        return True
+    try:
+        return robot_spec(name).name in robots.names()
+    except InvalidArgument:
+        return False
+
+
+def is_model_of_a_run(name: str) -> bool:
+    """Whether ``name`` can only be a model in a run folder."""
+    return not is_file(name) and not is_robot(name)
+
+
+def find_column(store: Store, name: str) -> Column:
+    """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
+    from evaluation.comparison import Column, FitCell, StoredModel, emulated
+    from sysid_evo.plan import StoredCell
+    from sysid_evo.registry import robot_spec
+
+    if is_file(name):
+        own = record_of_file(store, Path(name))
+        if own is not None:
+            return Column(own.name, own.inputs["model"]["name"], model=StoredCell(own, FitCell))
+        model = StoredModel(Path(name))
+        return Column(model.name, model.family, model=model)
     if is_robot(name):
-        robot = make_robot(name)
-        if robot.dynamics is None:
-            raise InvalidArgument(f"{name} is a physical robot: controllers are evolved on models or emulated robots")
-        return robot.dynamics
-    if Path(name).suffix in (".json", ".safetensors"):
-        return load_model(name)
-    stored = sorted({path.with_suffix("") for path in (folder / "models").glob("*.json")})
-    fitting = [path for path in stored if path.name == name or path.name.rpartition("-")[0] == name]
-    if len(fitting) != 1:
-        found = ", ".join(path.name for path in fitting or stored) or "none"
-        problem = "stands for several models" if fitting else "is not among the models"
-        raise InvalidArgument(f"{name!r} {problem} of {folder}: {found}")
-    return load_model(fitting[0])
+        spec = robot_spec(name)
+        emulated(spec)
+        return Column(spec.label, spec.label, robot=spec)
+    record = find_model(store, name)
+    return Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+
+
+def record_of_file(store: Store, file: Path) -> Record | None:
+    """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
+    stem = file.with_suffix("").resolve()
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and (store.path / record.artefact).resolve() == stem:
+            return record
+    return None
+
+
+def find_model(store: Store, name: str) -> Record:
+    """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
+    from sysid_evo.errors import InvalidArgument
+
+    stored = [record for record in store.records() if record.kind == "fit" and record.status == "done"]
+    files = {Path(record.artefact).name: record for record in stored}
+    if name in files:
+        return files[name]
+    fitting = [record for record in stored if record.name == name]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        several = ", ".join(Path(record.artefact).name for record in fitting)
+        raise InvalidArgument(f"{name!r} stands for several models of {store.path}: {several}; name one of these")
+    known = ", ".join(dict.fromkeys(record.name for record in stored)) or "none"
+    raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
+
+
+def dynamics_of(store: Store, column: Column) -> Dynamics:
+    """Return the model or the emulated robot behind a column."""
+    from evaluation.comparison import StoredModel, emulated
+
+    if column.robot is not None:
+        return emulated(column.robot)
+    assert column.model is not None
+    model: Dynamics = (
+        column.model.load(column.model.path) if isinstance(column.model, StoredModel) else store.load(column.model)
+    )
+    return model

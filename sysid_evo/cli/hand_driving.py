@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sysid_evo.cli.console import err, out
+from sysid_evo.cli.exits import code_of_loop
 
 if TYPE_CHECKING:
     from hardware.driving.server import PageServer
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from hardware.robot import Robot
     from hardware.trackers.gates import GateLimits
 
-TASK = "point_to_point"
 JOURNALS = "journal"
 TRACES = 10
 """Trials whose trajectories are kept for the plots."""
@@ -30,15 +30,14 @@ class Driven:
     column: str
     run: Path | None
     on_robot: bool
+    task: str = "point_to_point"
 
 
 def _seed(seed: int | None, run: Path | None) -> int:
     """Return the seed of the trials: controllers and people meet the same."""
-    from sysid_evo.store import RunFolder
+    from sysid_evo.cli.achieving import seed_of_run
 
-    if seed is not None:
-        return seed
-    return int((RunFolder(run).settings() or {}).get("seed", 0)) if run is not None else 0
+    return seed if seed is not None else seed_of_run(run)
 
 
 def drive_by_hand(
@@ -57,16 +56,18 @@ def drive_by_hand(
 
     from evaluation.transfer import transfer_seeds
     from hardware.driving.instruments import Instruments
-    from hardware.driving.keyboard import Keyboard, control_of, key_life
+    from hardware.driving.keyboard import Keyboard, key_life
     from hardware.driving.session import HandDriving
     from hardware.loop.report import Reason
     from hardware.loop.stops import Stops
+    from hardware.preflight import check_driving_by_hand
     from sysid_evo.errors import LinkLost
     from sysid_evo.registry import make_task
 
     robot, system, first = driven.robot, driven.robot.system, _seed(seed, driven.run)
-    task = make_task(TASK).bind(system)
-    control_of(0, system)
+    task = make_task(driven.task)
+    check_driving_by_hand(robot, task)
+    task = task.bind(system)
     keyboard = Keyboard(life=key_life(system))
     instruments = Instruments(robot, task, keyboard)
     host, port, open_page = page
@@ -113,19 +114,16 @@ def drive_by_hand(
             err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
     reason = stops.reason or Reason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
-    return ended, 0 if reason is Reason.SIGINT and not under_way else reason.exit_code
+    return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)
 
 
 def _server_class() -> type[PageServer]:
-    from sysid_evo.errors import MissingExtra
+    from sysid_evo.extras import missing_extra
 
     try:
         from hardware.driving.server import PageServer
     except ModuleNotFoundError as error:
-        raise MissingExtra(
-            f"driving by hand needs the package {error.name!r}, which is not installed. "
-            'Install it with: pip install "sysid-evo[drive]"'
-        ) from error
+        raise missing_extra("driving by hand", error.name) from error
     return PageServer
 
 
@@ -155,17 +153,16 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
     from sysid_evo.registry import make_task
 
     assert driven.run is not None
-    task = make_task(TASK)
+    task = make_task(driven.task)
     whole = [trial for trial in trials if trial.fitness is not None]
     if not whole:
         err.print(f"no trial was driven to its end, so {name} gets no row", highlight=False, markup=False)
         return
     traces = []
     for trial in whole[:TRACES]:
-        waypoints, passed = getattr(trial.task_state, "waypoints", None), getattr(trial.task_state, "passed", None)
-        seen = np.empty((0, 2)) if waypoints is None or passed is None else waypoints[0, : passed[0] + 1]
         if trial.trajectory is not None and trial.fitness is not None:
-            traces.append(Trace(trial.trajectory, trial.fitness, seen, float(getattr(task, "waypoint_radius", 0.0))))
+            scene = task.scene(trial.task_state, 0)
+            traces.append(Trace(trial.trajectory, trial.fitness, scene.markers, scene.radius))
     cell = Cell(
         champion=name,
         column=driven.column,
@@ -175,4 +172,5 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
         traces=tuple(traces),
     )
     physical = driven.on_robot and driven.robot.dynamics is None
-    append(driven.run, Measured(person(name, task=TASK), cell, on_robot=driven.on_robot, physical=physical))
+    row = person(name, task=driven.task, system=driven.robot.system)
+    append(driven.run, Measured(row, cell, on_robot=driven.on_robot, physical=physical))

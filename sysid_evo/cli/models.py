@@ -8,8 +8,20 @@ from typing import Annotated
 
 import typer
 
-from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Columns, Json, Plugins, Preset, Seed, Test, load_plugins, new_run_folder, split_names
+from sysid_evo.cli.console import out
+from sysid_evo.cli.options import (
+    Columns,
+    DryRun,
+    Json,
+    Out,
+    Plugins,
+    Preset,
+    Seed,
+    Test,
+    given,
+    listed,
+    load_plugins,
+)
 
 app = typer.Typer(help="The model families.", no_args_is_help=True)
 
@@ -18,14 +30,23 @@ app = typer.Typer(help="The model families.", no_args_is_help=True)
 def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     """List every model family that can be loaded, with what it assumes."""
     from rich.table import Table
+    from rich.text import Text
 
     from sysid_evo.registry import models
 
     load_plugins(plugin)
-    rows = []
+    rows: list[dict[str, str | None]] = []
     for name, family in models.load_all():
         summary = (family.__doc__ or "").strip().splitlines() or [""]
-        rows.append({"name": name, "knowledge": getattr(family, "knowledge", ""), "summary": summary[0]})
+        lacking = models.lacking(name)
+        rows.append(
+            {
+                "name": name,
+                "knowledge": getattr(family, "knowledge", ""),
+                "summary": summary[0],
+                "lacking": None if lacking is None else str(lacking),
+            }
+        )
     if as_json:
         out.print_json(json.dumps(rows))
         return
@@ -34,7 +55,9 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     table.add_column("assumes", no_wrap=True)
     table.add_column("what it is")
     for row in rows:
-        table.add_row(row["name"], row["knowledge"], row["summary"])
+        table.add_row(row["name"], row["knowledge"], Text(row["summary"] or ""))
+        if row["lacking"]:
+            table.add_row("", "", Text(f"cannot run here: {row['lacking']}", style="yellow"))
     out.print(table)
 
 
@@ -59,38 +82,29 @@ def show_model(
 
 
 def fit(
-    data: Annotated[Path, typer.Argument(help="Folder of logs, one log, or a folder written by import.")],
-    models: Annotated[str, typer.Option(help="Families, separated by commas.")],
+    data: Annotated[list[Path], typer.Argument(help="Logs, folders of logs, or a folder written by import.")],
+    models: Annotated[str, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas.")],
     test: Test = None,
     preset: Preset = "standard",
-    seed: Seed = 0,
-    run: Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/<time>).")] = None,
+    seed: Seed = None,
+    folder: Out = None,
     columns: Columns = None,
     plugin: Plugins = None,
+    dry_run: DryRun = False,
+    as_json: Json = False,
 ) -> None:
     """Fit model families to recordings and store them in a run folder."""
-    from rich.table import Table
+    from evaluation.comparison import Experiment
+    from sysid_evo.cli.comparing import existing, run_experiment
 
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.data import Dataset
-    from sysid_evo.experiment import fit_models
-    from sysid_evo.store import RunFolder
-
-    load_plugins(plugin)
-    families = split_names(models)
-    dataset = Dataset.read(data, columns=columns)
-    train = dataset.split(test)[0] if test else dataset
-    settings = {"command": "fit", "models": families, "preset": preset, "seed": seed, "data": train.fingerprint}
-    folder = RunFolder.open(new_run_folder(run), settings)
-    with Bars(folder.path) as bars:
-        outcomes = fit_models(folder, families, train, seed=seed, preset=preset, observer=bars)
-    table = Table(box=None, pad_edge=False)
-    for heading in ("family", "seconds", "stored as"):
-        table.add_column(heading, justify="right" if heading == "seconds" else "left")
-    for family, outcome in outcomes.items():
-        where = str(folder.model(family, seed)) if outcome.value is not None else f"failed: {outcome.reason}"
-        table.add_row(family, f"{outcome.seconds:.1f}", where)
-    out.print(table)
-    err.print(f"evolve against them with: sysid-evo evolve --run {folder.path} --against {','.join(families)}")
-    if any(outcome.value is None for outcome in outcomes.values()):
-        raise typer.Exit(1)
+    settings = given(
+        data=tuple(str(path.resolve()) for path in data),
+        test=None if test is None else tuple(test),
+        models=listed("--models", models),
+        preset=preset,
+        seed=seed,
+        columns=None if columns is None else existing(columns),
+        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
+    )
+    experiment = Experiment.of({**settings, "only": "fit"})
+    run_experiment(experiment, folder, dry_run=dry_run, json=as_json, verbose=False)

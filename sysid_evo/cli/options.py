@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
-Seed: TypeAlias = Annotated[int, typer.Option(help="Everything random follows from it.", min=0)]
-Preset: TypeAlias = Annotated[str, typer.Option(help="Budget: quick, standard or paper.")]
+Seed: TypeAlias = Annotated[int | None, typer.Option(help="Everything random follows from it (0).", min=0)]
+Preset: TypeAlias = Annotated[str | None, typer.Option(help="Budget: quick, standard or paper.")]
 Plugins: TypeAlias = Annotated[
     list[Path] | None, typer.Option("--plugin", help="Python file with further models, tasks, ...; repeatable.")
 ]
@@ -17,9 +18,21 @@ Test: TypeAlias = Annotated[
     list[str] | None, typer.Option("--test", help="Episode (file name without suffix) held back; repeatable.")
 ]
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+DryRun: TypeAlias = Annotated[bool, typer.Option("--dry-run", help="Print what would be computed, and stop.")]
+Out: TypeAlias = Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/TIME).")]
+Task: TypeAlias = Annotated[str | None, typer.Option(help="What to achieve, NAME(parameter=value, ...).")]
+Controller: TypeAlias = Annotated[str | None, typer.Option(help="What is evolved, NAME(parameter=value, ...).")]
+Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved, NAME(parameter=value, ...).")]
+Aggregate: TypeAlias = Annotated[
+    str | None, typer.Option(help="How the fitnesses on several models become one: min, mean, median or a plugin's.")
+]
+Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
+Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
+Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]
 
 EstimatorDelay: TypeAlias = Annotated[
-    float, typer.Option(min=0.0, help="Milliseconds by which controllers know the state late while they evolve.")
+    float | None,
+    typer.Option(min=0.0, help="Milliseconds by which controllers know the state late, in evolution and claims."),
 ]
 
 
@@ -31,25 +44,51 @@ def load_plugins(paths: list[Path] | None) -> None:
         load_plugin(path)
 
 
-def split_names(text: str | None) -> tuple[str, ...]:
-    """Split ``a,b,c``."""
-    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+def listed(option: str, text: str | None) -> tuple[str, ...] | None:
+    """Split ``a, b(c=1, d=2)`` at the commas outside brackets. Raises `InvalidArgument` that names the option."""
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.registry import split
+
+    if text is None:
+        return None
+    try:
+        return tuple(split(text))
+    except InvalidArgument as error:
+        raise InvalidArgument(f"{option}: {error}") from error
 
 
-def new_run_folder(out: Path | None) -> Path:
-    """Return ``out``, or a new ``runs/<time>``."""
-    import time
+def given(**settings: Any) -> dict[str, Any]:
+    """Return the settings that stand on the command line: those that are not None."""
+    return {name: value for name, value in settings.items() if value is not None}
 
-    return out or Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S")
+
+def seconds(milliseconds: float | None) -> float | None:
+    """Return milliseconds as seconds."""
+    return None if milliseconds is None else milliseconds / 1000.0
 
 
 def latest_run_folder(run: Path | None) -> Path:
-    """Return ``run``, or the newest folder in ``runs/`` that holds models."""
+    """Return ``run``, or the newest folder in ``runs/`` that holds models. Raises `InvalidArgument`."""
     from sysid_evo.errors import InvalidArgument
 
     if run is not None:
+        if not run.is_dir():
+            raise InvalidArgument(f"--run: expected a run folder, found none at {run}")
         return run
     found = sorted(Path("runs").glob("*/models"), key=lambda path: path.stat().st_mtime)
     if not found:
         raise InvalidArgument("no run folder given, and runs/ holds none with models: fit some first, or use --run")
     return found[-1].parent
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise `InvalidArgument` unless ``folder`` is new or empty and can be written."""
+    from sysid_evo.errors import InvalidArgument
+
+    standing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not standing.is_dir():
+        raise InvalidArgument(f"--out: expected a folder, but {standing} is a file")
+    if not os.access(standing, os.W_OK):
+        raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}")
+    if standing == folder and any(folder.iterdir()):
+        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Columns, Json, Plugins, Seed, load_plugins
+from sysid_evo.cli.exits import code_of_loop
+from sysid_evo.cli.options import Columns, Json, Plugins, Seed, check_new_folder, load_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -66,9 +67,9 @@ def inspect(
 def record(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
     robot: Annotated[
-        str, typer.Option(help="Registered robot, NAME:SEED for one drawn at random, or a TOML file.")
+        str, typer.Option(help="Registered robot, NAME(parameter=value, ...), or a TOML file.")
     ] = "emulated_car",
-    seed: Seed = 0,
+    seed: Seed = None,
     minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
     plugin: Plugins = None,
 ) -> None:
@@ -79,24 +80,28 @@ def record(
     link end the recording in neutral, and what was recorded until then is kept and prepared.
     """
     from hardware.loop.stops import Stops
-    from hardware.recording.scripted import record_dataset, save_raw
+    from hardware.preflight import check_recording
+    from hardware.recording.scripted import save_raw
+    from hardware.robot import find_robot
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.cli.progress import Bars
 
     load_plugins(plugin)
-    cell = f"record {robot}"
+    check_new_folder(folder)
+    machine = find_robot(robot)
+    check_recording(machine, folder / "journal", duration=60.0 * minutes)
+    title = f"record {robot}"
     with Bars() as bars, Stops() as stops:
-        bars.start(cell)
-        recorded = record_dataset(
-            robot,
-            seed=seed,
+        bars.begin(title)
+        recorded = machine.record(
+            seed=seed or 0,
             duration=60.0 * minutes,
             folder=folder / "journal",
             stops=stops,
-            progress=lambda done, total: bars.progress(cell, done, total),
+            progress=bars.advance,
         )
         ended = recorded.report.sentence if recorded.report.reason.is_fault else None
-        bars.finish(cell, cached=False, reason=ended)
+        bars.end(title, ended)
     dataset = recorded.dataset
     for log in recorded.logs:
         save_raw(log, dataset.system, folder / "raw" / f"{log.name}.csv")
@@ -106,7 +111,7 @@ def record(
     out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
     if ended is not None:
         err.print(f"the recording was cut short: {ended}", highlight=False, markup=False, soft_wrap=True)
-        raise typer.Exit(recorded.report.reason.exit_code)
+        raise typer.Exit(code_of_loop(recorded.report.reason))
 
 
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:

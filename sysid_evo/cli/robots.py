@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from sysid_evo.cli.console import err, out
+from sysid_evo.cli.exits import ROBOT, code_of_loop
 from sysid_evo.cli.options import Json, Plugins, load_plugins
 
 app = typer.Typer(help="Robots, physical and emulated.", no_args_is_help=True)
@@ -39,23 +40,23 @@ def list_robots(plugin: Plugins = None, as_json: Json = False) -> None:
 
 @app.command("check")
 def check_robot(
-    robot: Annotated[str, typer.Argument(help="Registered robot, NAME:SEED, or a TOML file.")],
+    robot: Annotated[str, typer.Argument(help="Robot, NAME(parameter=value, ...), or a TOML file.")],
     seconds: Annotated[float, typer.Option(min=0.5, help="How long to look.")] = 3.0,
     plugin: Plugins = None,
     as_json: Json = False,
 ) -> None:
     """Connect to a robot and look at link, tracker and loop, without moving it.
 
-    Exit code 1 if something is not as it should be, or that of `drive` if the check was cut short.
+    Exit code 4 if something is not as it should be.
     """
     from rich.text import Text
 
     from hardware.loop.self_test import self_test
     from hardware.loop.stops import Stops
-    from sysid_evo.registry import make_robot
+    from hardware.robot import find_robot
 
     load_plugins(plugin)
-    machine = make_robot(robot)
+    machine = find_robot(robot)
     with Stops() as stops:
         findings = self_test(machine, seconds=seconds, stops=stops)
     if as_json:
@@ -66,6 +67,6 @@ def check_robot(
             out.print(Text.assemble(word, (f"{finding.what}: ", "bold"), finding.sentence), soft_wrap=True)
     if stops.reason is not None:
         err.print(stops.reason.sentence)
-        raise typer.Exit(stops.reason.exit_code)
+        raise typer.Exit(code_of_loop(stops.reason))
     if not all(finding.ok for finding in findings):
-        raise typer.Exit(1)
+        raise typer.Exit(ROBOT)

@@ -18,7 +18,8 @@ class View:
     """All that a controller may look at, for P candidates in E trials.
 
     ``observation`` (P, E, n_observations); ``state`` (P, E, nx); ``task_state`` with P E trials,
-    candidate first; ``noise`` (P, E, n) or None.
+    candidate first; ``noise`` (P, E, n_noise) standard normal numbers, the same for all candidates in a
+    trial, or None for a controller that wants none.
     """
 
     observation: Array
@@ -31,10 +32,13 @@ class Controller(ABC):
     """A control law with ``n_parameters`` parameters and ``n_memory`` numbers of memory.
 
     Batched over parameter vectors: P candidates act in E trials at once. Memory starts at zero.
+    ``n_noise`` standard normal numbers are given to every `act`, never drawn inside; such a controller
+    runs in the reference form.
     """
 
     n_parameters: int
     n_memory: int
+    n_noise: int = 0
 
     @abstractmethod
     def bind(self, n_observations: int, n_outputs: int) -> Self:

@@ -10,6 +10,7 @@ from .reading import Recording, read_recording
 from .sampled import take_rows
 from .tables import Reader, Table
 from .trajectory import Trajectory
+from .usable import check_usable
 from .windows import Windows
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Transitions",
     "Windows",
     "advise",
+    "check_usable",
     "find_delays",
     "load_columns",
     "prepare",

@@ -11,8 +11,12 @@ import scipy
 
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.delays import Delay, find_delays
+from sysid_evo.data.delays import LATEST_STEPS, Delay, find_delays
+from sysid_evo.data.linear_fit import fit_linear
 from sysid_evo.data.raw import RawLog
+from sysid_evo.data.suggestions import suggestions
+from sysid_evo.data.usable import check_usable
+from sysid_evo.errors import InvalidData
 from sysid_evo.system import Channel
 
 LEVELS = 3
@@ -27,13 +31,9 @@ MOST_COMMANDS = 81
 BAND_SHARE = 0.95
 """Share of the power of a signal that lies within its bandwidth."""
 
-ENOUGH_TIME = 360.0  # s in motion; the paper used about six minutes
-RARE = 0.02  # share of time
-RARE_TOGETHER = 0.01  # share of time
-IDLE = 0.3  # share of time
-SWITCHES = 20.0  # a minute
-NOISY_BAND = 0.6  # share of half the control rate
-JITTER = 0.1  # share of a step
+STANDING, STILL, FEWEST = 0.1, 0.01, 10
+"""Nothing moves in an episode if less than the first share of its time is in motion, or if every state stays
+within the second share of its range over all episodes; one of fewer steps is too short to tell."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,11 @@ class ControlUse:
 
 @dataclass(frozen=True)
 class StateUse:
-    """Root mean square and range of a state, and the frequency (Hz) below which 95 % of its power lies."""
+    """How a state moves: root mean square, range (of a periodic one within a turn), bandwidth, how far it is foretold.
+
+    ``bandwidth`` is the frequency in Hz below which 95 % of its power lies, ``explained`` the share of its
+    variance that the sample before and the controls explain (`fit_linear`).
+    """
 
     name: str
     unit: str
@@ -58,6 +62,7 @@ class StateUse:
     low: float
     high: float
     bandwidth: float
+    explained: float
 
 
 @dataclass(frozen=True)
@@ -85,15 +90,20 @@ class Sampling:
 class Advice:
     """What `advise` found.
 
-    ``duration`` and ``dt`` are in s, ``moving`` is the share of samples not in a standstill,
-    ``cells`` how many of the ``grid`` cells of the visited state space were visited, ``sampling``
-    is empty unless the logs were given; ``suggestions`` say in sentences what to do.
+    ``duration`` and ``dt`` are in s, ``moving`` is the share of samples not in a standstill, ``idle``
+    names the episodes in which nothing moves, ``scales`` are the system's own time scales in s
+    (`fit_linear`), ``unusable`` says why nothing can be done with so few data, if so. ``cells`` how
+    many of the ``grid`` cells of the visited state space were visited, ``sampling`` is empty unless
+    the logs were given; ``suggestions`` say in sentences what to do.
     """
 
     episodes: int
     duration: float
     dt: float
     moving: float
+    idle: tuple[str, ...]
+    scales: tuple[float, ...]
+    unusable: str
     controls: tuple[ControlUse, ...]
     states: tuple[StateUse, ...]
     cells: int
@@ -110,47 +120,76 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
     controls = np.concatenate([episode.controls for episode in dataset])
     states = np.concatenate([episode.states[:-1] for episode in dataset])
     moving = float(np.mean(np.concatenate(dataset.moving)))
-    level = [_nearest_level(channel, controls[:, i]) for i, channel in enumerate(system.controls)]
+    levels = [_levels(channel, controls[:, i]) for i, channel in enumerate(system.controls)]
+    level = [_nearest(values, controls[:, i]) for i, values in enumerate(levels)]
     starts = np.cumsum([0, *(len(episode) for episode in dataset)])[1:-1]
     uses = tuple(
-        _control_use(channel, index, starts, dataset.duration)
-        for channel, index in zip(system.controls, level, strict=True)
+        _control_use(channel, values, index, starts, dataset.duration)
+        for channel, values, index in zip(system.controls, levels, level, strict=True)
     )
-    cell = _cells(states)
+    cell = _cells(system.wrapped(states))
     visited = len(np.unique(cell))
     combinations = list(product(*(range(len(use.levels)) for use in uses)))
     if len(combinations) > MOST_COMMANDS:
         combinations = sorted(set(zip(*(index.tolist() for index in level), strict=True)))
+    fit = fit_linear(dataset, LATEST_STEPS)
+    explained = np.ones(system.nx) if fit is None else fit.explained
     advice = Advice(
         episodes=len(dataset),
         duration=dataset.duration,
         dt=system.dt,
         moving=moving,
+        idle=_idle(dataset),
+        scales=() if fit is None else fit.scales,
+        unusable=_unusable(dataset),
         controls=uses,
-        states=tuple(_state_use(dataset, i) for i in range(system.nx)),
+        states=tuple(_state_use(dataset, i, float(explained[i])) for i in range(system.nx)),
         cells=visited,
         grid=CELLS**system.nx,
-        commands=tuple(_command_use(system.controls, numbers, level, cell, visited) for numbers in combinations),
+        commands=tuple(_command_use(levels, numbers, level, cell, visited) for numbers in combinations),
         delays=find_delays(dataset),
         sampling=tuple(_sampling(log) for log in logs),
         suggestions=(),
     )
-    return replace(advice, suggestions=tuple(_suggestions(advice)))
+    return replace(advice, suggestions=tuple(suggestions(advice)))
 
 
-def _levels(channel: Channel) -> tuple[float, ...]:
+def _idle(dataset: Dataset) -> tuple[str, ...]:
+    """Return the names of the episodes in which nothing moves."""
+    lowest = np.min([episode.states.min(axis=0) for episode in dataset], axis=0)
+    highest = np.max([episode.states.max(axis=0) for episode in dataset], axis=0)
+    still = STILL * (highest - lowest)
+    return tuple(
+        episode.name
+        for episode, moving in zip(dataset, dataset.moving, strict=True)
+        if len(episode) >= FEWEST and (moving.mean() < STANDING or (np.ptp(episode.states, axis=0) <= still).all())
+    )
+
+
+def _unusable(dataset: Dataset) -> str:
+    try:
+        check_usable(dataset)
+    except InvalidData as error:
+        return f"{error}."
+    return ""
+
+
+def _levels(channel: Channel, values: Array) -> tuple[float, ...]:
+    """Return the levels to count by; a missing limit is the recorded one."""
     if channel.levels is not None:
         return channel.levels
-    return tuple(float(value) for value in np.linspace(channel.low, channel.high, LEVELS))
+    low = channel.low if np.isfinite(channel.low) else values.min()
+    high = channel.high if np.isfinite(channel.high) else values.max()
+    return tuple(float(value) for value in np.linspace(low, high, LEVELS)) if low < high else (float(low),)
 
 
-def _nearest_level(channel: Channel, values: Array) -> IntArray:
-    levels = np.asarray(_levels(channel))
-    return np.abs(values[:, None] - levels).argmin(axis=1)
+def _nearest(levels: Sequence[float], values: Array) -> IntArray:
+    return np.abs(values[:, None] - np.asarray(levels)).argmin(axis=1)
 
 
-def _control_use(channel: Channel, index: IntArray, starts: IntArray, duration: float) -> ControlUse:
-    levels = _levels(channel)
+def _control_use(
+    channel: Channel, levels: tuple[float, ...], index: IntArray, starts: IntArray, duration: float
+) -> ControlUse:
     changes = np.diff(index) != 0
     changes[starts - 1] = False
     shares = np.bincount(index, minlength=len(levels)) / len(index)
@@ -158,9 +197,9 @@ def _control_use(channel: Channel, index: IntArray, starts: IntArray, duration: 
     return ControlUse(channel.name, channel.unit, levels, tuple(shares.tolist()), switches, 60.0 * switches / duration)
 
 
-def _state_use(dataset: Dataset, i: int) -> StateUse:
+def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
     channel = dataset.system.states[i]
-    values = np.concatenate([episode.states[:, i] for episode in dataset])
+    values = np.concatenate([dataset.system.wrapped(episode.states)[:, i] for episode in dataset])
     return StateUse(
         channel.name,
         channel.unit,
@@ -168,6 +207,7 @@ def _state_use(dataset: Dataset, i: int) -> StateUse:
         low=float(values.min()),
         high=float(values.max()),
         bandwidth=_bandwidth([episode.states[:, i] for episode in dataset], 1.0 / dataset.system.dt),
+        explained=explained,
     )
 
 
@@ -191,12 +231,16 @@ def _cells(states: Array) -> IntArray:
 
 
 def _command_use(
-    channels: Sequence[Channel], numbers: tuple[int, ...], level: Sequence[IntArray], cell: IntArray, visited: int
+    levels: Sequence[Sequence[float]],
+    numbers: tuple[int, ...],
+    level: Sequence[IntArray],
+    cell: IntArray,
+    visited: int,
 ) -> CommandUse:
     here = np.ones(len(cell), dtype=bool)
     for number, index in zip(numbers, level, strict=True):
         here &= index == number
-    values = tuple(_levels(channel)[number] for channel, number in zip(channels, numbers, strict=True))
+    values = tuple(of_control[number] for of_control, number in zip(levels, numbers, strict=True))
     return CommandUse(values, float(here.mean()), len(np.unique(cell[here])) / visited)
 
 
@@ -207,67 +251,3 @@ def _sampling(log: RawLog) -> Sampling:
     return Sampling(
         log.name, len(log.time), float(steps.min()), median, float(steps.max()), scatter=float(regular.std())
     )
-
-
-def _suggestions(advice: Advice) -> list[str]:
-    found = []
-    driven = advice.duration * advice.moving
-    if driven < ENOUGH_TIME:
-        found.append(
-            f"{driven / 60:.1f} min in motion is less than the {ENOUGH_TIME / 60:.0f} min usual for a car: record more."
-        )
-    if advice.moving < 1.0 - IDLE:
-        found.append(
-            f"The robot stands still {1.0 - advice.moving:.0%} of the time: leave such windows out when you score."
-        )
-    found += [sentence for use in advice.controls for sentence in _about_control(use)]
-    never = [command.levels for command in advice.commands if command.share < RARE_TOGETHER]
-    if never and len(advice.controls) > 1:
-        names = ", ".join(use.name for use in advice.controls)
-        listed = "; ".join(", ".join(f"{level:.3g}" for level in levels) for levels in never)
-        found.append(f"Less than {RARE_TOGETHER:.0%} of the time at ({names}) near: {listed}.")
-    for use in advice.controls:
-        clear = [delay for delay in advice.delays if delay.control == use.name and delay.clear]
-        if clear:
-            found += _about_delay(max(clear, key=lambda delay: abs(delay.strength)))
-    half = 0.5 / advice.dt
-    found += [
-        f"95 % of {use.name} lies below {use.bandwidth:.1f} Hz, close to half the control rate ({half:g} Hz): "
-        "it is noisy, or dt is too long."
-        for use in advice.states
-        if use.bandwidth > NOISY_BAND * half
-    ]
-    found += [
-        f"The time stamps of {log.name} scatter by {log.scatter / log.median:.0%} of a step."
-        for log in advice.sampling
-        if log.scatter > JITTER * log.median
-    ]
-    return found
-
-
-def _about_control(use: ControlUse) -> list[str]:
-    found = []
-    rare = [f"{level:.3g}" for level, share in zip(use.levels, use.shares, strict=True) if share < RARE]
-    if rare:
-        found.append(f"{use.name} is near {', '.join(rare)} less than {RARE:.0%} of the time: models will guess there.")
-    if use.per_minute < SWITCHES:
-        found.append(
-            f"{use.name} changes its level only {use.per_minute:.0f} times a minute: switch more often, "
-            "so that the response to a change is in the data."
-        )
-    return found
-
-
-def _about_delay(delay: Delay) -> list[str]:
-    ms = 1e3 * delay.seconds
-    if delay.steps < 0:
-        return [
-            f"{delay.state} moves {-ms:.0f} ms before {delay.control} is logged: commands are stamped late, "
-            "or something fast feeds the state back."
-        ]
-    if delay.steps > 0:
-        return [
-            f"{delay.state} answers {delay.control} most {ms:.0f} ms later: "
-            f"give the models control_lags of {delay.steps} or more."
-        ]
-    return []

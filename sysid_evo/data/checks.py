@@ -51,7 +51,7 @@ def check_control(table: Table, name: str, control: ControlColumn, values: Array
 
 
 def findings(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Return sentences on what looks wrong in ``log``, which came from ``table``; certain errors are raised."""
+    """Return sentences on what looks wrong in ``log``, which came from ``table``; raise what is certainly wrong."""
     found = [*_beyond_limits(log, table, columns), *_constant(log, table, columns)]
     if columns.pose:
         found += [*_frozen(log, table), *_heading_jumps(log, table, columns)]

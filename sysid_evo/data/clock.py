@@ -36,17 +36,17 @@ class Clock:
         return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
 
     def hold(self, values: Array, rows: slice, samples: IntArray) -> Array:
-        """Return ``values`` (N, c) of the last of these rows up to half a step after each sample."""
+        """Return ``values`` (N, c) as they are held at the samples: of the last row up to half a step after each."""
         at = self.times[0] + (samples + 0.5) * self.step
         return values[rows][np.searchsorted(self.times[rows], at, side="right") - 1]
 
 
 def fit_clock(stamps: Array, positions: Array, step: float) -> Clock:
-    """Return the clock of a log: of its stamps, or steady with the stamps scattered around it.
+    """Return the clock of a log: its stamps as they are, or a steady clock through them.
 
-    A tracker takes its frames at a steady rate, but many loggers stamp them on arrival; trusting
-    such stamps turns their scatter times the speed into noise of the position. Which of the two
-    it is shows in the ``positions`` (N, any): they move more smoothly on the right clock.
+    A tracker takes its frames at a steady rate, but many loggers stamp them when they arrive. A late
+    stamp then looks like a wrong position. The ``positions`` (N, any) tell which clock is right: on it
+    they move more smoothly. ``stamps`` (N,) and ``step`` are in s.
     """
     since = (stamps - stamps[0]) / step
     if np.abs(since - np.round(since)).max() < UNIFORM:

@@ -5,6 +5,7 @@ A map is a TOML file (``docs/data.md`` describes it); some are shipped beside th
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -12,8 +13,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 
+from sysid_evo.angles import TURN
 from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.motion import PlanarBody
@@ -29,6 +32,12 @@ class _Strict(BaseModel):
 class _Scaled(_Strict):
     unit: str
     factor: float = 1.0
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str) -> str:
+        to_si(unit)
+        return unit
 
     @property
     def scale(self) -> float:
@@ -49,11 +58,25 @@ class TimeColumn(Column):
 
 
 class StateColumn(_Scaled):
-    """A state: from a column, or, without one, by differentiating the pose; limits in SI units."""
+    """A state: from a column, or, without one, by differentiating the pose.
+
+    ``low``, ``high`` and ``neutral``, its value at rest, are in SI units. A ``periodic`` one is an angle
+    that comes round after a full turn.
+    """
 
     column: str | None = None
     low: float | None = None
     high: float | None = None
+    neutral: float | None = None
+    periodic: bool = False
+
+    @model_validator(mode="after")
+    def _angle(self) -> Self:
+        if self.periodic:
+            _expect_unit("periodic", self.unit, "rad")
+            if self.low is not None or self.high is not None:
+                raise ValueError("a periodic state has no limits: leave out low and high, or periodic")
+        return self
 
 
 class ControlColumn(Column):
@@ -160,6 +183,8 @@ class ColumnMap(_Strict):
                 to_si(state.unit)[0],
                 low=-math.inf if state.low is None else state.low,
                 high=math.inf if state.high is None else state.high,
+                neutral=math.nan if state.neutral is None else state.neutral,
+                period=TURN if state.periodic else None,
             )
             for name, state in self.states.items()
         )
@@ -171,7 +196,7 @@ class ColumnMap(_Strict):
                 low, high = control.low, control.high
             else:
                 low, high = envelope[name]
-            neutral = min(max(0.0, low), high) if control.neutral is None else control.neutral
+            neutral = math.nan if control.neutral is None else control.neutral
             controls.append(Channel(name, to_si(control.unit)[0], low, high, control.levels, neutral))
         motion = None if self.motion is None else self.motion_of_states
         return System(states, tuple(controls), self.dt, motion, self.name)
@@ -196,10 +221,7 @@ def parse_columns(text: str, source: str) -> ColumnMap:
     except tomllib.TOMLDecodeError as error:
         raise InvalidData(f"{source}: not a TOML file: {error}") from error
     except ValidationError as error:
-        lines = [
-            f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item['type'], item['msg'])}"
-            for item in error.errors()
-        ]
+        lines = [f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item)}" for item in error.errors()]
         raise InvalidData("\n".join([f"{source}: not a column map:", *lines])) from error
 
 
@@ -233,7 +255,8 @@ def choose_columns(header: Sequence[str], source: str) -> str:
     found = f"{', '.join(fitting)} all fit" if fitting else "no shipped column map fits"
     raise InvalidData(
         f"{source}: {found} its columns ({', '.join(header)}). "
-        f"Name a map with columns= (--columns). Shipped maps and the columns they need:\n{listed}"
+        "For a robot of your own, write a column map, a TOML file as docs/data.md shows it, and name it with columns= "
+        f"(--columns). Shipped maps and the columns they need:\n{listed}"
     )
 
 
@@ -242,5 +265,10 @@ def _expect_unit(where: str, unit: str, si_unit: str) -> None:
         raise ValueError(f"{where}.unit: expected one of {', '.join(units_of(si_unit))}, got {unit!r}")
 
 
-def _explain(kind: str, message: str) -> str:
-    return "unknown key" if kind == "extra_forbidden" else message.removeprefix("Value error, ")
+def _explain(error: ErrorDetails) -> str:
+    """Return what is wrong with a key, with a suggestion if there is no such key."""
+    if error["type"] != "extra_forbidden":
+        return error["msg"].removeprefix("Value error, ")
+    known = sorted({key for part in (ColumnMap, ControlColumn, StateColumn, MotionRoles) for key in part.model_fields})
+    close = difflib.get_close_matches(str(error["loc"][-1]), known, n=1)
+    return f"unknown key; did you mean {close[0]!r}?" if close else "unknown key"

@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.data.moving import moving_rows
-from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.trajectory import Trajectory, as_columns
 from sysid_evo.data.windows import Windows, cut_windows
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
+from sysid_evo.lags import CarryLayout
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
@@ -38,11 +39,22 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.after)
 
+    @property
+    def state(self) -> Array:
+        """The state before each step, (N, nx)."""
+        return self.carry[:, : self.after.shape[1]]
+
+    @property
+    def inputs(self) -> Array:
+        """Carry and control side by side, (N, n_carry + nu)."""
+        return np.concatenate([self.carry, self.control], axis=1)
+
 
 @dataclass(frozen=True)
 class Dataset:
     """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
 
+    Periodic states run on without jumps within an episode, as if they were not.
     ``notes`` list what the preparation has to say about the recording.
     """
 
@@ -51,7 +63,14 @@ class Dataset:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        _expect_system(self.system, "Dataset(system, episodes)")
         object.__setattr__(self, "episodes", tuple(self.episodes))
+        other = next((type(entry).__name__ for entry in self.episodes if not isinstance(entry, Trajectory)), None)
+        if other is not None:
+            raise InvalidArgument(
+                f"data set: expected Trajectory objects as episodes, got {other}. Arrays become a data set by "
+                "Dataset.from_arrays(system, states, controls), a table by Dataset.from_pandas(system, frame)"
+            )
         if not self.episodes:
             raise InvalidData("data set: expected at least one episode, got none")
         names = [episode.name for episode in self.episodes]
@@ -59,6 +78,9 @@ class Dataset:
         if repeated:
             raise InvalidData(f"data set: episode names must differ, repeated: {', '.join(map(repr, repeated))}")
         system = self.system
+        if system.periods:
+            smooth = [replace(episode, states=system.unwrapped(episode.states)) for episode in self.episodes]
+            object.__setattr__(self, "episodes", tuple(smooth))
         for episode in self.episodes:
             check_shape(f"states of {episode.name!r}", episode.states, (None, system.nx))
             check_shape(f"controls of {episode.name!r}", episode.controls, (None, system.nu))
@@ -73,17 +95,29 @@ class Dataset:
     def from_arrays(
         cls,
         system: System,
-        states: Sequence[npt.ArrayLike],
-        controls: Sequence[npt.ArrayLike],
+        states: npt.ArrayLike | Sequence[npt.ArrayLike],
+        controls: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         *,
-        poses: Sequence[npt.ArrayLike] | None = None,
+        poses: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         names: Sequence[str] | None = None,
     ) -> Dataset:
-        """Make a data set from one array of states and one of controls for each episode.
+        """Make a data set from arrays: a list with one for each episode, or one array for one episode.
 
         States are (T + 1, nx). Controls are (T, nu), or (T + 1, nu) as logs have them: the last row
-        then leads nowhere and is left out.
+        then leads nowhere and is left out. One state or one control may be 1-D. A system without
+        controls needs none. Raises `ShapeError`, `InvalidArgument`.
         """
+        _expect_system(system, "Dataset.from_arrays(system, states, controls)")
+        states = _by_episode(states)
+        if controls is None:
+            if system.nu:
+                raise InvalidArgument(
+                    f"from_arrays: the system has the controls {', '.join(system.control_names)}, got none: "
+                    "Dataset.from_arrays(system, states, controls)"
+                )
+            controls = [np.empty((max(len(np.asarray(x)) - 1, 0), 0)) for x in states]
+        controls = _by_episode(controls)
+        poses = None if poses is None else _by_episode(poses)
         if len(states) != len(controls) or (poses is not None and len(poses) != len(states)):
             raise ShapeError(
                 f"expected as many control (and pose) arrays as state arrays, got {len(states)} states, "
@@ -92,8 +126,8 @@ class Dataset:
         names = [f"episode-{i}" for i in range(len(states))] if names is None else names
         episodes = []
         for i, (x, u, name) in enumerate(zip(states, controls, names, strict=True)):
-            x = check_shape(f"states of {name!r}", x, (None, system.nx))
-            u = check_shape(f"controls of {name!r}", u, (None, system.nu))
+            x = check_shape(f"states of {name!r}", as_columns(x), (None, system.nx))
+            u = check_shape(f"controls of {name!r}", as_columns(u), (None, system.nu))
             u = u[:-1] if len(u) == len(x) else u
             pose = None if poses is None else np.asarray(poses[i], dtype=np.float64)
             episodes.append(Trajectory(x, u, system.dt, pose, name))
@@ -104,12 +138,22 @@ class Dataset:
         """Make a data set from a table with one column for each channel, one row for each ``dt``.
 
         ``episode`` is the column that names the episodes (default: all rows are one). Pose columns
-        (``x``, ``y``, ``heading`` for a planar body) are taken if all are there.
+        (``x``, ``y``, ``heading`` for a planar body) are taken if all are there. Raises `InvalidData`
+        if a column is missing, `InvalidArgument` if there is no table.
         """
+        _expect_system(system, "Dataset.from_pandas(system, frame)")
+        if not hasattr(frame, "columns") or not hasattr(frame, "groupby"):
+            raise InvalidArgument(
+                f"from_pandas: expected a pandas table, got {type(frame).__name__}. Arrays become a data set by "
+                "Dataset.from_arrays(system, states, controls), log files by Dataset.read(path, columns=...)"
+            )
         wanted = [*system.state_names, *system.control_names, *([episode] if episode else [])]
         missing = [name for name in wanted if name not in frame.columns]
         if missing:
-            raise InvalidData(f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}")
+            raise InvalidData(
+                f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}. "
+                "Each channel needs a column of its name: rename them, as frame.rename(columns={...})"
+            )
         pose_names = [] if system.motion is None else list(system.motion.pose_names)
         has_pose = bool(pose_names) and all(name in frame.columns for name in pose_names)
         groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]
@@ -135,6 +179,12 @@ class Dataset:
 
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.episodes)
+
+    def __getitem__(self, chosen: int | slice | Sequence[int]) -> Dataset:
+        """Return the data set of these episodes only, by number."""
+        if isinstance(chosen, slice):
+            return self.with_episodes(self.episodes[chosen])
+        return self.with_episodes([self.episodes[i] for i in np.atleast_1d(chosen)])
 
     @property
     def n_steps(self) -> int:
@@ -169,8 +219,8 @@ class Dataset:
         """Return a data set of the same system with other episodes."""
         return replace(self, episodes=tuple(episodes))
 
-    def split(self, test: Sequence[str] | float) -> tuple[Dataset, Dataset]:
-        """Return training and test set: by episode names, or the last share of time of each episode.
+    def split(self, test: str | Sequence[str] | float) -> tuple[Dataset, Dataset]:
+        """Return training and test set: by one episode's name, several, or the last share of time of each episode.
 
         A piece of an episode, such as ``log[0:400]``, goes where its name ``log`` goes.
         """
@@ -182,6 +232,7 @@ class Dataset:
             if not pairs:
                 raise InvalidData(f"split: every episode is too short to split at {test}")
             return self.with_episodes([a for a, _ in pairs]), self.with_episodes([b for _, b in pairs])
+        test = [test] if isinstance(test, str) else list(test)
         unknown = [name for name in test if not any(_is_part(episode.name, name) for episode in self.episodes)]
         if unknown:
             raise InvalidArgument(
@@ -198,7 +249,7 @@ class Dataset:
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, starts stand still nowhere."""
+        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, only those that start in motion."""
         if horizon < 1 or stride < 1 or history < 0:
             raise InvalidArgument(
                 f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"
@@ -206,15 +257,19 @@ class Dataset:
         rows = self.moving if moving else None
         return cut_windows(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
-    def transitions(self, *, state_lags: int = 0, control_lags: int = 0) -> Transitions:
-        """Return every single step with that many earlier states and controls."""
-        history = max(state_lags, control_lags)
-        w = self.windows(1, history=history)
-        parts = [w.past_states[:, -1 - lag] for lag in range(state_lags + 1)]
-        parts += [w.past_controls[:, -1 - lag] for lag in range(control_lags)]
+    def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
+        """Return every single step with that many earlier states and controls.
+
+        With ``moving``, only those that are no standstill, unless there is nothing else.
+        """
+        layout = CarryLayout(self.system.nx, self.system.nu, state_lags, control_lags)
+        w = self.windows(1, history=layout.history, moving=moving)
+        if moving and not len(w):
+            w = self.windows(1, history=layout.history)
         if not len(w):
-            raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
-        return Transitions(np.concatenate(parts, axis=1), w.controls[:, 0], w.states[:, 0])
+            raise InvalidData(f"data set: no episode is longer than {layout.history} steps, the history asked for")
+        carry = np.concatenate(layout.started(w.past_states, w.past_controls), axis=1)
+        return Transitions(carry, w.controls[:, 0], w.states[:, 0])
 
     def save(self, path: str | Path) -> Path:
         """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
@@ -228,6 +283,22 @@ class Dataset:
         from sysid_evo.data.storage import load_dataset
 
         return load_dataset(Path(path))
+
+
+def _expect_system(system: object, call: str) -> None:
+    """Raise `InvalidArgument`, which names the right ``call``, unless ``system`` is one."""
+    if not isinstance(system, System):
+        raise InvalidArgument(f"expected a System first, got {type(system).__name__}: {call}")
+
+
+def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike]) -> Sequence[npt.ArrayLike]:
+    """Return a list with one array for each episode; one array of rows, or a table, is one episode."""
+    if isinstance(arrays, (list, tuple)) and arrays and np.ndim(arrays[0]) == 0:
+        return [np.asarray(arrays)]
+    if isinstance(arrays, (list, tuple)):
+        return arrays
+    rows = np.asarray(arrays)
+    return [rows] if rows.ndim < 3 else list(rows)
 
 
 def _is_part(episode: str, name: str) -> bool:

@@ -4,6 +4,10 @@ Commands are strongly correlated with their own past, so that a plain cross-corr
 over many lags. Both series are therefore filtered with the autoregressive model that turns the
 control into white noise; what is left of their correlation is the response to one impulse.
 Source: Box and Jenkins, Time Series Analysis, chapter on transfer functions.
+
+What a state does by itself is taken out of its acceleration first (`fit_linear`), so that the swing
+back of a pendulum, or a position that follows its speed, is no answer to a control. The delay is that
+of the first peak worth mentioning, as a later one may be a backswing, however large.
 """
 
 from __future__ import annotations
@@ -14,24 +18,32 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.linear_fit import fit_linear, state_terms
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.motion import PlanarBody
 
 ORDER = 8
 """Order of the autoregressive model of a control."""
 
-LATEST = 0.5  # s
+LATEST, LATEST_STEPS, MOST_STEPS = 0.5, 10, 50
 EARLIEST = -0.1
-"""Lags looked at, in s. A lag below 0 means that the body moved before the command was logged, so that
-the log's clocks disagree; a human driver, who reacts later than 0.1 s, cannot cause it."""
+"""Lags looked at: from -0.1 s to 0.5 s, but to 10 steps at least and to 50 at most.
 
-CLEAR = 4.0
-"""A peak is clear from this many standard deviations of the correlation of unrelated series on."""
+A lag below 0 means that the body moved before the command was logged, so that the log's clocks
+disagree; a human driver, who reacts later than 0.1 s, cannot cause it.
+"""
+
+CLEAR, WEAK = 4.0, 0.1
+"""A peak is clear from this many standard deviations of the correlation of unrelated series on, and from
+this correlation on."""
+
+FIRST = 0.5
+"""Share of the highest peak that makes a first peak worth mentioning."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """How ``control`` acts on the acceleration of ``state``: most strongly ``steps`` after it is set.
+    """How ``control`` acts on the acceleration of ``state``: first ``steps`` after it is set.
 
     0 steps: the control at sample k acts on the change from k to k + 1. ``seconds`` is that between
     steps, from a parabola through the peak. ``strength`` is the correlation there, in [-1, 1];
@@ -54,9 +66,13 @@ def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
     kept; not on the forward speed itself, whose noise would be on both sides.
     """
     system = dataset.system
-    lags = range(round(EARLIEST / system.dt), max(1, round(LATEST / system.dt)) + 1)
+    latest = min(max(LATEST_STEPS, round(LATEST / system.dt)), MOST_STEPS)
+    lags = range(max(round(EARLIEST / system.dt), -MOST_STEPS), latest + 1)
     episodes = [episode for episode in dataset if len(episode) > ORDER + len(lags)]
     changes = [system.acceleration(episode.states[:-1], episode.states[1:]) for episode in episodes]
+    fit = fit_linear(dataset, latest)
+    if fit is not None:
+        changes = [a - state_terms(system, e.states[:-1]) @ fit.rate for a, e in zip(changes, episodes, strict=True)]
     forward, speeds = -1, None
     if isinstance(system.motion, PlanarBody):
         forward = system.motion.indices(system.state_names)[0]
@@ -81,15 +97,16 @@ def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
 def _delay(
     control: str, state: str, curve: Array, at_speed: bool, lags: range, episodes: list[Trajectory], dt: float
 ) -> Delay:
-    peak = int(np.abs(curve).argmax())
     samples = sum(len(episode) - ORDER for episode in episodes)
+    clear = max(CLEAR / np.sqrt(samples), WEAK)
+    peak = _first_peak(curve, clear)
     return Delay(
         control,
         state,
         steps=lags[peak],
         seconds=float((lags[peak] + _vertex(np.abs(curve), peak)) * dt),
         strength=float(curve[peak]),
-        clear=bool(np.abs(curve[peak]) > CLEAR / np.sqrt(samples)),
+        clear=bool(np.abs(curve[peak]) > clear),
         at_speed=at_speed,
     )
 
@@ -118,6 +135,18 @@ def _correlation(commands: list[Array], responses: list[Array], lag: int) -> flo
     u, a = u - u.mean(), a - a.mean()
     scale = np.sqrt((u @ u) * (a @ a))
     return float(u @ a / scale) if scale > 0.0 else 0.0
+
+
+def _first_peak(curve: Array, clear: float) -> int:
+    """Return the place of the first peak that is clear and half as high as the highest; else of the highest."""
+    size = np.abs(curve)
+    worth = np.flatnonzero(size >= max(clear, FIRST * size.max()))
+    if not len(worth):
+        return int(size.argmax())
+    peak = int(worth[0])
+    while peak + 1 < len(curve) and size[peak + 1] > size[peak] and curve[peak + 1] * curve[peak] > 0.0:
+        peak += 1
+    return peak
 
 
 def _vertex(curve: Array, peak: int) -> float:

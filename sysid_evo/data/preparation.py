@@ -7,6 +7,7 @@ down a turning body. Source: paper, section 3 (200 Hz, FIR with its delay taken 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,6 @@ from sysid_evo.data.clock import Clock, fit_clock, pieces
 from sysid_evo.data.raw import RawLog
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
-from sysid_evo.motion import PlanarBody, rotate
 from sysid_evo.system import System
 
 CUTOFF = 0.3
@@ -44,13 +44,33 @@ STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 """Five-point central difference, to convolve with: amplitude error (omega h)^4 / 30, no delay."""
 REACH = len(STENCIL) // 2
 
+LISTED = 4
+"""Logs that a note names."""
+
 
 @dataclass(frozen=True)
 class Prepared:
-    """The episodes of one log, and what was done to it, in sentences."""
+    """The episodes of the log ``name``, and what was done to it, in sentences that do not name it."""
 
+    name: str
     episodes: tuple[Trajectory, ...]
     notes: tuple[str, ...]
+
+
+def said_once(prepared: Sequence[Prepared]) -> list[str]:
+    """Return the notes of all logs, each once and with the names of its logs before it."""
+    logs: dict[str, list[str]] = {}
+    for one in prepared:
+        for note in one.notes:
+            logs.setdefault(note, []).append(one.name)
+    return [f"{_listed(names, len(prepared))}: {note}" for note, names in logs.items()]
+
+
+def _listed(names: Sequence[str], logs: int) -> str:
+    if len(names) == logs > 1:
+        return "both logs" if logs == 2 else f"all {logs} logs"
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
 
 
 def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap: float | None = None) -> Prepared:
@@ -73,7 +93,8 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     if ratio < MIN_RATIO:
         raise InvalidData(
             f"{log.name}: expected at least {MIN_RATIO} rows for each control period of {system.dt:g} s, but rows are "
-            f"{period:.4g} s apart. Log the pose faster, log velocities at the control rate, or raise dt."
+            f"{period:.4g} s apart. Log faster, raise dt to {MIN_RATIO * period:.3g} s, or log every state and set dt "
+            f"to {period:.4g} s."
         )
     step = system.dt / ratio
     cutoff = CUTOFF / system.dt if cutoff is None else cutoff
@@ -111,21 +132,21 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     notes = [
         f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz taken down to "
         f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each piece",
-        *([f"{log.name}: {clock.note}"] if clock.note else []),
-        *_holes(log.name, steps, period, max_gap, len(runs) - len(episodes)),
+        *([clock.note] if clock.note else []),
+        *_holes(steps, period, max_gap, len(runs) - len(episodes)),
     ]
-    return Prepared(tuple(episodes), tuple(notes))
+    return Prepared(log.name, tuple(episodes), tuple(notes))
 
 
-def _holes(name: str, steps: Array, period: float, max_gap: float, left_out: int) -> list[str]:
+def _holes(steps: Array, period: float, max_gap: float, left_out: int) -> list[str]:
     bridged = steps[(steps > 1.5 * period) & (steps <= max_gap)]
     splits = int((steps > max_gap).sum())
     notes = []
     if len(bridged):
-        notes.append(f"{name}: {len(bridged)} holes of up to {bridged.max() * 1e3:.0f} ms bridged by straight lines")
+        notes.append(f"{len(bridged)} holes of up to {bridged.max() * 1e3:.0f} ms bridged by straight lines")
     if splits:
         short = f"; {left_out} pieces shorter than the filter left out" if left_out else ""
-        notes.append(f"{name}: split at {splits} holes of up to {steps.max():.3g} s{short}")
+        notes.append(f"split at {splits} holes of up to {steps.max():.3g} s{short}")
     return notes
 
 
@@ -167,24 +188,23 @@ def checked_pose(log: RawLog, system: System) -> Array:
     )
 
 
-def body_velocity(pose: Array, step: float) -> Array:
-    """Return forward speed, lateral speed (m/s) and yaw rate (rad/s), (N - 4, 3), of a planar pose (N, 3)."""
-    world = np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / step
-    forward, lateral = rotate(world[:, 0], world[:, 1], -pose[REACH:-REACH, 2])
-    return np.stack([forward, lateral, world[:, 2]], axis=1)
+def pose_rate(pose: Array, step: float) -> Array:
+    """Return the change per second, (N - 4, n_pose), of a pose (N, n_pose) every ``step`` s."""
+    return np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / step
 
 
 def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice, samples: IntArray) -> Array:
     """Return every state (N - 4, nx) on the uniform clock, before the filter."""
     derived: dict[str, Array] = {}
-    if isinstance(system.motion, PlanarBody) and pose.size:
-        velocity = body_velocity(pose, clock.step)
-        order = {"forward": 0, "lateral": 1, "yaw_rate": 2}
-        derived = {channel: velocity[:, order[role]] for role, channel in system.motion.roles().items()}
+    if system.motion is not None and pose.size and not log.extra.keys() >= set(system.state_names):
+        derived = system.motion.velocities(pose[REACH:-REACH], pose_rate(pose, clock.step))
     columns = []
+    periods = {channel.name: channel.period for channel in system.states}
     for name in system.state_names:
         if name in log.extra:
-            columns.append(clock.interpolate(log.extra[name][:, None], rows, samples)[REACH:-REACH, 0])
+            period, values = periods.get(name), log.extra[name]
+            smooth = values if period is None else np.unwrap(values, period=period)
+            columns.append(clock.interpolate(smooth[:, None], rows, samples)[REACH:-REACH, 0])
         elif name in derived:
             columns.append(derived[name])
         else:

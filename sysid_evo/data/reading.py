@@ -13,7 +13,8 @@ from sysid_evo.arrays import Array
 from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
 from sysid_evo.data.columns import ColumnMap, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.preparation import prepare
+from sysid_evo.data.preparation import prepare, said_once
+from sysid_evo.data.rates import check_rate
 from sysid_evo.data.raw import RawLog
 from sysid_evo.data.sampled import at_control_rate, take_rows
 from sysid_evo.data.storage import HEADER
@@ -44,7 +45,7 @@ class Recording:
             take_rows(log, self.system) if at_control_rate(log, self.system) else prepare(log, self.system)
             for log in self.logs
         ]
-        notes = [*self.notes, *(note for one in prepared for note in one.notes), *self.doubts]
+        notes = [*self.notes, *said_once(prepared), *self.doubts]
         episodes = [episode for one in prepared for episode in one.episodes]
         return Dataset(self.system, tuple(episodes), tuple(dict.fromkeys(notes)))
 
@@ -145,6 +146,7 @@ def _log(table: Table, columns: ColumnMap, notes: list[str]) -> RawLog:
         time = data[columns.time.column] * columns.time.scale
         check_time(table, columns.time.column, time)
         time = time - time[0]
+        check_rate(table, columns.time, time, columns.dt, row_by_row=not columns.differentiated)
     controls = np.empty((len(table), len(columns.controls)))
     for i, (name, control) in enumerate(columns.controls.items()):
         values = data[control.column] * control.scale

@@ -18,6 +18,9 @@ SHORTEST, LONGEST = 0.5, 1.5
 """Steps that may stand for one ``dt``, in units of it. A lost row makes 2: taken as one step it would
 teach two steps as one."""
 
+TOLD = 1e-3
+"""Steps off by less than this share of ``dt`` are not worth a word."""
+
 
 def at_control_rate(log: RawLog, system: System) -> bool:
     """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
@@ -56,15 +59,17 @@ def take_rows(log: RawLog, system: System) -> Prepared:
             f"{log.name}: expected rows {system.dt:g} s apart, but no two of them are within 0.5 to 1.5 of that; "
             f"the steps are {steps.min():.3g} to {steps.max():.3g} s"
         )
-    kept = steps[~broken]
-    notes = [
-        f"{log.name}: rows taken as samples every {system.dt * 1e3:g} ms; "
-        f"their stamps are {kept.min() * 1e3:.1f} to {kept.max() * 1e3:.1f} ms apart (mean {kept.mean() * 1e3:.2f} ms)"
-    ]
+    kept = 1e3 * steps[~broken]
+    measured = (
+        f"; their stamps are {kept.min():.1f} to {kept.max():.1f} ms apart (mean {kept.mean():.2f} ms)"
+        if np.abs(kept - 1e3 * system.dt).max() > TOLD * 1e3 * system.dt
+        else ""
+    )
+    notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
     if len(runs) > 1:
         notes.append(
-            f"{log.name}: {int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
+            f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
             f"{LONGEST * system.dt * 1e3:g} ms split it into {len(episodes)} pieces; "
             f"{len(runs) - len(episodes)} single rows left out"
         )
-    return Prepared(tuple(episodes), tuple(notes))
+    return Prepared(log.name, tuple(episodes), tuple(notes))

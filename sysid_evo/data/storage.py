@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from sysid_evo.arrays import Array
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import ArtefactError
+from sysid_evo.errors import ArtefactError, InvalidData
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
 
@@ -23,10 +25,19 @@ HEADER, SAMPLES = "dataset.json", "samples.parquet"
 
 
 def save_dataset(dataset: Dataset, folder: Path) -> Path:
-    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null."""
+    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null.
+
+    Raises `InvalidData` if two columns would have the same name.
+    """
     system = dataset.system
     columns: dict[str, list[Any]] = {"episode": [], "step": []}
     names = (*system.state_names, *system.control_names, *_pose_names(system))
+    taken = sorted({name for name in names if name in columns or names.count(name) > 1})
+    if taken:
+        raise InvalidData(
+            f"data set: the channels {', '.join(taken)} cannot be stored, as the columns episode and step and the "
+            "coordinates of the pose have these names; rename the channels"
+        )
     columns.update({name: [] for name in names})
     for episode in dataset.episodes:
         rows = len(episode) + 1
@@ -67,9 +78,9 @@ def load_dataset(folder: Path) -> Dataset:
         for entry in header["episodes"]:
             rows = slice(first, first + entry["steps"] + 1)
             first = rows.stop
-            states = np.column_stack([data[name][rows] for name in system.state_names])
-            controls = np.column_stack([data[name][rows][:-1] for name in system.control_names])
-            pose = np.column_stack([data[name][rows] for name in _pose_names(system)]) if entry["pose"] else None
+            states = _columns(data, system.state_names, rows)
+            controls = _columns(data, system.control_names, rows)[:-1]
+            pose = _columns(data, _pose_names(system), rows) if entry["pose"] else None
             episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"]))
         dataset = Dataset(system, tuple(episodes), tuple(header["notes"]))
     except FileNotFoundError as error:
@@ -83,6 +94,12 @@ def load_dataset(folder: Path) -> Dataset:
     if dataset.fingerprint != header["fingerprint"]:
         raise ArtefactError(f"{folder}: the samples do not match the fingerprint in {HEADER}; the files were changed")
     return dataset
+
+
+def _columns(data: Mapping[str, Array], names: Sequence[str], rows: slice) -> Array:
+    """Return these columns side by side, (rows, len(names)); there may be none."""
+    columns = [data[name][rows] for name in names]
+    return np.column_stack(columns) if columns else np.empty((rows.stop - rows.start, 0))
 
 
 def _pose_names(system: System) -> tuple[str, ...]:

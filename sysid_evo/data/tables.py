@@ -51,13 +51,14 @@ class Reader(ABC):
 class CsvReader(Reader):
     """Text with one header line; separated by comma, semicolon or tab.
 
-    Rows are numbered as an editor does: the header is row 1.
+    Rows are numbered as an editor does: the header is row 1. A flawless file is parsed by pyarrow; a
+    file that it refuses is read line by line, to name what is wrong with which row.
     """
 
     suffixes = (".csv", ".txt", ".tsv")
 
     def header(self, path: Path) -> tuple[str, ...]:
-        line = _text(path)[0]
+        line = _first_line(path)
         names = tuple(name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)), []))
         if not any(names):
             raise InvalidData(f"{path.name}: expected a header line with the names of the columns, the file is empty")
@@ -66,6 +67,13 @@ class CsvReader(Reader):
     def read(self, path: Path, columns: Sequence[str]) -> Table:
         header = self.header(path)
         places = [_place(name, header, path) for name in columns]
+        values = _parsed(path, _delimiter(_first_line(path)), len(header), places)
+        if values is None:
+            return self._line_by_line(path, columns, header, places)
+        rows = np.arange(2, len(values[0]) + 2, dtype=np.int64)
+        return _finite(Table(path, rows, dict(zip(columns, values, strict=True))))
+
+    def _line_by_line(self, path: Path, columns: Sequence[str], header: Sequence[str], places: Sequence[int]) -> Table:
         text = _text(path)
         lines = csv.reader(text[1:], delimiter=_delimiter(text[0]))
         numbered = [(lines.line_num + 1, line) for line in lines if line]
@@ -140,12 +148,48 @@ def log_suffixes() -> tuple[str, ...]:
     return tuple(suffix for _, make in readers.load_all() for suffix in make().suffixes)
 
 
+def _first_line(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            return file.readline().rstrip("\n")
+    except UnicodeDecodeError as error:
+        raise _no_text(path, error) from error
+
+
 def _text(path: Path) -> list[str]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise InvalidData(f"{path.name}: expected text (UTF-8), got other bytes: {error}") from error
+        raise _no_text(path, error) from error
     return lines or [""]
+
+
+def _no_text(path: Path, error: UnicodeDecodeError) -> InvalidData:
+    return InvalidData(f"{path.name}: expected text (UTF-8), got other bytes: {error}")
+
+
+def _parsed(path: Path, delimiter: str, width: int, places: Sequence[int]) -> list[Array] | None:
+    """Return the columns at ``places`` of a file of numbers without blank lines, at least two rows; else None."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow
+
+    names = [str(place) for place in range(width)]
+    try:
+        table = arrow.read_csv(
+            path,
+            read_options=arrow.ReadOptions(column_names=names, skip_rows=1),
+            parse_options=arrow.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
+            convert_options=arrow.ConvertOptions(
+                column_types={names[place]: pa.float64() for place in places},
+                include_columns=[names[place] for place in dict.fromkeys(places)],
+                null_values=[],
+            ),
+        )
+    except pa.ArrowInvalid:
+        return None
+    if table.num_rows < 2 or not places:
+        return None
+    return [table[names[place]].to_numpy() for place in places]
 
 
 def _delimiter(line: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidData
@@ -16,7 +17,8 @@ class Trajectory:
 
     ``states`` is (T + 1, nx), ``controls`` (T, nu): ``controls[k]`` is held from k dt to (k + 1) dt
     and takes ``states[k]`` to ``states[k + 1]``. ``dt`` is in seconds. ``pose`` is (T + 1, n_pose)
-    in the units of the system's motion, or None. Raises `ShapeError` or `InvalidData`.
+    in the units of the system's motion, or None. A single state or control may be 1-D. Raises
+    `ShapeError` or `InvalidData`.
     """
 
     states: Array
@@ -26,8 +28,8 @@ class Trajectory:
     name: str = ""
 
     def __post_init__(self) -> None:
-        states = check_shape(f"states of {self.name!r}", self.states, (None, None))
-        controls = check_shape(f"controls of {self.name!r}", self.controls, (len(states) - 1, None))
+        states = check_shape(f"states of {self.name!r}", as_columns(self.states), (None, None))
+        controls = check_shape(f"controls of {self.name!r}", as_columns(self.controls), (len(states) - 1, None))
         object.__setattr__(self, "states", states)
         object.__setattr__(self, "controls", controls)
         if self.pose is not None:
@@ -60,3 +62,8 @@ class Trajectory:
             pose=None if self.pose is None else self.pose[first : last + 1],
             name=f"{self.name}[{first}:{last}]",
         )
+
+
+def as_columns(values: npt.ArrayLike) -> npt.ArrayLike:
+    """Return 1-D ``values``, those of a single channel, as one column; anything else as it is."""
+    return np.asarray(values)[:, None] if np.ndim(values) == 1 else values

@@ -1,36 +1,116 @@
-"""The units a log may be written in, and what turns them into SI units."""
+"""The units a log may be written in, and what turns them into SI units.
+
+A unit is a product of known symbols: ``m/s^2``, ``N m``, ``deg/s``, ``1/s``. One that is not known is
+refused, so that a slip of the pen is noticed; a unit of your own stands in brackets, ``[ticks]``,
+and is kept as it is. Empty means without unit.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
+import re
 
-SI_UNITS: dict[str, tuple[str, float]] = {
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180.0),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
-    "m/s": ("m/s", 1.0),
-    "cm/s": ("m/s", 1e-2),
-    "mm/s": ("m/s", 1e-3),
-    "km/h": ("m/s", 1.0 / 3.6),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180.0),
-    "rpm": ("rad/s", math.pi / 30.0),
-    "m/s^2": ("m/s^2", 1.0),
-    "g": ("m/s^2", 9.80665),
+from sysid_evo.errors import InvalidArgument
+
+SYMBOLS: dict[str, tuple[dict[str, int], float]] = {
+    "m": ({"m": 1}, 1.0),
+    "km": ({"m": 1}, 1e3),
+    "cm": ({"m": 1}, 1e-2),
+    "mm": ({"m": 1}, 1e-3),
+    "um": ({"m": 1}, 1e-6),
+    "rad": ({"rad": 1}, 1.0),
+    "mrad": ({"rad": 1}, 1e-3),
+    "deg": ({"rad": 1}, math.pi / 180.0),
+    "rev": ({"rad": 1}, 2.0 * math.pi),
+    "s": ({"s": 1}, 1.0),
+    "ms": ({"s": 1}, 1e-3),
+    "us": ({"s": 1}, 1e-6),
+    "ns": ({"s": 1}, 1e-9),
+    "min": ({"s": 1}, 60.0),
+    "h": ({"s": 1}, 3600.0),
+    "Hz": ({"Hz": 1}, 1.0),
+    "kHz": ({"Hz": 1}, 1e3),
+    "rpm": ({"rad": 1, "s": -1}, math.pi / 30.0),
+    "g": ({"m": 1, "s": -2}, 9.80665),
+    "kg": ({"kg": 1}, 1.0),
+    "N": ({"N": 1}, 1.0),
+    "mN": ({"N": 1}, 1e-3),
+    "kN": ({"N": 1}, 1e3),
+    "Nm": ({"N": 1, "m": 1}, 1.0),
+    "J": ({"J": 1}, 1.0),
+    "W": ({"W": 1}, 1.0),
+    "kW": ({"W": 1}, 1e3),
+    "Pa": ({"Pa": 1}, 1.0),
+    "kPa": ({"Pa": 1}, 1e3),
+    "bar": ({"Pa": 1}, 1e5),
+    "mbar": ({"Pa": 1}, 1e2),
+    "l": ({"m": 3}, 1e-3),
+    "V": ({"V": 1}, 1.0),
+    "mV": ({"V": 1}, 1e-3),
+    "A": ({"A": 1}, 1.0),
+    "mA": ({"A": 1}, 1e-3),
+    "T": ({"T": 1}, 1.0),
+    "uT": ({"T": 1}, 1e-6),
+    "K": ({"K": 1}, 1.0),
+    "degC": ({"degC": 1}, 1.0),
+    "%": ({"%": 1}, 1.0),
 }
+"""Every known symbol: its SI units with their powers, and the factor to them; ``g`` is the acceleration.
+
+Degrees Celsius and per cent stay what they are.
+"""
+
+_FACTOR = re.compile(r"([A-Za-z%]+)(?:\^?(-?\d+))?")
 
 
 def to_si(unit: str) -> tuple[str, float]:
-    """Return the SI unit of ``unit`` and the factor to it; an unknown unit is kept, with factor 1."""
-    return SI_UNITS.get(unit, (unit, 1.0))
+    """Return the SI unit of ``unit`` and the factor to it.
+
+    Raises `InvalidArgument`, with a suggestion, if a symbol in ``unit`` is not known.
+    """
+    unit = unit.strip()
+    if unit.startswith("[") and unit.endswith("]"):
+        return unit[1:-1].strip(), 1.0
+    powers: dict[str, int] = {}
+    scale = 1.0
+    for i, part in enumerate(unit.split("/")):
+        for text in re.split(r"[\s*·]+", part.strip()) if part.strip() not in ("", "1") else ():
+            symbol, power = _symbol(text, unit)
+            power = power if i == 0 else -power
+            units, factor = SYMBOLS[symbol]
+            scale *= factor**power
+            for name, exponent in units.items():
+                powers[name] = powers.get(name, 0) + exponent * power
+    return _written(powers), scale
 
 
 def units_of(si_unit: str) -> tuple[str, ...]:
-    """Return every known unit that becomes ``si_unit``."""
-    return tuple(unit for unit, (target, _) in SI_UNITS.items() if target == si_unit)
+    """Return usual units that become ``si_unit``."""
+    usual = ("m/s", "cm/s", "mm/s", "km/h", "rad/s", "deg/s", "m/s^2", *SYMBOLS)
+    return tuple(dict.fromkeys(unit for unit in usual if to_si(unit)[0] == si_unit))
+
+
+def _symbol(text: str, unit: str) -> tuple[str, int]:
+    """Return symbol and power of one factor, as ``s^2``, of ``unit``."""
+    match = _FACTOR.fullmatch(text)
+    if match is not None and match[1] in SYMBOLS:
+        return match[1], int(match[2] or 1)
+    named = text if match is None else match[1]
+    close = difflib.get_close_matches(named, SYMBOLS, n=1, cutoff=0.5)
+    hint = f" Did you mean {unit.replace(named, close[0])!r}?" if close else ""
+    raise InvalidArgument(
+        f"expected a unit made of known symbols, got {unit!r}: {named!r} is not one.{hint} "
+        f'Known: {", ".join(SYMBOLS)}. A unit of your own stands in brackets: "[{unit.strip("[]")}]"'
+    )
+
+
+def _written(powers: dict[str, int]) -> str:
+    """Return ``{"m": 1, "s": -2}`` as ``m/s^2``."""
+
+    def power(name: str, exponent: int) -> str:
+        return name if exponent == 1 else f"{name}^{exponent}"
+
+    above = " ".join(power(name, exponent) for name, exponent in powers.items() if exponent > 0)
+    below = "".join(f"/{power(name, -exponent)}" for name, exponent in powers.items() if exponent < 0)
+    return f"{above or '1'}{below}" if below else above

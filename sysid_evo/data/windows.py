@@ -57,8 +57,9 @@ def cut_windows(
 ) -> Windows:
     """Cut windows of ``horizon`` steps with ``history`` samples before them, every ``stride`` samples.
 
-    Starts count from sample ``first`` (default: ``history``). With ``rows``, one mask (T + 1,) for
-    each episode, every ``stride``-th candidate is kept only where its mask is true.
+    The first window starts at sample ``first``, or at ``history`` if that is later, so that all its
+    history is measured and none made up. ``rows`` are masks (T + 1,), one for each episode: a window
+    whose start is false in its mask is left out.
     """
     first = history if first is None else max(first, history)
     parts: list[tuple[Array, Array, Array, Array, IntArray, IntArray]] = []

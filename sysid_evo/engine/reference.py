@@ -10,7 +10,7 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics, clip_state
-from sysid_evo.randomness import step_noise, trial_draws
+from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
 from sysid_evo.tasks.task import Task, TaskState
 
 ENGINE = "reference"
@@ -24,6 +24,7 @@ def run(
     candidates, trials = len(parameters), len(seeds)
     batch, grid = candidates * trials, (candidates, trials)
     noise = step_noise(seeds, task.horizon, dynamics.n_noise)
+    disturbance = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
     draws = np.tile(trial_draws(seeds, dynamics.n_draws), (candidates, 1))
 
     task_state = task.begin(seeds).tile(candidates)
@@ -43,7 +44,8 @@ def run(
             state = carry[:, : system.nx]
             seen = carry[:, dynamics.observed_at : dynamics.observed_at + system.nx]
             observation = task.observe(task_state, seen)
-            view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state)
+            drawn = np.broadcast_to(disturbance[:, k], (*grid, controller.n_noise)) if controller.n_noise else None
+            view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state, drawn)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None

@@ -1,24 +1,29 @@
-"""Evolution: strategies, the generation loop, ensembles of models, champions."""
+"""Evolution: strategies, aggregates, the generation loop, ensembles of models, champions."""
 
+from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion
-from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller
-from sysid_evo.evolution.ensemble import AGGREGATES, EnsembleObjective, aggregate
+from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
+from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
-from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
-    "AGGREGATES",
+    "Aggregate",
     "Champion",
     "ControllerEvolution",
     "EnsembleObjective",
     "EvolutionStrategy",
     "Generation",
+    "Lowest",
+    "Mean",
+    "Median",
     "ModelEvolution",
     "MuPlusLambda",
     "Objective",
-    "aggregate",
+    "StrategyState",
     "evolve",
     "evolve_controller",
+    "observed_late",
 ]

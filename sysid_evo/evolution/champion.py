@@ -6,16 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from sysid_evo.arrays import Array, check_shape
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.registry import Spec
+from sysid_evo.system import System
 
 
 @dataclass(frozen=True)
 class Champion:
-    """One evolved parameter vector (n,) of a registered controller at a registered task.
+    """One evolved parameter vector (n,) of a registered ``controller`` at a registered ``task``.
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history``
     (G, 3) holds the best, mean and worst fitness of each generation, as evolution saw them, with states
-    observed ``estimator_delay`` s late.
+    observed ``estimator_delay`` s late. ``seed_fitness`` holds the fitness of the champion of each run,
+    from different evolution seeds, on the same fresh trials: this champion is the best of them.
+    ``system`` is the one that it was evolved for; None for somebody who drives by hand.
     """
 
     name: str
@@ -24,12 +31,56 @@ class Champion:
     aggregate: str
     seed: int
     history: Array
-    controller: str = "recurrent"
-    controller_parameters: Mapping[str, Any] = field(default_factory=dict)
-    task: str = "point_to_point"
-    task_parameters: Mapping[str, Any] = field(default_factory=dict)
+    controller: Spec = field(default_factory=lambda: Spec("recurrent"))
+    task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     estimator_delay: float = 0.0
+    seed_fitness: tuple[float, ...] = ()
+    system: System | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", check_shape("parameters", self.parameters, (None,)))
         object.__setattr__(self, "history", check_shape("history", self.history, (None, 3)))
+        for name in ("controller", "task"):
+            if isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, Spec.parse(getattr(self, name)))
+
+    def check_system(self, system: System) -> None:
+        """Raise `IncompatibleSystem` unless ``system`` is, for a controller, the one it was evolved for."""
+        differences = () if self.system is None else self.system.differences(system)
+        if differences:
+            raise IncompatibleSystem(
+                f"controller {self.name!r} was evolved for another system: {'; '.join(differences)}. "
+                "Evolve one for this system, or run it on the robot that it was evolved for"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but parameters and history, as strict JSON."""
+        return {
+            "name": self.name,
+            "against": list(self.against),
+            "aggregate": self.aggregate,
+            "seed": self.seed,
+            "controller": self.controller.text,
+            "task": self.task.text,
+            "estimator_delay": self.estimator_delay,
+            "seed_fitness": list(self.seed_fitness),
+            "system": None if self.system is None else self.system.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any], parameters: Array, history: Array) -> Champion:
+        """Undo `to_dict`; ``parameters`` is (n,), ``history`` (G, 3)."""
+        system = value["system"]
+        return cls(
+            name=value["name"],
+            parameters=np.asarray(parameters, dtype=np.float64),
+            against=tuple(value["against"]),
+            aggregate=value["aggregate"],
+            seed=value["seed"],
+            history=np.asarray(history, dtype=np.float64).reshape(-1, 3),
+            controller=Spec.parse(value["controller"]),
+            task=Spec.parse(value["task"]),
+            estimator_delay=value["estimator_delay"],
+            seed_fitness=tuple(value["seed_fitness"]),
+            system=None if system is None else System.from_dict(system),
+        )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,16 @@ from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_controller, make_strategy, make_task
+from sysid_evo.registry import (
+    Spec,
+    aggregates,
+    controllers,
+    make_controller,
+    make_strategy,
+    make_task,
+    strategies,
+    tasks,
+)
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -28,12 +36,13 @@ SELECTION = 2**31
 
 @dataclass(frozen=True)
 class ControllerEvolution:
-    """How controllers are evolved: names from the registries and numbers, all of it storable.
+    """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
 
     ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
     which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials. With ``estimator_delay`` (s) every model is observed that late, as
-    on a robot whose state is estimated, see `DelayedEstimate`.
+    ``selection_trials`` fresh trials. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
+    see `DelayedEstimate`.
     """
 
     generations: int = 300
@@ -42,29 +51,31 @@ class ControllerEvolution:
     aggregate: str = "min"
     selection_trials: int = 50
     estimator_delay: float = 0.0
-    controller: str = "recurrent"
-    controller_parameters: Mapping[str, Any] = field(default_factory=dict)
-    task: str = "point_to_point"
-    task_parameters: Mapping[str, Any] = field(default_factory=dict)
-    strategy: str = "mu_plus_lambda"
-    strategy_parameters: Mapping[str, Any] = field(default_factory=dict)
+    controller: Spec = field(default_factory=lambda: Spec("recurrent"))
+    task: Spec = field(default_factory=lambda: Spec("point_to_point"))
+    strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
 
     def __post_init__(self) -> None:
+        for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
+            object.__setattr__(self, name, registry.check(getattr(self, name)))
         for name in ("generations", "trials", "runs", "selection_trials"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+        aggregates.check(self.aggregate)
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
-        task: Task = make_task(self.task, **self.task_parameters).bind(system)
-        return task
+        return make_task(self.task).bind(system)
 
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
-        controller: Controller = make_controller(self.controller, **self.controller_parameters)
-        return controller.bind(len(task.observations), task.system.nu)
+        return make_controller(self.controller).bind(len(task.observations), task.system.nu)
+
+    def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
+        """Return the strategy, which searches ``n_parameters`` numbers."""
+        return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
 
 
 def evolve_controller(
@@ -82,14 +93,12 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    met = {name: _observed(name, runner, settings.estimator_delay) for name, runner in runners.items()}
+    met = {name: observed_late(name, runner, settings.estimator_delay) for name, runner in runners.items()}
     total = settings.runs * settings.generations
-    best: tuple[float, Champion] | None = None
+    champions: list[tuple[float, Champion]] = []
     for run in range(settings.runs):
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
-        strategy: EvolutionStrategy = make_strategy(
-            settings.strategy, n_parameters=controller.n_parameters, seed=run_seed, **settings.strategy_parameters
-        )
+        strategy = settings.make_strategy(controller.n_parameters, run_seed)
         objective = EnsembleObjective(
             tuple(met.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
@@ -110,18 +119,16 @@ def evolve_controller(
             seed=seed,
             history=np.array(history),
             controller=settings.controller,
-            controller_parameters=settings.controller_parameters,
             task=settings.task,
-            task_parameters=settings.task_parameters,
             estimator_delay=settings.estimator_delay,
+            system=system,
         )
-        if best is None or fitness[winner] > best[0]:
-            best = (float(fitness[winner]), champion)
-    assert best is not None
-    return best[1]
+        champions.append((float(fitness[winner]), champion))
+    best = max(champions, key=lambda pair: pair[0])[1]  # of equals the first
+    return replace(best, seed_fitness=tuple(value for value, _ in champions))
 
 
-def _observed(name: str, runner: Runner, delay: float) -> Runner:
+def observed_late(name: str, runner: Runner, delay: float) -> Runner:
     """Return ``runner`` with a state that is observed ``delay`` s late. Raises `InvalidArgument`."""
     if delay == 0.0:
         return runner

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid_evo.arrays import Array, Seeds
+from sysid_evo.arrays import Array, Seeds, check_shape
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.aggregates import Aggregate
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import aggregates, make_aggregate
 from sysid_evo.tasks.task import Task
-
-AGGREGATES: dict[str, Callable[[Array], Array]] = {
-    "min": lambda fitness: np.min(fitness, axis=0),
-    "mean": lambda fitness: np.mean(fitness, axis=0),
-    "median": lambda fitness: np.median(fitness, axis=0),
-}
-"""How the fitnesses on several models, (models, ...), become one; the paper's rule is ``min``."""
-
-
-def aggregate(name: str, fitness: npt.ArrayLike) -> Array:
-    """Return one fitness (...) from those on several models (models, ...). Raises `InvalidArgument`."""
-    if name not in AGGREGATES:
-        raise InvalidArgument(f"aggregate: expected one of {', '.join(AGGREGATES)}, got {name!r}")
-    return AGGREGATES[name](np.asarray(fitness, dtype=np.float64))
 
 
 @dataclass(frozen=True)
 class EnsembleObjective:
-    """Mean fitness over ``trials`` on each of the runners, made one by ``aggregate``.
+    """Fitness on each of the runners in ``trials`` trials, made one by ``aggregate``, a spec.
 
     Everyone in a generation meets the same trials, keyed by (seed, generation, trial), and the same
     trials on every model; the next generation meets new ones.
@@ -46,7 +34,7 @@ class EnsembleObjective:
     aggregate: str = "min"
 
     def __post_init__(self) -> None:
-        aggregate(self.aggregate, np.zeros((1, 1)))
+        aggregates.check(self.aggregate)
         if not self.runners or self.trials < 1:
             raise InvalidArgument(
                 f"ensemble: expected at least one model and one trial, got {len(self.runners)} and {self.trials}"
@@ -57,8 +45,11 @@ class EnsembleObjective:
         return self.on_trials(population, trial_seeds(self.seed, self.trials, generation=generation))
 
     def on_trials(self, population: Array, seeds: Seeds) -> Array:
-        """Return the fitness (P,) on the trials of these seeds."""
-        means = [
-            runner.run(self.controller, population, self.task, seeds).fitness.mean(axis=1) for runner in self.runners
-        ]
-        return aggregate(self.aggregate, np.stack(means))
+        """Return the fitness (P,) on the trials of these seeds. Raises `ShapeError` if a runner leaves trials out."""
+        shape = (len(population), len(seeds))
+        scored = [runner.run(self.controller, population, self.task, seeds).fitness for runner in self.runners]
+        return self._rule(np.stack([check_shape("fitness in every trial", fitness, shape) for fitness in scored]))
+
+    @cached_property
+    def _rule(self) -> Aggregate:
+        return make_aggregate(self.aggregate)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.free_run import chained
 from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
@@ -24,8 +25,10 @@ PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
 Start: TypeAlias = Callable[[Array, Array], Array]
 """(W, L + 1, nx) measured states, (W, L, nu) controls before the last -> (W, n_carry) carries, see `Dynamics.start`."""
 
-PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array]"]
-"""(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate."""
+PopulationKernel: TypeAlias = Callable[[Array], "tuple[DynamicsKernel, Array] | None"]
+"""(P, n) parameters -> a kernel of the family and its flat parameters (P, m) for every candidate; None without one."""
+
+Weights: TypeAlias = Literal["spread", "paper"]
 
 CHOICE_WINDOWS = 500
 
@@ -35,7 +38,9 @@ class ModelEvolution:
     """A 50+50 strategy on the error after ``horizon`` steps from ``windows`` random starts.
 
     The fitness of a candidate is minus the mean square difference between the simulated and the
-    recorded state ``horizon`` steps after the start. All candidates of a generation meet the same
+    recorded state ``horizon`` steps after the start. ``weights`` says in what: with "spread", every state is
+    divided by its standard deviation over the data; with "paper", states count in their own units, so
+    that one whose numbers are small hardly counts. All candidates of a generation meet the same
     windows, the next generation new ones, and parents are evaluated again. The winner is the best
     of the last parents on up to 500 windows spread evenly over the data.
     """
@@ -46,6 +51,7 @@ class ModelEvolution:
     parents: int = 50
     children: int = 50
     sigma: float = 0.1
+    weights: Weights = "spread"
 
     def run(
         self,
@@ -71,6 +77,7 @@ class ModelEvolution:
                 f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
                 + (f" and {history} of history" if history else "")
             )
+        weight = state_weights(every, self.weights)
         seed = int(rng.integers(2**32))
         strategy = MuPlusLambda(
             n_parameters=len(initial),
@@ -85,15 +92,16 @@ class ModelEvolution:
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
             chosen = every[draw.integers(len(every), size=self.windows)]
-            if kernel is None:
-                return -final_error(step, population, chosen, start)
-            return -kernel_error(kernel, population, chosen, start)
+            compiled = None if kernel is None else kernel(population)
+            if compiled is None:
+                return -final_error(step, population, chosen, start, weight=weight)
+            return -kernel_error(*compiled, chosen, start, weight=weight)
 
         for generation in evolve(strategy, objective, self.generations):
             if progress is not None:
                 progress(generation.index + 1, self.generations)
         evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
-        return strategy.elite[int(np.argmin(final_error(step, strategy.elite, every[evenly], start)))]
+        return strategy.elite[int(np.argmin(final_error(step, strategy.elite, every[evenly], start, weight=weight)))]
 
 
 def starting_carries(windows: Windows, start: Start | None) -> Array:
@@ -101,30 +109,55 @@ def starting_carries(windows: Windows, start: Start | None) -> Array:
     return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
 
 
-def final_error(step: PopulationStep, population: Array, windows: Windows, start: Start | None = None) -> Array:
-    """Return the mean square difference (P,) of the last state of ``windows``; the largest number where it diverges."""
+def state_weights(windows: Windows, weights: Weights) -> Array:
+    """Return how much the square error of each state counts, (nx,)."""
+    spread = windows.states[:, -1].std(axis=0)
+    if weights == "paper":
+        return np.ones_like(spread)
+    return 1.0 / np.where(spread > 0, spread, 1.0) ** 2
+
+
+def final_error(
+    step: PopulationStep,
+    population: Array,
+    windows: Windows,
+    start: Start | None = None,
+    *,
+    weight: Array | float = 1.0,
+) -> Array:
+    """Return the mean square difference (P,) of the last state of ``windows``, every state times its ``weight`` (nx,).
+
+    A candidate that diverges has the largest number there is.
+    """
     nx = windows.states.shape[2]
     carry = np.repeat(starting_carries(windows, start)[None], len(population), axis=0)
     with np.errstate(all="ignore"):
-        for k in range(windows.controls.shape[1]):
-            carry = step(population, carry, windows.controls[:, k])
-        error = np.mean((carry[..., :nx] - windows.states[:, -1]) ** 2, axis=(1, 2))
+        for last in chained(lambda now, control: step(population, now, control), carry, windows.controls):
+            carry = last
+        error = np.mean((carry[..., :nx] - windows.states[:, -1]) ** 2 * weight, axis=(1, 2))
     return np.where(np.isfinite(error), error, np.finfo(float).max)
 
 
-def kernel_error(kernel: PopulationKernel, population: Array, windows: Windows, start: Start | None = None) -> Array:
-    """Return what `final_error` does, compiled, on all processors."""
+def kernel_error(
+    kernel: DynamicsKernel,
+    parameters: Array,
+    windows: Windows,
+    start: Start | None = None,
+    *,
+    weight: Array | None = None,
+) -> Array:
+    """Return what `final_error` does, compiled, on all processors; ``parameters`` are the kernel's, (P, m)."""
     from sysid_evo.engine import available_processors
     from sysid_evo.engine.compiled.open_loop import final_errors
 
-    compiled, parameters = kernel(population)
     error = final_errors(
-        compiled.source,
-        compiled.n_scratch,
+        kernel.source,
+        kernel.n_scratch,
         parameters,
         starting_carries(windows, start),
         windows.controls,
         windows.states[:, -1],
+        weight,
         threads=available_processors(),
     )
     return np.where(np.isfinite(error), error, np.finfo(float).max)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 from sysid_evo.registry import register_strategy
 
 
@@ -50,6 +50,24 @@ class MuPlusLambda(EvolutionStrategy):
     @property
     def elite(self) -> Array:
         return self._parents
+
+    @property
+    def state(self) -> StrategyState:
+        scored = {} if self._parents_fitness is None else {"parents_fitness": self._parents_fitness.copy()}
+        return {"generation": self.generation, "parents": self._parents.copy(), **scored}
+
+    def restore(self, state: StrategyState) -> None:
+        unknown = set(state) - {"generation", "parents", "parents_fitness"}
+        if unknown or not {"generation", "parents"} <= set(state):
+            raise InvalidArgument(
+                "mu_plus_lambda: expected a state with generation, parents and perhaps parents_fitness, "
+                f"got {', '.join(sorted(state)) or 'nothing'}"
+            )
+        parents = check_shape("state: parents", state["parents"], (self.n_parents, self.n_parameters))
+        fitness = state.get("parents_fitness")
+        if fitness is not None:
+            fitness = check_shape("state: parents_fitness", fitness, (self.n_parents,)).copy()
+        self._parents, self._parents_fitness, self.generation = parents.copy(), fitness, int(state["generation"])
 
     def ask(self) -> Array:
         bearers = self._parents[np.arange(self.n_children) % self.n_parents]

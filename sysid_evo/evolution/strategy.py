@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TypeAlias
 
 import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidArgument
 
+StrategyState: TypeAlias = Mapping[str, Array | int | float | str]
+"""All that changes in a strategy, by name: float64 arrays, numbers and text, which can be stored."""
+
 
 class EvolutionStrategy(ABC):
-    """Searches R^n for high fitness. Fitness is **maximised**."""
+    """Searches R^n for high fitness. Fitness is **maximised**.
+
+    Made with ``n_parameters`` and ``seed``, and parameters of its own. Random numbers are best drawn
+    from a generator keyed by (seed, generation), so that no generator is part of the state.
+    """
 
     n_parameters: int
 
@@ -27,6 +36,18 @@ class EvolutionStrategy(ABC):
     @abstractmethod
     def elite(self) -> Array:
         """The candidates from which the champion is chosen, best first, (any, n_parameters)."""
+
+    @property
+    @abstractmethod
+    def state(self) -> StrategyState:
+        """All that `tell` has changed: copies, which stay as they are."""
+
+    @abstractmethod
+    def restore(self, state: StrategyState) -> None:
+        """Go on from a ``state`` of a strategy made with the same arguments, bit for bit as that one would have.
+
+        Raises `InvalidArgument` or `ShapeError` if it is the state of another.
+        """
 
     def tell(self, population: Array, fitness: Array) -> None:
         """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness."""

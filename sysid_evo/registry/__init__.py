@@ -31,7 +31,7 @@ from sysid_evo.registry.kinds import (
 from sysid_evo.registry.plugin_files import load_plugin, source_digest
 from sysid_evo.registry.registry import Registry
 from sysid_evo.registry.robot_files import make_robot, robot_spec
-from sysid_evo.registry.spec import Spec, distinct
+from sysid_evo.registry.spec import Spec, distinct, split
 
 __all__ = [
     "KINDS",
@@ -64,6 +64,7 @@ __all__ = [
     "robot_spec",
     "robots",
     "source_digest",
+    "split",
     "strategies",
     "tasks",
     "trackers",

@@ -9,6 +9,7 @@ from sysid_evo.registry.registry import Registry
 if TYPE_CHECKING:
     from sysid_evo.controllers.controller import Controller
     from sysid_evo.dynamics import DynamicsModel
+    from sysid_evo.evolution.aggregates import Aggregate
     from sysid_evo.evolution.strategy import EvolutionStrategy
     from sysid_evo.motion import Motion
     from sysid_evo.tasks.task import Task
@@ -19,7 +20,7 @@ controllers: Registry[Controller] = Registry("controller", "sysid_evo.controller
 strategies: Registry[EvolutionStrategy] = Registry(
     "strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"})
 )
-aggregates: Registry[Any] = Registry("aggregate", "sysid_evo.aggregates")
+aggregates: Registry[Aggregate] = Registry("aggregate", "sysid_evo.aggregates")
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
 trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")

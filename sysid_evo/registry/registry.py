@@ -5,16 +5,16 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import inspect
-import re
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from packaging.requirements import Requirement
-
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
+from sysid_evo.registry.plugin_files import source_digest
 from sysid_evo.registry.spec import Spec
 
 T = TypeVar("T")
@@ -135,6 +135,18 @@ class Registry(Generic[T]):
                 found[parameter.name] = parameter.default
         return found
 
+    def identity(self, spec: str | Spec) -> dict[str, Any]:
+        """Return name, all parameters and a plugin's source: what decides the thing ``spec`` makes, as strict JSON."""
+        found = self.check(spec)
+        defaults = {key: value for key, value in self.parameters(found.name).items() if key not in self.given}
+        parameters: dict[str | None, Any] = defaults
+        parameters.update(found.parameters.items())
+        return {
+            "name": found.name,
+            "parameters": {str(key): _plain(value) for key, value in parameters.items() if key is not None},
+            "source": source_digest(self.get(found.name)),
+        }
+
     def lacking(self, name: str) -> MissingExtra | None:
         """Return why ``name`` cannot run here for want of an optional package; None if it can.
 
@@ -147,8 +159,8 @@ class Registry(Generic[T]):
         points = self._points(name)
         for module in getattr(factory, "requires", ()):
             if importlib.util.find_spec(module) is None:
-                extra = _extra_of(points[0], module) if points else None
-                return _missing(self.kind, name, module, extra or module)
+                distribution = _distribution(points[0]) if points else DISTRIBUTION
+                return missing_extra(f"{self.kind} {name!r}", module, distribution)
         return None
 
     def load_all(self) -> Iterator[tuple[str, Callable[..., T]]]:
@@ -195,6 +207,17 @@ def _signature(factory: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(factory).parameters
 
 
+def _plain(value: Any) -> Any:
+    """Return ``value`` as strict JSON; what JSON cannot hold is its text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    return repr(value)
+
+
 def _did_you_mean(wrong: str, known: tuple[str, ...] | list[str]) -> str:
     close = difflib.get_close_matches(wrong, known, n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
@@ -208,10 +231,9 @@ def _load(point: EntryPoint, kind: str) -> None:
     try:
         point.load()
     except ModuleNotFoundError as error:
-        extra = _extra_of(point, error.name or "")
-        if extra is None:
+        if extra_of(error.name or "", _distribution(point)) is None:
             raise PluginError(f"{kind} {point.name!r} ({point.value}) cannot be imported: {error}") from error
-        raise _missing(kind, point.name, error.name or "", extra) from error
+        raise missing_extra(f"{kind} {point.name!r}", error.name, _distribution(point)) from error
     except RegistrationError:
         raise
     except Exception as error:  # a plugin may fail in any way while it is imported
@@ -220,20 +242,5 @@ def _load(point: EntryPoint, kind: str) -> None:
         ) from error
 
 
-def _missing(kind: str, name: str, module: str, requirement: str) -> MissingExtra:
-    return MissingExtra(
-        f"{kind} {name!r} needs the package {module!r}, which is not installed. "
-        f'Install it with: pip install "{requirement}"'
-    )
-
-
-def _extra_of(point: EntryPoint, module: str) -> str | None:
-    """Return ``distribution[extra]`` for the extra that brings ``module``, if there is one."""
-    if point.dist is None:
-        return None
-    for text in point.dist.requires or []:
-        requirement = Requirement(text)
-        found = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(requirement.marker or ""))
-        if found and requirement.name.replace("-", "_").lower() == module.split(".")[0].lower():
-            return f"{point.dist.name}[{found.group(1)}]"
-    return None
+def _distribution(point: EntryPoint) -> str | Distribution:
+    return DISTRIBUTION if point.dist is None else point.dist

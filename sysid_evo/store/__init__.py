@@ -3,6 +3,5 @@
 from sysid_evo.store.champions import load_champion, save_champion
 from sysid_evo.store.manifest import versions
 from sysid_evo.store.models import family_name, load_model, save_model
-from sysid_evo.store.runs import RunFolder
 
-__all__ = ["RunFolder", "family_name", "load_champion", "load_model", "save_champion", "save_model", "versions"]
+__all__ = ["family_name", "load_champion", "load_model", "save_champion", "save_model", "versions"]

@@ -17,7 +17,7 @@ from safetensors.numpy import load_file, save
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.files import write_atomically
 
-SCHEMA: Literal["sysid-evo/artefact/1"] = "sysid-evo/artefact/1"
+SCHEMA: Literal["sysid-evo/artefact/2"] = "sysid-evo/artefact/2"
 MAX_MANIFEST_BYTES = 4 * 2**20
 MAX_HEADER_BYTES = 2**20
 MAX_TENSOR_BYTES = 2**31
@@ -49,7 +49,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/artefact/1"] = SCHEMA
+    schema_: Literal["sysid-evo/artefact/2"] = SCHEMA
     kind: Literal["model", "controller"]
     name: str
     module: str
@@ -107,7 +107,7 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     try:
         manifest = Manifest.model_validate_json(source.read_bytes())
     except ValidationError as error:
-        raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {_first(error)}") from error
+        raise ArtefactError(f"{source}: not a manifest of schema {SCHEMA}: {_first(error)}{_older(error)}") from error
     if manifest.kind != kind:
         raise ArtefactError(f"{source}: expected a stored {kind}, got a {manifest.kind}")
     allowed = MAX_HEADER_BYTES + sum(8 * math.prod(shape) for shape in manifest.tensors.values())
@@ -131,6 +131,12 @@ def _first(error: ValidationError) -> str:
     """Return where the first fault stands and what it is."""
     first = error.errors()[0]
     return f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
+
+
+def _older(error: ValidationError) -> str:
+    """Return what to do about an artefact that another version wrote; nothing for other faults."""
+    of_schema = any(fault["loc"] == ("schema_",) and fault["type"] == "literal_error" for fault in error.errors())
+    return "; another version of this library wrote it: fit or evolve again" if of_schema else ""
 
 
 def _with(path: Path, suffix: str) -> Path:

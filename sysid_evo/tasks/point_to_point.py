@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
+from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.scene import Scene
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
+
+POSE = ("x", "y", "heading")
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,11 @@ class PointToPoint(Task):
         self.arena_radius = arena_radius
 
     def check_system(self, system: System) -> None:
-        if not isinstance(system.motion, PlanarBody):
+        motion = system.motion
+        if motion is None or motion.pose_names != POSE or not {"forward", "yaw_rate"} <= motion.roles().keys():
             raise IncompatibleTask(
                 "point_to_point needs a planar body (roles forward and yaw_rate); "
-                f"{system.name or 'this system'} has {'no motion' if system.motion is None else system.motion.kind}"
+                f"{system.name or 'this system'} has {'no motion' if motion is None else motion.kind}"
             )
 
     def begin(self, seeds: Seeds) -> PointToPointState:
@@ -99,14 +103,14 @@ class PointToPoint(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("PointToPointState", task_state)
-        forward, _, yaw_rate = self._planar.indices(self.system.state_names)
+        forward, yaw_rate = self._rows
         dx, dy = here.to_waypoint(here.pose)
         angle = np.arctan2(dy, dx) - here.pose[:, 2]
         observation = np.empty((len(state), 5))
         observation[:, 0] = 1.0
         observation[:, 1] = state[:, forward]
         observation[:, 2] = state[:, yaw_rate]
-        observation[:, 3] = angle - 2.0 * np.pi * np.ceil((angle - np.pi) / (2.0 * np.pi))
+        observation[:, 3] = wrap(angle)
         observation[:, 4] = np.sqrt(dx * dx + dy * dy)
         return observation
 
@@ -115,7 +119,7 @@ class PointToPoint(Task):
     ) -> tuple[TaskState, Array]:
         here = cast("PointToPointState", task_state)
         if pose is None:
-            pose = self._planar.move(here.pose, before, after, self.system.dt, self.system.state_names)
+            pose = self.system.move(here.pose, before, after)
         dx, dy = here.to_waypoint(pose)
         near = dx * dx + dy * dy <= self.waypoint_radius**2
         return replace(here, pose=pose, passed=here.passed + near), after
@@ -123,14 +127,24 @@ class PointToPoint(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("PointToPointState", task_state).passed.astype(np.float64)
 
-    def kernel(self) -> TaskKernel:
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        """Return the waypoints passed, in order, and the next one."""
+        here = cast("PointToPointState", task_state)
+        passed = int(here.passed[trial])
+        markers = here.waypoints[here.trial[trial], : passed + 1].copy()
+        return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
+
+    def kernel(self) -> TaskKernel | None:
         from sysid_evo.engine.kernels.waypoints import waypoints_kernel
 
         return waypoints_kernel(self.system, self.waypoint_radius, self.horizon + 1)
 
     @property
-    def _planar(self) -> PlanarBody:
-        return cast("PlanarBody", self.system.motion)
+    def _rows(self) -> tuple[int, int]:
+        """Where forward speed and yaw rate stand among the states."""
+        assert self.system.motion is not None
+        roles, names = self.system.motion.roles(), self.system.state_names
+        return names.index(roles["forward"]), names.index(roles["yaw_rate"])
 
 
 @lru_cache(maxsize=16)

@@ -11,6 +11,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray, Seeds
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.scene import Scene
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
@@ -90,6 +91,13 @@ class Task(ABC):
     @abstractmethod
     def fitness(self, task_state: TaskState) -> Array:
         """Return the fitness (B,) so far."""
+
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        """Return what can be drawn of one trial, the row ``trial`` of ``task_state``; nothing by default.
+
+        The task need not be bound.
+        """
+        return Scene()
 
     def kernel(self) -> TaskKernel | None:
         """Return the compiled form of a bound task, if it has one."""

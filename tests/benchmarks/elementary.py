@@ -16,6 +16,7 @@ from rich.table import Table
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
+from sysid_evo.engine.compiled.signature import NUMBER, REALS, Signature
 
 ITERATIONS = 400
 END_OF_TANH = 9.0
@@ -93,7 +94,7 @@ def angle(n, x, y):  # type: ignore[no-untyped-def]  # read by Numba
 def measured(function: Any, x: Array) -> tuple[Array, Array]:
     """Return x as float32 holds it, and the compiled float32 function there."""
     given, result = x.astype(np.float32), np.zeros(len(x), np.float32)
-    compile_kernel(KernelSource(function), "types.void(types.int64, R, R)", "float32", pointer=False)(
+    compile_kernel(KernelSource(function), Signature(n=NUMBER, x=REALS, y=REALS), "float32", pointer=False)(
         len(given), given, result
     )
     return given.astype(np.float64), result.astype(np.float64)

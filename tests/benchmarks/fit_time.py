@@ -14,8 +14,8 @@ import time
 
 import numpy as np
 
-from sysid_evo.experiment import make_with_preset
-from sysid_evo.registry import models
+from evaluation.comparison.model_cells import with_preset
+from sysid_evo.registry import Spec, make_model, models
 from tests.benchmarks.prediction import EMULATED, TEST_EPISODE, recording
 
 
@@ -43,7 +43,7 @@ def main() -> None:
     write(f"{arguments.log}, preset {arguments.preset}: seconds of each fit, and the longest silence\n")
     all_seconds = 0.0
     for name in arguments.families or models.names():
-        model, silence = make_with_preset(name, arguments.preset), Silence()
+        model, silence = make_model(with_preset(Spec(name), arguments.preset)), Silence()
         began = time.perf_counter()
         model.fit(training, rng=np.random.default_rng(0), progress=silence)
         seconds = time.perf_counter() - began

@@ -33,13 +33,13 @@ from evaluation.prediction import (
 )
 from evaluation.prediction.bootstrap import interval
 from hardware.recording.scripted import record_dataset
-from model_zoo.spread import coverage
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_model, models
 from sysid_evo.system import Channel, System
+from tests.benchmarks.coverage import coverage
 from tests.benchmarks.peers import LaggedOneStepEnsemble
 from tests.benchmarks.standing import Scores, standing
 

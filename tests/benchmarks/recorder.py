@@ -25,12 +25,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from hardware.emulation.car_physics import CAR
 from hardware.listener import Command
 from hardware.measurement import Measurement
 from hardware.recording.journal import read_journal
 from hardware.recording.recorder import Recorder
 from hardware.recording.records import TimedCommand
+from hardware.toy_car import CAR
 
 COUNTER = struct.Struct("<q")
 PATIENCE = 20.0  # s for the recorder to begin

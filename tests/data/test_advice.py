@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import io
+import json
+
 import numpy as np
 import pytest
+from rich.console import Console, RenderableType
 
+from sysid_evo.cli.advice_tables import advice_as_json, advice_tables
 from sysid_evo.data import Dataset, RawLog, advise, find_delays
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
 LEVELS = (-1.0, 0.0, 1.0)
+
+
+def render(what: RenderableType) -> str:
+    """Return what a terminal of 80 columns shows, with single spaces."""
+    console = Console(file=io.StringIO(), width=80)
+    console.print(what)
+    return " ".join(console.file.getvalue().split())
 
 
 def random_switch(rng, n, hold=6):
@@ -123,12 +135,33 @@ def test_a_poor_recording_is_told_what_to_do(car):
     log = RawLog("log", 0.05 * np.arange(400) + 0.01 * (np.arange(400) % 2), np.zeros((400, 3)), np.zeros((400, 2)))
     advice = advise(Dataset.from_arrays(car, [states], [controls]), [log])
     told = "\n".join(advice.suggestions)
-    assert "0.3 min in motion is less than the 6 min" in told
+    assert "How fast the states answer cannot be told from this recording" in told
     assert "stands still 75% of the time" in told
     assert "drive is near -1 less than 2% of the time" in told
     assert "steer is near -1, 1 less than 2% of the time" in told
-    assert "drive changes its level only 1 times a minute" in told
+    assert "drive changes its level only once" in told
     assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in told
-    assert "The time stamps of log scatter by 17% of a step" in told
+    assert "The time stamps of log scatter by up to 17% of a step" in told
     (sampling,) = advice.sampling
     assert (sampling.rows, sampling.shortest, sampling.longest) == pytest.approx((400, 0.04, 0.06))
+
+
+def test_a_control_without_limits_is_counted_over_its_recorded_range(rng):
+    force = rng.uniform(-3.0, 5.0, 400)
+    system = System(("place",), (Channel("force", "N"), Channel("pull", low=0.0)), 0.1)
+    data = Dataset.from_arrays(system, [rng.normal(size=(401, 1))], [np.stack([force, np.abs(force)], axis=1)])
+    advice = advise(data)
+    low, middle, high = advice.controls[0].levels
+    assert (low, high) == (force.min(), force.max())
+    assert middle == pytest.approx((low + high) / 2)
+    assert advice.controls[1].levels[::2] == (0.0, np.abs(force).max())
+    json.loads(advice_as_json(data, advice))
+
+
+def test_a_system_without_controls_gets_advice_too(rng):
+    data = Dataset.from_arrays(System(("place",), (), 0.1), [rng.normal(size=(400, 1))])
+    advice = advise(data)
+    assert advice.controls == ()
+    assert advice.delays == ()
+    json.loads(advice_as_json(data, advice))
+    assert "place" in render(advice_tables(data, advice))

@@ -213,7 +213,45 @@ def test_an_empty_file_and_a_header_alone(tmp_path, columns_file):
     assert "empty.csv: expected at least two rows of data, got 0" in refused(path, columns_file())
 
 
-def test_a_log_at_another_rate_says_what_to_do(write_csv, table, columns_file):
-    table["t"] = 2.0 * table["t"]
+def test_rows_between_one_and_three_a_step_say_what_to_do(write_csv, table, columns_file):
+    table["t"] = 0.5 * table["t"]
     message = refused(write_csv(table), columns_file())
-    assert "log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.1 s apart" in message
+    assert "log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.025 s apart" in message
+    assert "raise dt to 0.075 s, or log every state and set dt to 0.025 s" in message
+
+
+@pytest.mark.parametrize("dt, times", [("0.005", "10"), ("0.025", "2")])
+def test_a_dt_shorter_than_the_steps_of_the_log(write_csv, table, columns_file, dt, times):
+    message = refused(write_csv(table), columns_file(("dt = 0.05", f"dt = {dt}")))
+    assert f"column 't': the rows are 0.05 s apart, but dt is {dt} s, {times} times shorter" in message
+    assert "Set dt = 0.05 in the column map" in message
+    assert "scatters" not in message
+
+
+@pytest.mark.parametrize("unit, factor", [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_unit_of_time_that_is_not_declared(write_csv, table, columns_file, unit, factor):
+    message = refused(write_csv({**table, "t": factor * table["t"]}), columns_file())
+    assert f"column 't': declared in s, the rows are {0.05 * factor:.4g} s apart" in message
+    assert f"Are the stamps in {unit}? Then give [time] unit = '{unit}'" in message
+    declared = columns_file(('column = "t"', f'column = "t"\nunit = "{unit}"'))
+    assert len(Dataset.read(write_csv({**table, "t": factor * table["t"]}), columns=declared).episodes[0]) == 200
+
+
+def test_seconds_declared_as_milliseconds(write_csv, table, columns_file):
+    message = refused(write_csv(table), columns_file(('column = "t"', 'column = "t"\nunit = "ms"')))
+    assert "declared in ms, 201 rows last only 0.01 s, with dt = 0.05 s. Are the stamps in s?" in message
+
+
+def test_stamps_that_scatter_by_two_fifths_of_a_step(write_csv, table, columns_file, rng):
+    table["t"] = table["t"] + rng.uniform(-0.02, 0.02, 201)
+    message = refused(write_csv(table), columns_file())
+    assert "column 't': the time between rows scatters by 16.6 ms around 50 ms; 14% of the steps" in message
+    assert "leave [time] out of the column map" in message
+    steady = columns_file(('[time]\ncolumn = "t"\n', ""))
+    assert len(Dataset.read(write_csv(table), columns=steady).episodes[0]) == 200
+
+
+def test_lost_rows_are_no_scatter(write_csv, table, columns_file, rng):
+    kept = np.sort(rng.choice(201, 150, replace=False))
+    dataset = Dataset.read(write_csv({name: column[kept] for name, column in table.items()}), columns=columns_file())
+    assert len(dataset) > 10

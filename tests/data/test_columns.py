@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset, load_columns, read_recording
-from sysid_evo.data.columns import choose_columns, parse_columns, shipped_columns, shipped_names
+from sysid_evo.data.columns import choose_columns, shipped_columns, shipped_names
+from sysid_evo.data.preparation import Prepared, said_once
 from sysid_evo.errors import InvalidArgument, InvalidData
 
 
 @pytest.mark.parametrize(
     "change, where, what",
     [
-        (('column = "u"', 'colum = "u"'), "states.forward_speed.colum", "unknown key"),
+        (('column = "u"', 'colum = "u"'), "states.forward_speed.colum", "unknown key; did you mean 'column'?"),
         (("dt = 0.05", "dt = -1.0"), "dt", "greater than 0"),
         (("dt = 0.05", 'dt = "0.05"'), "dt", "valid number"),
         (('unit = "rad/s"', 'unit = "m/s"'), "map", "states.yaw_rate.unit: expected one of rad/s, deg/s, rpm, got"),
-        (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, deg"),
+        (('"yaw", unit = "rad"', '"yaw", unit = "m"'), "map", "pose.heading.unit: expected one of rad, mrad, deg"),
         (('forward = "forward_speed"', 'forward = "u"'), "map", "motion.forward names 'u', but the states are"),
+        (
+            ('column = "u"', 'column = "u", periodic = true'),
+            "states.forward_speed",
+            "periodic.unit: expected one of rad",
+        ),
+        (('unit = "rad/s" }', 'unit = "deg", periodic = true, low = 0.0 }'), "states.yaw_rate", "has no limits"),
         ((", high = 1.0", ""), "controls.drive", "both low and high, or neither"),
         (('x = { column = "x", unit = "m" }', ""), "map", "pose: expected x, y, heading, got y, heading"),
         (('column = "t"', 'column = "t"\nunit = "min"'), "time.unit", "'s', 'ms', 'us' or 'ns'"),
@@ -127,8 +131,27 @@ def test_no_map_fits_or_several_do():
         choose_columns([*first, *second], "log.csv")
 
 
-def test_the_map_that_the_documentation_shows_is_valid():
-    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
-    columns = parse_columns(page.partition("```toml\n")[2].partition("```")[0], "docs/data.md")
-    assert columns.differentiated == ()
-    assert set(shipped_names()) <= set(re.findall(r"`(\w+)`", page))
+def test_what_is_true_of_all_logs_is_said_once(write_csv, table, columns_file):
+    columns = columns_file(('[time]\ncolumn = "t"\n', ""))
+    files = [write_csv(table, f"run{i}.csv") for i in range(6)]
+    notes = Dataset.read(files, columns=columns).notes
+    assert [note for note in notes if "rows taken" in note] == ["all 6 logs: rows taken as samples every 50 ms"]
+    assert not any("stamps" in note for note in notes)
+
+
+def test_what_is_true_of_some_logs_names_them():
+    prepared = [Prepared(f"run{i}", (), ("late", *(["early"] if i < 5 else []))) for i in range(6)]
+    assert said_once(prepared) == ["all 6 logs: late", "run0, run1, run2, run3 and 1 more: early"]
+    assert said_once(prepared[:1]) == ["run0: late", "run0: early"]
+
+
+def test_a_periodic_angle_in_degrees_comes_round_after_two_pi(write_csv, tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text(
+        'name = "wheel"\ndt = 0.1\n[states]\nangle = { column = "a", unit = "deg", periodic = true }\n[controls]\n'
+        'push = { column = "p", low = -1.0, high = 1.0 }\n'
+    )
+    angle = (np.arange(50.0) * 30.0 + 180.0) % 360.0 - 180.0
+    data = Dataset.read(write_csv({"a": angle, "p": np.linspace(-1.0, 1.0, 50)}), columns=path)
+    assert data.system.states[0].period == pytest.approx(2.0 * np.pi)
+    np.testing.assert_allclose(np.diff(data.episodes[0].states[:, 0]), np.radians(30.0))

@@ -75,3 +75,15 @@ def test_recording_an_emulated_car_stores_a_data_set_that_its_raw_logs_give_agai
     for episode in stored:
         np.testing.assert_allclose(by_name[episode.name].states, episode.states, atol=1e-5)
         np.testing.assert_array_equal(by_name[episode.name].controls, episode.controls)
+
+
+def test_a_log_without_controls_or_motion_is_imported_and_inspected(write_csv, tmp_path, rng):
+    columns = tmp_path / "free.toml"
+    columns.write_text('name = "leaking tank"\ndt = 1.0\n[states]\nlevel = { column = "h", unit = "m", low = 0.5 }\n')
+    level = 0.5 + 2.0 * np.exp(-np.arange(400.0) / 60.0)
+    path = write_csv({"h": level})
+    run("import", path, "--columns", columns, "--out", tmp_path / "data")
+    results, _ = run("inspect", tmp_path / "data")
+    assert "in motion" not in results
+    assert "leaking tank: 1 episode, 399 s at 1 Hz" in results
+    assert Dataset.load(tmp_path / "data").system.states[0].neutral == 0.5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.moving import moving_rows
-from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData
+from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -193,3 +194,73 @@ def test_an_episode_with_a_hole_in_it_is_refused_with_its_place():
     states[2] = np.nan
     with pytest.raises(InvalidData, match=r"episode 'bad': state 0 at sample 2 is nan"):
         Trajectory(states, np.zeros((3, 1)), 0.1, None, "bad")
+
+
+def test_a_split_takes_one_name_as_a_name_and_not_as_letters():
+    train, test = numbered([4, 4, 4]).split("e1")
+    assert (train.names, test.names) == (("e0", "e2"), ("e1",))
+    with pytest.raises(InvalidArgument, match="no episode is called 'e'; there are e0, e1, e2"):
+        numbered([4, 4, 4]).split("e")
+
+
+def test_a_system_without_controls_is_stored_and_loaded(tmp_path, rng):
+    free = System(("angle", "rate"), (), 0.1)
+    data = Dataset.from_arrays(free, [rng.normal(size=(5, 2)), rng.normal(size=(3, 2))])
+    loaded = Dataset.load(data.save(tmp_path / "free"))
+    assert loaded.fingerprint == data.fingerprint
+    assert loaded.episodes[1].controls.shape == (2, 0)
+    with pytest.raises(InvalidArgument, match=r"has the controls push, got none: Dataset.from_arrays\(system, states,"):
+        Dataset.from_arrays(LINE, [np.zeros((3, 1))])
+
+
+def test_one_array_is_one_episode_and_one_channel_may_be_flat():
+    flat = Dataset.from_arrays(LINE, np.arange(5.0), np.arange(4.0))
+    lists = Dataset.from_arrays(LINE, [[[0.0], [1.0], [2.0], [3.0], [4.0]]], [[0.0, 1.0, 2.0, 3.0]])
+    assert flat.fingerprint == lists.fingerprint
+    assert len(flat) == 1
+    alone = Trajectory(np.arange(5.0), np.arange(4.0), 0.1, None, "episode-0")
+    assert Dataset(LINE, [alone]).fingerprint == flat.fingerprint
+    with pytest.raises(ShapeError, match=r"states of 'episode-0': expected shape \(any, 2\), got \(5, 1\)"):
+        Dataset.from_arrays(System(("a", "b"), (), 0.1), np.arange(5.0))
+    stacked = Dataset.from_arrays(LINE, np.zeros((3, 5, 1)), np.zeros((3, 4, 1)), names=["a", "b", "c"])
+    assert stacked.names == ("a", "b", "c")
+
+
+def test_a_table_gives_one_episode_for_each_name(rng):
+    frame = pd.DataFrame({"run": ["a"] * 4 + ["b"] * 3, "place": np.arange(7.0), "push": -np.arange(7.0)})
+    data = Dataset.from_pandas(LINE, frame, episode="run")
+    assert data.names == ("a", "b")
+    np.testing.assert_array_equal(data.episodes[1].states[:, 0], [4.0, 5.0, 6.0])
+    np.testing.assert_array_equal(data.episodes[1].controls[:, 0], [-4.0, -5.0])
+    with pytest.raises(InvalidData, match=r"missing columns place; it has run, x, push.*frame.rename"):
+        Dataset.from_pandas(LINE, frame.rename(columns={"place": "x"}))
+
+
+def test_wrong_arguments_are_told_the_right_call():
+    frame = pd.DataFrame({"place": [0.0, 1.0], "push": [0.0, 0.0]})
+    with pytest.raises(InvalidArgument, match=r"System first, got DataFrame: Dataset.from_pandas\(system, frame\)"):
+        Dataset.from_pandas(frame, LINE)
+    with pytest.raises(InvalidArgument, match=r"pandas table, got ndarray.*Dataset.from_arrays\(system, states, con"):
+        Dataset.from_pandas(LINE, np.zeros((4, 2)))
+    with pytest.raises(InvalidArgument, match=r"System first, got ndarray: Dataset.from_arrays\(system, states, con"):
+        Dataset.from_arrays(np.zeros((3, 1)), np.zeros((2, 1)), LINE)
+    with pytest.raises(InvalidArgument, match=r"Trajectory objects as episodes, got ndarray.*Dataset.from_arrays"):
+        Dataset(LINE, [np.zeros((3, 1))])
+    with pytest.raises(InvalidArgument, match=r"System first, got DataFrame: Dataset\(system, episodes\)"):
+        Dataset(frame, ())
+
+
+@pytest.mark.parametrize("first, start", [(None, 3), (1, 3), (3, 3), (5, 5)])
+def test_no_window_has_less_history_than_asked_for(first, start):
+    windows = numbered([12, 2]).windows(2, history=3, first=first, stride=4)
+    assert windows.start.tolist() == list(range(start, 11, 4))
+    assert windows.past_states.shape[1:] == (4, 1)
+    np.testing.assert_array_equal(windows.past_states[0, :, 0], start + np.arange(-3.0, 1.0))
+    np.testing.assert_array_equal(windows.past_controls[0, :, 0], -(start + np.arange(-3.0, 0.0)))
+
+
+def test_a_channel_named_like_a_column_of_the_file_is_refused_when_stored(tmp_path, rng):
+    counted = Dataset.from_arrays(System(("step",), (), 0.1), rng.normal(size=5))
+    with pytest.raises(InvalidData, match=r"the channels step cannot be stored.*rename the channels"):
+        counted.save(tmp_path / "data")
+    assert not (tmp_path / "data").exists()

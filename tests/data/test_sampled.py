@@ -30,6 +30,8 @@ def test_the_measured_steps_are_told(car, rng):
     (note,) = take_rows(log_with(np.concatenate([[0.0], np.cumsum(steps)]), car, rng), car).notes
     assert "every 50 ms" in note
     assert "47.0 to 56.0 ms apart (mean 50.75 ms)" in note
+    (note,) = take_rows(log_with(0.05 * np.arange(20), car, rng), car).notes
+    assert note == "rows taken as samples every 50 ms"
 
 
 def test_a_lost_row_splits_the_log_and_a_lone_row_is_left_out(car, rng):

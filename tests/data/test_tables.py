@@ -95,3 +95,24 @@ def test_folders_are_searched_for_logs_in_order_and_names_must_differ(write_csv,
     (tmp_path / "empty").mkdir()
     with pytest.raises(InvalidData, match="in this folder, found none"):
         log_files(tmp_path / "empty")
+
+
+def test_the_fast_and_the_careful_parser_of_csv_read_the_same_bits(tmp_path, rng):
+    values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-300, 300, (200, 3))
+    lines = [",".join(map(repr, row)) for row in values.tolist()]
+    fast, careful = tmp_path / "fast.csv", tmp_path / "careful.csv"
+    fast.write_text("\n".join(["a,b,c", *lines]) + "\n")
+    careful.write_text("\n".join(["a,b,c", "", *lines]) + "\n")
+    first, second = (CsvReader().read(path, ["c", "a"]) for path in (fast, careful))
+    assert (first.rows[0], first.rows[-1]) == (2, 201)
+    assert (second.rows[0], second.rows[-1]) == (3, 202)
+    for name, place in (("a", 0), ("c", 2)):
+        np.testing.assert_array_equal(first.columns[name], values[:, place])
+        np.testing.assert_array_equal(second.columns[name], values[:, place])
+
+
+def test_a_flawless_csv_is_not_read_line_by_line(tmp_path, monkeypatch):
+    path = tmp_path / "log.csv"
+    path.write_text('t,x,comment\r\n0, 1.5 ,fine\r\n1,-2e3,"a, b"\r\n')
+    monkeypatch.setattr(CsvReader, "_line_by_line", None)
+    np.testing.assert_array_equal(CsvReader().read(path, ["x"]).columns["x"], [1.5, -2000.0])

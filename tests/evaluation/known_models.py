@@ -82,6 +82,13 @@ class Broken(Known):
         raise RuntimeError("the network is not there")
 
 
+class Stopped(Known):
+    """Is stopped by Ctrl-C at its first step."""
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        raise KeyboardInterrupt
+
+
 class Remembering(Known):
     """Asks for eight earlier samples and ignores them."""
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from evaluation.prediction.bootstrap import BlockErrors, draw_blocks, interval
+from tests.evaluation.known_models import Sliding, Weak, fitted, recording
 
 CLUSTERS, SIZE = 40, 15
 
@@ -40,3 +43,28 @@ def test_a_draw_of_all_blocks_once_is_the_plain_error(rng: np.random.Generator) 
 
 def test_an_interval_without_numbers_is_nan() -> None:
     assert np.isnan(interval(np.array([np.nan]), 0.95)).all()
+
+
+def test_an_interval_of_95_per_cent_leaves_a_fortieth_at_either_end() -> None:
+    assert interval(np.linspace(0.0, 1.0, 1001), 0.95) == pytest.approx((0.025, 0.975))
+
+
+def test_scores_and_differences_have_intervals_of_95_per_cent() -> None:
+    models = {"one": fitted(Weak()), "two": fitted(Sliding())}
+    prediction = assess_prediction(models, recording(), recording(1, seed=5))
+    one, two = (prediction.model(name).score(20) for name in models)
+    assert one is not None
+    assert two is not None
+    assert one.interval == pytest.approx(np.percentile(one.resampled_n, (2.5, 97.5)))
+    difference = prediction.compare("one", "two", 20)
+    assert difference is not None
+    assert difference.interval == pytest.approx(np.percentile(one.resampled_n - two.resampled_n, (2.5, 97.5)))
+    assert "95 % intervals" in prediction.cases.protocol.describe(0.05)
+
+
+def test_a_free_run_of_two_blocks_has_three_draws() -> None:
+    protocol = PredictionProtocol(block_samples=100, resamples=100)
+    test = recording(1, steps=200 + protocol.first)
+    score = assess_prediction({}, recording(), test, protocol=protocol).model(PERSISTENCE).free_run
+    assert score is not None
+    assert len(np.unique(score.resampled_n.round(9))) == 3  # one of them twice, the other twice, both

@@ -10,22 +10,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.comparison import ComparisonSettings, compare
+from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine import DynamicsRunner
-from sysid_evo.errors import InvalidArgument, InvalidData
-from sysid_evo.evolution import ControllerEvolution
-from sysid_evo.experiment import Silent
-from sysid_evo.registry import Registry, models
-from sysid_evo.store import RunFolder
-from sysid_evo.testing import example_dataset
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
+from sysid_evo.plan import Cell, Silent, Store, execute
+from sysid_evo.registry import Registry, models, robots
+from sysid_evo.testing import ExampleDynamics, example_dataset
+from sysid_evo.testing.examples import pendulum, switched_car
 
-SHORT = ControllerEvolution(
-    generations=2, trials=2, selection_trials=2, task_parameters={"horizon": 60}, strategy_parameters={"children": 5}
-)
+SHORT: dict[str, Any] = {
+    "generations": 2,
+    "trials": 2,
+    "selection_trials": 2,
+    "transfer_trials": 3,
+    "traces": 2,
+    "held_back": 0.3,
+    "ensembles": (),
+    "task": "point_to_point(horizon=60)",
+    "strategy": "mu_plus_lambda(children=5)",
+}
 
 
 class FailsInFit(DynamicsModel):
@@ -38,9 +44,29 @@ class FailsInFit(DynamicsModel):
         return carry
 
 
+class MadeUpRobot:
+    """A robot that is emulated by a linear system."""
+
+    name = "made_up_robot"
+
+    def __init__(self) -> None:
+        self.system = switched_car()
+        self.dynamics = ExampleDynamics(self.system)
+
+
+class Swinging(MadeUpRobot):
+    """A robot that is no car."""
+
+    def __init__(self) -> None:
+        self.system = pendulum()
+        self.dynamics = ExampleDynamics(self.system)
+
+
 @pytest.fixture(autouse=True)
-def _a_family_that_fails(register: Callable[[Registry[Any], str, Any], Any]) -> None:
+def _made_up_things(register: Callable[[Registry[Any], str, Any], Any]) -> None:
     register(models, "fails_in_fit", FailsInFit)
+    register(robots, "made_up_robot", MadeUpRobot)
+    register(robots, "swinging", Swinging)
 
 
 class Watching(Silent):
@@ -49,18 +75,20 @@ class Watching(Silent):
     def __init__(self) -> None:
         self.finished: list[tuple[str, bool, str | None]] = []
 
-    def finish(self, cell: str, *, cached: bool, reason: str | None) -> None:
-        self.finished.append((cell, cached, reason))
+    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
+        self.finished.append((cell.title, cached, reason))
+
+    @property
+    def computed(self) -> set[str]:
+        return {cell for cell, cached, _ in self.finished if not cached}
 
 
-def settings(*models: str, **changes: object) -> ComparisonSettings:
-    return ComparisonSettings(models=models, evolution=SHORT, transfer_trials=3, traces=2, **changes)  # type: ignore[arg-type]
+def planned(*names: str, **changes: Any) -> Comparison:
+    return plan_comparison(Experiment.of({**SHORT, "models": names, **changes}), dataset=example_dataset())
 
 
-def run_in(folder: Path, chosen: ComparisonSettings, observer: Silent | None = None) -> Report:
-    training, test = example_dataset().split(0.3)
-    run = RunFolder.open(folder, chosen.to_dict())
-    return compare(run, training, test, chosen, observer=observer or Silent())
+def run_in(folder: Path, *names: str, observer: Silent | None = None, **changes: Any) -> Report:
+    return compare(example_dataset(), out=folder, observer=observer, **{**SHORT, "models": names, **changes})
 
 
 def without_timings(report: Report) -> dict[str, object]:
@@ -70,109 +98,175 @@ def without_timings(report: Report) -> dict[str, object]:
 
 
 def test_the_same_seed_gives_the_same_report_twice(tmp_path: Path) -> None:
-    chosen = settings("linear", "nearest_neighbour", ensembles=(("linear", "nearest_neighbour"),))
-    first, second = (run_in(tmp_path / name, chosen) for name in ("first", "second"))
+    chosen = ("linear", "nearest_neighbour")
+    first, second = (
+        run_in(tmp_path / name, *chosen, ensembles=["linear+nearest_neighbour"]) for name in ("first", "second")
+    )
     assert without_timings(first) == without_timings(second)
 
 
 def test_another_seed_gives_another_report(tmp_path: Path) -> None:
-    first, second = (run_in(tmp_path / str(seed), settings("linear", seed=seed)) for seed in (0, 1))
+    first, second = (run_in(tmp_path / str(seed), "linear", seed=seed) for seed in (0, 1))
     assert first.matrix is not None
     assert second.matrix is not None
     assert not np.array_equal(first.matrix.champions[0].parameters, second.matrix.champions[0].parameters)
 
 
 def test_a_run_goes_on_where_it_was_and_gives_the_same_report(tmp_path: Path) -> None:
-    chosen = settings("linear", "nearest_neighbour")
-    first = run_in(tmp_path, chosen)
+    first = run_in(tmp_path, "linear")
     watching = Watching()
-    again = run_in(tmp_path, chosen, watching)
-    assert {cell for cell, cached, _ in watching.finished if not cached} == {"prediction"}
+    again = run_in(tmp_path, "linear", observer=watching)
+    assert watching.computed == set()
     assert without_timings(first) == without_timings(again)
+    watching = Watching()
+    run_in(tmp_path, "linear", "nearest_neighbour", observer=watching)
+    assert {title for title in watching.computed if "nearest_neighbour" not in title} == {"assess exploitability"}
 
 
 def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_path: Path) -> None:
-    chosen = settings("fails_in_fit", "linear", ensembles=(("fails_in_fit", "linear"),))
-    report = run_in(tmp_path, chosen)
+    report = run_in(tmp_path, "fails_in_fit", "linear", ensembles=["fails_in_fit+linear"])
     reasons = {failure.what: failure.reason for failure in report.all_failures}
     assert reasons["fit fails_in_fit"] == "this family never fits"
-    assert "no model fails_in_fit to evolve against" in reasons["evolve fails_in_fit"]
-    assert "evolve fails_in_fit+linear" in reasons
+    assert {failure.what for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
     assert report.matrix is not None
     assert report.matrix.rows == ("linear",)
     assert not report.matrix.cell("linear", "linear").failed
+    assert report.matrix.cell("linear", "fails_in_fit").reason == "needs fit fails_in_fit, which failed"
 
 
 def test_no_model_at_all_is_an_error_that_gives_the_reasons(tmp_path: Path) -> None:
     with pytest.raises(InvalidData, match="no model could be fitted: fails_in_fit: this family never fits"):
-        run_in(tmp_path, settings("fails_in_fit"))
-
-
-def test_an_ensemble_of_unknown_members_is_refused() -> None:
-    with pytest.raises(InvalidArgument, match="an ensemble names parametrised, but the models are linear"):
-        settings("linear", ensembles=(("linear", "parametrised"),))
+        run_in(tmp_path, "fails_in_fit")
 
 
 def test_the_robot_is_the_last_column(tmp_path: Path) -> None:
-    training, test = example_dataset().split(0.3)
-    chosen = settings("linear")
-    robot = DynamicsRunner(FittedElsewhere().fit(training, rng=np.random.default_rng(0)))
-    run = RunFolder.open(tmp_path, chosen.to_dict())
-    report = compare(run, training, test, chosen, observer=Silent(), robot=("car", robot))
+    report = run_in(tmp_path, "linear", robot="made_up_robot")
     assert report.matrix is not None
-    assert report.matrix.columns == ("linear", "car")
-    assert report.matrix.robot == "car"
+    assert report.matrix.columns == ("linear", "made_up_robot")
+    assert report.matrix.robot == "made_up_robot"
+    assert summarise(report.matrix).controller("linear").achieved is not None
 
 
 def test_the_yardstick_is_a_controller_evolved_on_the_robot_itself(tmp_path: Path) -> None:
-    training, test = example_dataset().split(0.3)
-    chosen = settings("linear", yardstick=True)
-    robot = DynamicsRunner(FittedElsewhere().fit(training, rng=np.random.default_rng(0)))
-    run = RunFolder.open(tmp_path, chosen.to_dict())
-    report = compare(run, training, test, chosen, observer=Silent(), robot=("car:3", robot))
+    report = run_in(tmp_path, "linear", robot="car-3=made_up_robot", yardstick=True)
     assert report.matrix is not None
-    assert report.matrix.rows == ("linear", "car:3")
+    assert report.matrix.rows == ("linear", "car-3")
     yardstick = report.matrix.champions[-1]
-    assert yardstick.against == ("car:3",)
-    assert not report.matrix.cell("car:3", "linear").failed
-    summary = summarise(report.matrix).controller("car:3")
+    assert yardstick.against == ("car-3",)
+    assert not report.matrix.cell("car-3", "linear").failed
+    summary = summarise(report.matrix).controller("car-3")
     assert summary.on_robot
     assert summary.claimed == summary.achieved
     assert not report.failures
-    _, page = save_report(report, tmp_path)
-    assert "car:3" in page.read_text()
+    assert "car-3" in (tmp_path / "report.html").read_text()
     watching = Watching()
-    again = compare(run, training, test, chosen, observer=watching, robot=("car:3", robot))
-    assert ("evolve car:3", True, None) in watching.finished
+    again = run_in(tmp_path, "linear", robot="car-3=made_up_robot", yardstick=True, observer=watching)
+    assert ("evolve car-3", True, None) in watching.finished
     assert without_timings(again) == without_timings(report)
 
 
-def test_a_yardstick_without_a_robot_or_without_controllers_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidArgument, match="a yardstick is evolved on an emulated robot, but none is given"):
-        run_in(tmp_path, settings("linear", yardstick=True))
-    with pytest.raises(InvalidArgument, match="only prediction is to be compared"):
-        settings("linear", yardstick=True, controllers=False)
-
-
 def test_prediction_alone_evolves_nothing(tmp_path: Path) -> None:
-    report = run_in(tmp_path, settings("linear", controllers=False))
+    report = run_in(tmp_path, "linear", only="prediction")
     assert report.matrix is None
     assert report.prediction is not None
     assert report.prediction.names == ("persistence", "linear")
 
 
 def test_the_saved_report_is_strict_json_and_one_page(tmp_path: Path) -> None:
-    report = run_in(tmp_path, settings("linear"))
+    report = run_in(tmp_path / "run", "linear")
     document, page = save_report(report, tmp_path)
     assert json.loads(document.read_text())["timings"]
     assert "linear" in page.read_text()
 
 
-class FittedElsewhere(DynamicsModel):
-    """Stands in for a robot: drag on every state, whatever the control."""
+def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
+    report = run_in(tmp_path, "linear")
+    again = finished(planned("linear"), Store(tmp_path))
+    assert without_timings(again) == without_timings(report)
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: object = None) -> FittedElsewhere:
-        return self
 
-    def acceleration(self, carry: np.ndarray, control: np.ndarray) -> np.ndarray:
-        return -carry
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"ensembles": ("linear+parametrised",)}, InvalidArgument, "names parametrised, but the models are linear"),
+        ({"ensembles": ("linear",)}, InvalidArgument, "expected two or more models joined by +"),
+        ({"ensembles": ("linear+linear",)}, InvalidArgument, "names a model twice"),
+        ({"models": ("linear", "linear")}, InvalidArgument, "'linear' stands there 2 times"),
+        ({"models": ()}, InvalidArgument, "expected at least one family"),
+        ({"models": ("linear(rigde=1)",)}, InvalidArgument, "has no parameter 'rigde'. Did you mean 'ridge'?"),
+        ({"task": "point_to_point(horizon=0)"}, InvalidArgument, "horizon"),
+        ({"strategy": "mu_plus_lambda(parents=0)"}, InvalidArgument, "parents"),
+        ({"controller": "recurrent(hidden=0)"}, InvalidArgument, "hidden"),
+        ({"aggregate": "min(share=0.2)"}, InvalidArgument, "'min' has no parameter 'share'"),
+        ({"yardstick": True}, InvalidArgument, "name the emulated robot"),
+        ({"yardstick": True, "only": "prediction", "robot": "made_up_robot"}, InvalidArgument, "only = 'prediction'"),
+        ({"robot": "swinging"}, IncompatibleSystem, "robot 'swinging' is not the one in the recordings"),
+        ({"robot": "made_up_robot(seed=1)"}, InvalidArgument, "'made_up_robot' has no parameter 'seed'"),
+        ({"test": ("episode-7",)}, InvalidArgument, "episode-7"),
+        ({"held_back": 0.0}, InvalidArgument, "held_back: expected a share above 0"),
+    ],
+)
+def test_a_mistake_is_found_by_the_plan_and_nothing_is_written(
+    tmp_path: Path, changes: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error) as told:
+        compare(example_dataset(), out=tmp_path / "run", **{**SHORT, "models": ("linear",), **changes})
+    assert message in str(told.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_task_that_does_not_fit_the_system_is_found_by_the_plan() -> None:
+    system = pendulum()
+    rng = np.random.default_rng(0)
+    data = Dataset.from_arrays(system, [rng.standard_normal((200, 2))], [rng.uniform(-1, 1, (199, 1))])
+    with pytest.raises(IncompatibleSystem.__mro__[1], match="motion"):
+        plan_comparison(Experiment.of({**SHORT, "models": ("linear",)}), dataset=data)
+
+
+def test_a_setting_that_there_is_not_is_told_with_the_one_that_is_meant() -> None:
+    with pytest.raises(InvalidArgument, match=r"genrations is no setting of an experiment; did you mean generations\?"):
+        Experiment.of({"genrations": 3})
+    with pytest.raises(InvalidArgument, match="preset: expected 'quick', 'standard' or 'paper', got 'slow'"):
+        Experiment.of({"preset": "slow"})
+
+
+def test_an_experiment_comes_back_from_its_file(tmp_path: Path) -> None:
+    settled = planned("near2=nearest_neighbour(state_lags=2)", "linear", ensembles=("near2+linear",)).experiment
+    settled.write(tmp_path / "experiment.toml")
+    assert Experiment.of(Experiment.read(tmp_path)) == settled
+    assert settled.runs == 1  # what was left open is named
+
+
+def test_a_result_that_disappears_is_computed_again_and_the_report_is_the_same(tmp_path: Path) -> None:
+    report = run_in(tmp_path, "linear")
+    (champion,) = (tmp_path / "controllers").glob("*.safetensors")
+    champion.write_bytes(b"damaged")
+    next((tmp_path / "results").glob("prediction-linear-*")).unlink()
+    watching = Watching()
+    again = run_in(tmp_path, "linear", observer=watching)
+    assert watching.computed == {"evolve linear", "predict with linear"}
+    assert without_timings(again) == without_timings(report)
+
+
+def test_what_was_assessed_without_a_cell_is_assessed_again_when_the_cell_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    comparison = planned("linear", "nearest_neighbour")
+    whole = RunCell.compute
+
+    def fails_once(cell: RunCell, work: Any) -> Any:
+        if cell.title == "run linear on nearest_neighbour":
+            raise MemoryError("for a while")
+        return whole(cell, work)
+
+    monkeypatch.setattr(RunCell, "compute", fails_once)
+    execute(comparison.plan, Store(tmp_path))
+    first = finished(comparison, Store(tmp_path))
+    monkeypatch.undo()
+    watching = Watching()
+    execute(comparison.plan, Store(tmp_path), observer=watching)
+    assert watching.computed == {"run linear on nearest_neighbour", "assess exploitability"}
+    assert without_timings(finished(comparison, Store(tmp_path))) != without_timings(first)
+    fresh = Store(tmp_path / "fresh")
+    execute(comparison.plan, fresh)
+    assert without_timings(finished(comparison, Store(tmp_path))) == without_timings(finished(comparison, fresh))

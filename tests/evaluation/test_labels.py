@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from evaluation.labels import folded, shortened
+from evaluation.labels import folded, percent
 
 
 @pytest.mark.parametrize(
@@ -22,9 +22,18 @@ def test_names_break_after_their_joints(name: str, lines: list[str]) -> None:
     assert folded(name, 12).replace("\n", "") == name.replace("\n", "")
 
 
-def test_a_shortened_name_keeps_both_ends() -> None:
-    assert shortened("abcdefghij", 10) == "abcdefghij"
-    short = shortened("first_and_very_long_name_last", 12)
-    assert len(short) == 12
-    assert short.startswith("first")
-    assert short.endswith("_last")
+@pytest.mark.parametrize(
+    "share, text",
+    [
+        (None, "–"),
+        (float("nan"), "–"),
+        (0.0, "0 %"),
+        (0.0004, "<0.1 %"),
+        (0.0006, "0.1 %"),
+        (0.0994, "9.9 %"),
+        (0.0996, "10 %"),
+        (1.0, "100 %"),
+    ],
+)
+def test_a_share_has_a_decimal_below_ten_per_cent(share: float | None, text: str) -> None:
+    assert percent(share) == text

@@ -19,9 +19,7 @@ from evaluation.transfer import (
     summarise,
     with_measured,
 )
-from sysid_evo.errors import ArtefactError
 from sysid_evo.evolution import Champion
-from sysid_evo.store import RunFolder
 
 
 def champion(name: str) -> Champion:
@@ -99,12 +97,11 @@ def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is() -> None
 
 
 def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Path) -> None:
-    run = RunFolder(tmp_path)
-    save_measured(run, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
+    save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
     missing = replace(cell("anna", "a", 3.0), missing=("interrupted",))
-    save_measured(run, Measured(person("anna"), missing, on_robot=False))
-    save_measured(run, driven(ROWS[0], "robots/car:3", 1.0))
-    found = {item.champion.name: item for item in load_measured(run)}
+    save_measured(tmp_path, Measured(person("anna"), missing, on_robot=False))
+    save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 1.0))
+    found = {item.champion.name: item for item in load_measured(tmp_path)[0]}
     assert set(found) == {"a", "anna"}
     np.testing.assert_array_equal(found["a"].cell.fitness, [1.0])
     np.testing.assert_array_equal(found["a"].champion.parameters, ROWS[0].parameters)
@@ -114,8 +111,26 @@ def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Pat
     assert (found["anna"].cell.missing, found["anna"].on_robot) == (("interrupted",), False)
 
 
-def test_damaged_cell_is_an_error_that_names_the_file(tmp_path: Path) -> None:
-    path = save_measured(RunFolder(tmp_path), driven(ROWS[0], "car", 4.0))
+def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path: Path) -> None:
+    save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
+    save_measured(tmp_path, driven(ROWS[0], "truck", 9.0))
+    matrix = with_measured(computed(), load_measured(tmp_path)[0])
+    assert matrix is not None
+    assert matrix.columns == ("a", "b", "c", "car", "truck")
+    assert [matrix.cell("a", column).mean for column in ("car", "truck")] == [4.0, 9.0]
+
+
+def test_damaged_cell_is_a_remark_that_names_the_file_and_the_others_are_read(tmp_path: Path) -> None:
+    path = save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
+    save_measured(tmp_path, driven(ROWS[1], "car", 5.0))
     path.write_text(path.read_text().replace('"cell"', '"sell"'))
-    with pytest.raises(ArtefactError, match=path.name):
-        load_measured(RunFolder(tmp_path))
+    (left,), (remark,) = load_measured(tmp_path)
+    assert left.champion.name == "b"
+    assert remark.startswith(f"{path} is damaged and left out: KeyError")
+
+
+def test_who_drove_on_what_decides_the_digest_of_a_measured_cell() -> None:
+    one = driven(ROWS[0], "car", 4.0)
+    assert one.digest == driven(ROWS[0], "car", 4.0).digest
+    others = [driven(ROWS[1], "car", 4.0), driven(ROWS[0], "cat", 4.0), driven(ROWS[0], "car", 4.5)]
+    assert len({one.digest, *(other.digest for other in others)}) == 4

@@ -52,7 +52,7 @@ def _draw(report: Report, on: Callable[[], Axes | None] = lambda: None) -> dict[
 def test_axes_carry_their_units(report: Report) -> None:
     drawn = _draw(report)
     labels = {name: (ax.get_xlabel(), ax.get_ylabel()) for name, ax in drawn.items()}
-    assert labels["curve"] == ("horizon (s)", "N = RMSE / std, mean over channels")
+    assert labels["curve"] == ("horizon (s)", "N (standard deviations)")
     assert labels["free run"] == ("time (s)", "yaw_rate (rad/s)")
     assert labels["fitness"] == ("generation", "fitness (waypoints)")
     assert labels["claims"][0] == "fitness (waypoints)"

@@ -14,6 +14,7 @@ from tests.evaluation.known_models import (
     Exploding,
     Known,
     Remembering,
+    Stopped,
     Undefined,
     Weak,
     fitted,
@@ -141,6 +142,11 @@ def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on() -> None:
     assert prediction.model("broken").reason == "RuntimeError: the network is not there"
     assert prediction.compare("broken", "known", 1) is None
     assert prediction.model("known").at
+
+
+def test_ctrl_c_while_a_model_predicts_ends_the_assessment() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        assess_prediction({"stopped": fitted(Stopped())}, recording(), recording(1), protocol=PROTOCOL)
 
 
 def test_a_model_that_wants_more_history_gets_it_padded_and_says_so() -> None:

@@ -16,7 +16,8 @@ from rich.console import Console, RenderableType
 
 from evaluation.exploitability import assess_exploitability
 from evaluation.prediction import PredictionProtocol, assess_prediction
-from evaluation.report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_html, to_json, verdict
+from evaluation.report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json, verdict
+from evaluation.report.page import to_html
 from evaluation.report.tables import transfer_sheet
 from evaluation.report.terminal import to_rich
 from evaluation.transfer import Cell, TransferMatrix, transfer
@@ -88,6 +89,12 @@ def test_two_equal_runs_give_the_same_files(tmp_path: Path) -> None:
         save_report(make_report({"known": fitted(Known())}), tmp_path / name)
     for file in ("report.json", "report.html"):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+
+
+def test_the_page_leaves_out_times_too_short_to_matter(report: Report) -> None:
+    page = to_html(replace(report, timings={"fit linear": 0.051, "run linear on car": 0.049}))
+    assert "fit linear" in page
+    assert "run linear on car" not in page
 
 
 def test_timings_stand_under_one_key_alone(report: Report) -> None:
@@ -208,7 +215,7 @@ def test_nothing_but_names_and_failures_is_still_a_page(report: Report) -> None:
         report, prediction=None, matrix=None, exploitability=(), models=(), settings={}, versions={}, timings={}
     )
     assert "Nothing was compared" in to_html(empty)
-    assert to_json(empty)["verdict"] == []
+    assert to_json(empty)["verdict"] == [{"question": "What was found?", "answers": ["Nothing was compared."]}]
 
 
 def test_clipping_is_shown_beside_the_score() -> None:

@@ -13,9 +13,11 @@ from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
-from sysid_evo.registry import make_controller, make_task
+from sysid_evo.evolution.controllers import SELECTION
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.tasks import Task
-from tests.evaluation.known_models import Boxed, Known, Undefined, Weak, fitted
+from tests.evaluation.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
 
 TABLE_2 = {
     "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),
@@ -30,7 +32,7 @@ COLUMNS = ("backprop27", "parametrised", "evolved3", "nearest_neighbour", "real"
 def champion(name: str, against: tuple[str, ...], *, seed: int = 0, aggregate: str = "min") -> Champion:
     parameters = np.random.default_rng(seed).normal(size=78)
     history = np.array([[1.0, 0.5, 0.0], [2.0, 1.0, 0.0]])
-    return Champion(name, parameters, against, aggregate, seed, history, task_parameters={"horizon": 60})
+    return Champion(name, parameters, against, aggregate, seed, history, task=Spec.parse("point_to_point(horizon=60)"))
 
 
 def paper_matrix() -> TransferMatrix:
@@ -79,11 +81,10 @@ def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed() -> None:
         assert here.waypoint_radius == 0.3
 
 
-def test_fresh_trials_are_not_those_of_evolution() -> None:
-    from sysid_evo.randomness import trial_seeds
-
+def test_fresh_trials_are_those_neither_of_evolution_nor_of_the_choice_of_the_champion() -> None:
     evolved = np.concatenate([trial_seeds(7, 10, generation=g) for g in range(50)])
-    assert not np.isin(transfer_seeds(7, 100), evolved).any()
+    chosen = trial_seeds(7, 100, generation=SELECTION)
+    assert not np.isin(transfer_seeds(7, 100), [*evolved, *chosen]).any()
 
 
 def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
@@ -96,6 +97,11 @@ def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
     summary = summarise(matrix).controller("c")
     assert summary.achieved is None
     assert summary.reality_gap is None
+
+
+def test_ctrl_c_while_a_controller_runs_is_no_failed_cell() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_cell(champion("c", ("s",)), "s", DynamicsRunner(fitted(Stopped())), transfer_seeds(0, 2))
 
 
 def test_trials_that_diverge_are_counted() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.command_cells import CommandCells
+from model_zoo.channels.command_cells import CommandCells
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model
@@ -110,8 +110,8 @@ def test_a_filled_cell_serves_itself_and_an_empty_one_is_served_by_the_nearest_i
 def test_a_control_that_cannot_be_cut_into_cells_is_refused() -> None:
     with pytest.raises(IncompatibleSystem, match=r"control 'f' is continuous and has no limits.*give limits"):
         cells(Channel("f", "N"))
-    with pytest.raises(InvalidArgument, match="expected at least 2 for a continuous control, got 1"):
-        cells(Channel("f", low=0.0, high=1.0), levels=1)
+    with pytest.raises(InvalidArgument, match="NearestNeighbour: levels: expected a whole number >= 2, got 1"):
+        make_model("nearest_neighbour", levels=1)
     system = System((Channel("x"),), (Channel("f", "N"),), dt=0.1)
     endless = Dataset.from_arrays(system, [np.zeros((5, 1))], [np.zeros((4, 1))])
     model = make_model("nearest_neighbour")

@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from model_zoo.backprop27 import Backprop27
-from model_zoo.flow import turning
+from model_zoo.channels.mirror import Mirror
+from model_zoo.flows.runge_kutta import rk4
 from model_zoo.hybrid_ode import HybridOde
-from model_zoo.mirror import Mirror
 from model_zoo.mlp_ensemble import MlpEnsemble
-from model_zoo.multistep import as_network, as_tensors, forward_pass, integrate
-from model_zoo.network import random_network
-from model_zoo.runge_kutta import frame_rotation, rk4
+from model_zoo.networks.multistep import as_network, as_tensors, forward_pass
+from model_zoo.networks.network import random_network
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.motion.torch_form import torch_motion
 from sysid_evo.progress import Counter
 from sysid_evo.store import save_model
 from sysid_evo.system import System
@@ -60,14 +60,16 @@ def test_a_folded_network_takes_raw_inputs() -> None:
 def test_torch_and_numpy_integrate_alike(car: System) -> None:
     rng = np.random.default_rng(0)
     state, acceleration = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
-    ours = integrate(car, torch.from_numpy(state), torch.from_numpy(acceleration * car.dt)).numpy()
+    motion, on_tensors = torch_motion(car), torch.from_numpy(state)
+    ours = motion.integrate(on_tensors, torch.from_numpy(acceleration * car.dt), car.dt).numpy()
     np.testing.assert_allclose(ours, car.integrate(state, acceleration), atol=1e-12)
-    np.testing.assert_allclose(turning(car, torch.from_numpy(state)).numpy(), frame_rotation(car, state), atol=1e-12)
+    turned = motion.turned(on_tensors, torch.from_numpy(acceleration)).numpy()
+    np.testing.assert_allclose(turned, acceleration + car.turning(state), atol=1e-12)
 
 
 def test_the_rotation_of_the_frame_alone_keeps_the_speed(car: System) -> None:
     state = np.array([[1.0, 0.2, 3.0]])
-    after = rk4(lambda x: frame_rotation(car, x), state, 0.05)
+    after = rk4(car.turning, state, 0.05)
     assert np.hypot(*after[0, :2]) == pytest.approx(np.hypot(1.0, 0.2), abs=1e-6)
 
 

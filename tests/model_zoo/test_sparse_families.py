@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from model_zoo.narx import Narx
-from model_zoo.polynomial import evaluate, monomials
 from model_zoo.sindy import Sindy
 from model_zoo.sindy_bagged import SindyBagged
 from model_zoo.sindy_discrete import SindyDiscrete
-from model_zoo.sparse_regression import Regression, root_mean_square, sparse_coefficients
+from model_zoo.sparse.polynomial import evaluate, monomials
+from model_zoo.sparse.regression import Regression, root_mean_square, sparse_coefficients
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
@@ -93,8 +93,9 @@ def test_equations_carry_units() -> None:
     model.fit(recording_of(through_rk4), rng=np.random.default_rng(0))
     first, second = model.equations()
     assert first.startswith("acceleration of speed = ")
-    assert "[(m/s/s)/(m/s)] speed" in first
-    assert "speed drive" in second
+    assert "1.5 [1/s] speed" in first
+    assert "2 [m/s^2] drive" in first
+    assert "4 [rad/m] speed drive" in second
 
 
 def test_coefficients_are_those_of_pysindy() -> None:
@@ -102,7 +103,8 @@ def test_coefficients_are_those_of_pysindy() -> None:
 
     rng = np.random.default_rng(1)
     x, u = rng.standard_normal((300, 2)), rng.standard_normal((300, 1))
-    data = Regression(np.hstack([x, u]), np.stack([x[:, 0] * u[:, 0] - x[:, 1], 2.0 * x[:, 1] ** 2], axis=1))
+    targets = np.stack([x[:, 0] * u[:, 0] - x[:, 1], 2.0 * x[:, 1] ** 2], axis=1)
+    data = Regression(np.hstack([x, u]), targets, np.hstack([x, u]), x)
     scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
     theirs = pysindy.SINDy(
         optimizer=pysindy.STLSQ(threshold=0.02, alpha=1e-3),

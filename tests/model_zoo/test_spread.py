@@ -8,9 +8,8 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from model_zoo.spread import (
+from model_zoo.validation.spread import (
     conformal_scale,
-    coverage,
     growth_on_unseen_recordings,
     normalised_errors,
     rough_fits,
@@ -22,6 +21,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.system import Channel, System
+from tests.benchmarks.coverage import coverage
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
 UNSEEN = {"a": 0.2, "b": 0.3, "c": 0.9}

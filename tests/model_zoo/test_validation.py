@@ -8,11 +8,11 @@ from model_zoo.gaussian_process import GaussianProcess
 from model_zoo.k_neighbours import KNeighbours
 from model_zoo.narx import forward_selection
 from model_zoo.sindy_discrete import SindyDiscrete
-from model_zoo.spread import coverage
-from model_zoo.validation import lag_candidates, time_blocks
+from model_zoo.validation.held_out import lag_candidates, time_blocks
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from tests.benchmarks.coverage import coverage
 
 
 def test_held_out_blocks_are_disjoint_and_together_everything() -> None:

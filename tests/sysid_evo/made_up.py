@@ -102,6 +102,17 @@ class Constant(Controller):
         return np.repeat(parameters[:, None], trials, axis=1), memory
 
 
+class Restless(Constant):
+    """The outputs are the parameters plus a tenth of noise."""
+
+    n_noise = 1
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        raw, memory = super().act(parameters, memory, view)
+        assert view.noise is not None
+        return raw + 0.1 * view.noise, memory
+
+
 @dataclass(frozen=True)
 class LadderState(TaskState):
     """``steps`` (B,) counts how often each trial was advanced."""

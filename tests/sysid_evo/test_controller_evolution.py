@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +13,10 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
-from sysid_evo.errors import IncompatibleTask, InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, aggregate, evolve_controller
+from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
+from sysid_evo.evolution import Aggregate, ControllerEvolution, EnsembleObjective, evolve_controller
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
+from sysid_evo.registry import Spec, aggregates, make_model
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -39,15 +41,6 @@ class Watched:
         self.parameters.append(parameters)
         self.fitness.append(rollouts.fitness)
         return rollouts
-
-
-def test_the_fitnesses_on_several_models_become_one() -> None:
-    fitness = [[1.0, 5.0], [2.0, 9.0], [6.0, 1.0]]
-    np.testing.assert_array_equal(aggregate("min", fitness), [1.0, 1.0])
-    np.testing.assert_array_equal(aggregate("mean", fitness), [3.0, 5.0])
-    np.testing.assert_array_equal(aggregate("median", fitness), [2.0, 5.0])
-    with pytest.raises(InvalidArgument, match="aggregate: expected one of min, mean, median, got 'max'"):
-        aggregate("max", fitness)
 
 
 @pytest.fixture
@@ -92,6 +85,40 @@ def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: Sys
     np.testing.assert_array_equal(objective(np.zeros((1, 1)), 0), [0.5])
 
 
+def test_a_rule_may_look_at_the_spread_over_the_trials(
+    pair: tuple[Watched, Watched], register: Callable[..., Any]
+) -> None:
+    """The steady candidate beats the one with the better mean, since the rule takes the spread off."""
+
+    class Cautious(Aggregate):
+        def __init__(self, *, weight: float = 1.0) -> None:
+            self.weight = weight
+
+        def __call__(self, fitness: Array) -> Array:
+            assert fitness.shape == (2, 3, 6)
+            return (fitness.mean(axis=2) - self.weight * fitness.std(axis=2)).min(axis=0)
+
+    register(aggregates, "cautious", Cautious)
+    population = np.array([[1.0], [0.0], [-0.5]])
+    scores = [watched.run(Constant(), population, Ladder(), trial_seeds(1, 6)).fitness for watched in pair]
+    expected = np.min([score.mean(axis=1) - 2.0 * score.std(axis=1) for score in scores], axis=0)
+    objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate="cautious(weight=2.0)")
+    np.testing.assert_allclose(objective(population, 0), expected)
+    assert expected[0] < expected[1]
+
+
+def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder: System) -> None:
+    class Dropping(DynamicsRunner):
+        def run(
+            self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+        ) -> Rollouts:
+            return super().run(controller, parameters, task, seeds[1:], record=record)
+
+    objective = EnsembleObjective((Dropping(Climber(ladder)),), Constant(), Ladder(), seed=1, trials=6)
+    with pytest.raises(ShapeError, match=r"fitness in every trial: expected shape \(1, 6\), got \(1, 5\)"):
+        objective(np.zeros((1, 1)), 0)
+
+
 def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair: tuple[Watched, Watched]) -> None:
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4)
     for generation in range(3):
@@ -108,7 +135,7 @@ def test_an_ensemble_without_models_or_trials_is_refused(pair: tuple[Watched, Wa
         EnsembleObjective((), Constant(), Ladder(), seed=1)
     with pytest.raises(InvalidArgument, match="expected at least one model and one trial, got 2 and 0"):
         EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=0)
-    with pytest.raises(InvalidArgument, match="expected one of min, mean, median, got 'lowest'"):
+    with pytest.raises(UnknownName, match="no aggregate is called 'lowest'"):
         EnsembleObjective(pair, Constant(), Ladder(), seed=1, aggregate="lowest")
 
 
@@ -116,9 +143,9 @@ SETTINGS = ControllerEvolution(
     generations=25,
     trials=5,
     selection_trials=10,
-    controller_parameters={"hidden": 3},
-    task_parameters={"horizon": 120, "waypoint_radius": 0.4},
-    strategy_parameters={"parents": 15, "children": 15, "sigma": 0.3},
+    controller=Spec.parse("recurrent(hidden=3)"),
+    task=Spec.parse("point_to_point(horizon=120, waypoint_radius=0.4)"),
+    strategy=Spec.parse("mu_plus_lambda(parents=15, children=15, sigma=0.3)"),
 )
 
 
@@ -152,9 +179,9 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
         runs=2,
         aggregate="mean",
         selection_trials=3,
-        controller_parameters={"hidden": 2},
-        task_parameters={"horizon": 15},
-        strategy_parameters={"parents": 4, "children": 4},
+        controller=Spec.parse("recurrent(hidden=2)"),
+        task=Spec.parse("point_to_point(horizon=15)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=4, children=4)"),
     )
     champion = evolve_controller(
         "both", runners, recording.system, settings, seed=3, progress=lambda done, total: told.append((done, total))
@@ -165,8 +192,9 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
     assert champion.parameters.shape == (2 * (5 + 2 + 2),)
     assert champion.history.shape == (3, 3)
     assert (np.diff(champion.history, axis=1) <= 0).all()  # best, mean, worst
-    assert champion.controller_parameters == {"hidden": 2}
-    assert champion.task_parameters == {"horizon": 15}
+    assert champion.controller == Spec("recurrent", {"hidden": 2})
+    assert champion.task == Spec("point_to_point", {"horizon": 15})
+    assert champion.system == recording.system
     assert told == [(i, 6) for i in range(1, 7)]
 
 
@@ -175,8 +203,8 @@ def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner]
         generations=3,
         trials=2,
         selection_trials=3,
-        task_parameters={"horizon": 15},
-        strategy_parameters={"parents": 4, "children": 4},
+        task=Spec.parse("point_to_point(horizon=15)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=4, children=4)"),
     )
     first, again, other = (evolve_controller("c", runners, recording.system, settings, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.parameters, again.parameters)
@@ -192,8 +220,8 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
         trials=2,
         runs=3,
         selection_trials=10,
-        task_parameters={"horizon": 80, "waypoint_radius": 0.5},
-        strategy_parameters={"parents": 5, "children": 5, "spread": 1.0},
+        task=Spec.parse("point_to_point(horizon=80, waypoint_radius=0.5)"),
+        strategy=Spec.parse("mu_plus_lambda(parents=5, children=5, spread=1.0)"),
     )
     best_runs = set()
     for seed in (3, 4, 5, 8):
@@ -215,7 +243,9 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
 def test_an_estimator_delay_is_met_on_every_model_and_remembered(
     runners: dict[str, DynamicsRunner], recording: Dataset
 ) -> None:
-    settings = ControllerEvolution(generations=15, trials=2, selection_trials=2, task_parameters={"horizon": 300})
+    settings = ControllerEvolution(
+        generations=15, trials=2, selection_trials=2, task=Spec.parse("point_to_point(horizon=300)")
+    )
     late = {name: replace(runner, dynamics=DelayedEstimate(runner.dynamics, 0.1)) for name, runner in runners.items()}
     wrapped = evolve_controller("c", late, recording.system, settings, seed=1)
     asked = evolve_controller("c", runners, recording.system, replace(settings, estimator_delay=0.1), seed=1)
@@ -237,7 +267,15 @@ def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> 
     for name in ("generations", "trials", "runs", "selection_trials"):
         with pytest.raises(InvalidArgument, match=f"expected {name} >= 1, got 0"):
             ControllerEvolution(**{name: 0})
+    with pytest.raises(UnknownName, match=r"no aggregate is called 'maximum'\..* Known: mean, median, min"):
+        ControllerEvolution(aggregate="maximum")
+    with pytest.raises(InvalidArgument, match="aggregate 'min' has no parameter 'share'"):
+        ControllerEvolution(aggregate="min(share=0.2)")
     with pytest.raises(IncompatibleTask, match="has no motion"):
         ControllerEvolution().make_task(ladder)
     with pytest.raises(UnknownName, match=r"no controller is called 'recurent'\. Did you mean 'recurrent'"):
-        ControllerEvolution(controller="recurent").make_controller(SETTINGS.make_task(recording.system))
+        ControllerEvolution(controller="recurent")
+    with pytest.raises(InvalidArgument, match=r"strategy 'mu_plus_lambda' has no parameter 'sigmma'\. Did you mean"):
+        ControllerEvolution(strategy="mu_plus_lambda(sigmma=0.1)")
+    with pytest.raises(InvalidArgument, match="task 'point_to_point' has no parameter 'radius'"):
+        ControllerEvolution(task="point_to_point(radius=0.1)")

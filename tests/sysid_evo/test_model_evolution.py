@@ -9,7 +9,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import ModelEvolution
-from sysid_evo.evolution.identification import final_error
+from sysid_evo.evolution.identification import Weights, final_error
 from sysid_evo.system import Channel, System
 
 SYSTEM = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
@@ -100,6 +100,41 @@ def test_a_candidate_that_diverges_has_the_largest_error_and_no_nan(recorded: Da
 def test_episodes_shorter_than_the_horizon_are_refused(recorded: Dataset) -> None:
     with pytest.raises(InvalidData, match="no episode is longer than 200 steps, the horizon of the fit"):
         ModelEvolution(horizon=200).run(linear, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(("weights", "found"), [("spread", 0.36), ("paper", 0.9)])
+def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weights: Weights, found: float) -> None:
+    """One gain g for two states that keep k = 0.9 and 0.3 of themselves.
+
+    By spread the sum of (g - k)^2 / k^2 is least, at g = 0.36; in their own units only the large one counts.
+    """
+    system = System((Channel("large"), Channel("small")), (), dt=0.1)
+    kept, start = np.array([0.9, 0.3]), np.random.default_rng(3).standard_normal((80, 2)) * [1.0, 1e-3]
+    data = Dataset.from_arrays(system, list(np.stack([start, start * kept], axis=1)), [np.zeros((1, 0))] * 80)
+    best = ModelEvolution(generations=40, windows=80, horizon=1, weights=weights).run(
+        lambda population, state, control: population[:, :, None] * state,
+        data,
+        initial=np.array([0.5]),
+        spread=0.1,
+        rng=np.random.default_rng(1),
+    )
+    np.testing.assert_allclose(best, [found], atol=0.05)
+
+
+@pytest.mark.parametrize("horizon", [1, 7])
+def test_the_search_looks_as_far_ahead_as_it_is_told(horizon: int, recorded: Dataset) -> None:
+    seen: list[int] = []
+
+    def watched(parameters: Array, state: Array, control: Array) -> Array:
+        seen.append(len(parameters))
+        return linear(parameters, state, control)
+
+    ModelEvolution(generations=1, windows=5, horizon=horizon, parents=4, children=4).run(
+        watched, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(1)
+    )
+    assert len(seen) % horizon == 0
+    assert seen[:horizon] == [seen[0]] * horizon
+    assert len(seen) == 2 * horizon  # the generation, and the choice at the end
 
 
 def delayed(parameters: Array, carry: Array, control: Array) -> Array:

@@ -147,3 +147,13 @@ def test_roles_find_their_channels_in_any_order_and_under_any_name(rng: np.rando
         mixed.motion.move(pose, before, after, 0.05, mixed.state_names),
         plain.motion.move(pose, to_plain(before), to_plain(after), 0.05, plain.state_names),
     )
+
+
+def test_the_heading_of_a_body_that_spins_on_stays_within_half_a_turn_either_way() -> None:
+    spinning, pose, headings = np.array([[0.0, 0.0, 40.0]]), np.array([[0.0, 0.0, 1000.0]]), []
+    for _ in range(50):
+        pose = PlanarBody().move(pose, spinning, spinning, 0.05, NAMES)
+        headings.append(pose[0, 2])
+    assert np.abs(headings).max() <= np.pi
+    turned = 1000.0 + 2.0 * np.arange(1, 51)
+    np.testing.assert_allclose(np.exp(1j * np.array(headings)), np.exp(1j * turned), atol=1e-9)

@@ -179,3 +179,26 @@ def test_the_loop_yields_what_was_asked_and_told() -> None:
         assert mean == pytest.approx(generation.fitness.mean())
         assert strategy.generation == generation.index + 1
     assert seen == [0, 1, 2]
+
+
+@pytest.mark.parametrize("reevaluate", [True, False])
+@pytest.mark.parametrize("generations", [0, 3])
+def test_a_restored_strategy_goes_on_as_the_one_it_was_taken_from(generations: int, reevaluate: bool) -> None:
+    given = {"n_parameters": 3, "seed": 5, "parents": 4, "children": 6, "reevaluate": reevaluate}
+    strategy, other = MuPlusLambda(**given), MuPlusLambda(**given)
+    for _ in evolve(strategy, sphere, generations):
+        pass
+    taken = strategy.state
+    on = [generation.population for generation in evolve(strategy, sphere, 3)]
+    other.restore(taken)
+    for expected, generation in zip(on, evolve(other, sphere, 3), strict=True):
+        np.testing.assert_array_equal(generation.population, expected)
+    np.testing.assert_array_equal(other.elite, strategy.elite)
+
+
+def test_the_state_of_another_strategy_is_refused() -> None:
+    strategy = MuPlusLambda(n_parameters=3, seed=5, parents=4)
+    with pytest.raises(ShapeError, match=r"state: parents: expected shape \(4, 3\), got \(4, 2\)"):
+        strategy.restore(MuPlusLambda(n_parameters=2, seed=5, parents=4).state)
+    with pytest.raises(InvalidArgument, match=r"expected a state with generation, parents .* got mean, sigma"):
+        strategy.restore({"mean": np.zeros(3), "sigma": 1.0})

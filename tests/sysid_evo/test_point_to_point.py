@@ -14,6 +14,8 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.tasks.point_to_point import PointToPointState
 
+from .made_up import Ladder
+
 
 def seeds_of(*values: int) -> np.ndarray:
     return np.array(values, dtype=np.uint64)
@@ -189,3 +191,23 @@ def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car: System) -> N
     np.testing.assert_array_equal(kept.passed, [5, 0, 5])
     np.testing.assert_array_equal(kept.pose[:, 0], [1.0, 0.0, 1.0])
     assert kept.passed.dtype == old.passed.dtype
+
+
+def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car: System) -> None:
+    task = PointToPoint(horizon=50, waypoint_radius=0.4, arena_radius=2.0).bind(car)
+    began = task.begin(np.array([3, 8], dtype=np.uint64)).tile(2)
+    state = dataclasses.replace(began, passed=np.array([0, 2, 1, 4]))
+    scenes = [task.scene(state, trial) for trial in range(4)]
+    assert [len(scene.markers) for scene in scenes] == [1, 3, 2, 5]
+    assert [scene.reached for scene in scenes] == [0, 2, 1, 4]
+    np.testing.assert_array_equal(scenes[3].markers, began.waypoints[1, :5])
+    for trial, scene in enumerate(scenes):
+        np.testing.assert_array_equal(scene.next_marker, state.waypoint[trial])
+        assert (scene.radius, scene.extent) == (0.4, 2.0)
+
+
+def test_a_task_without_places_has_an_empty_scene(ladder: System) -> None:
+    task = Ladder().bind(ladder)
+    scene = task.scene(task.begin(np.array([1], dtype=np.uint64)), 0)
+    assert scene.markers.shape == (0, 2)
+    assert scene.next_marker is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -121,7 +122,8 @@ def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions: Di
 
 
 def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions: Distributions) -> None:
-    requires = 'Requires-Dist: numpy\nRequires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
+    optional = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
+    requires = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *optional))
     distributions.install(
         "made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires
     )
@@ -369,3 +371,25 @@ def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_
     assert digests[0] == digests[1] != digests[2]
     assert len(digests[0]) == 64
     assert source_digest(models.get("linear")) == ""
+
+
+def test_the_identity_of_a_thing_holds_every_parameter_but_those_handed_over(boxes: Registry[Box]) -> None:
+    plain = boxes.identity("box(colour=red)")
+    assert plain["parameters"] == {"size": 1, "colour": "red"}
+    assert boxes.identity("mine=box(size=1, colour=red)") == plain
+    assert boxes.identity("box(size=2, colour=red)") != plain
+    assert len(plain["source"]) == 64
+
+
+def test_an_identity_is_strict_json_whatever_the_parameters_are() -> None:
+    things: Registry[Any] = Registry("thing", GROUP)
+
+    @things.register("odd")
+    class Odd:
+        def __init__(self, *, limit: float = float("inf"), sizes: tuple[int, ...] = (1, 2), law: Any = len) -> None:
+            pass
+
+    found = things.identity("odd")["parameters"]
+    assert json.loads(json.dumps(found, allow_nan=False)) == {
+        "limit": "inf", "sizes": [1, 2], "law": "<built-in function len>",
+    }  # fmt: skip

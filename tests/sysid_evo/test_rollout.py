@@ -18,7 +18,7 @@ from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 
-from .made_up import Climber, Constant, Echo, Ladder, LadderState, SluggishCar, network_by_hand
+from .made_up import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
 
 SEEDS = np.array([12, 7, 33], dtype=np.uint64)
 RADIUS = 1.0  # m: a random network passes a few waypoints of this size
@@ -113,6 +113,20 @@ def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder: System) 
     assert np.abs(noise[0, 0] - noise[0, 1]).min() > 1e-6
 
 
+def test_a_controller_that_wants_noise_gets_the_same_in_the_same_trial(ladder: System) -> None:
+    parameters = np.array([[0.1], [0.3]])
+    given = (Climber(ladder), Restless(), parameters, Ladder(horizon=12), SEEDS)
+    run = rollout(*given, record=True)
+    assert run.engine == "reference"
+    raw = np.stack([t.controls[:, 0] for t in run.trajectories]).reshape(2, 3, 12)
+    drawn = (raw - parameters[:, :, None]) / 0.1
+    np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-9)
+    assert np.unique(np.round(drawn[0], 9)).size == 36
+    np.testing.assert_array_equal(rollout(*given).fitness, run.fitness)
+    other = step_noise(SEEDS, 12, 1)[..., 0]
+    assert np.abs(drawn[0] - other).max() > 0.1, "the dynamics draws from a stream of its own"
+
+
 def test_noise_depends_on_its_own_trial_and_step_alone() -> None:
     long = step_noise(SEEDS, 50, 3)
     assert long.shape == (3, 50, 3)
@@ -180,6 +194,15 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder: 
     np.testing.assert_array_equal(run.task_state.alive, [False, False, True, True])
     assert [len(t) for t in run.trajectories] == [7, 3, 8, 8]
     np.testing.assert_array_equal(run.trajectories[1].states[:, 0], [2.0, 2.5, 3.0, 3.5])
+
+
+def test_a_trial_that_is_over_is_clipped_no_more(ladder: System) -> None:
+    dynamics = Climber(ladder, envelope=np.array([[-1.0], [2.1]]))
+    seeds = np.array([0], dtype=np.uint64)
+    run = rollout(dynamics, Constant(), np.array([[0.5], [0.1]]), Ladder(horizon=8, top=1.7), seeds)
+    # 0.5 ends on 2.0 in step 4; four steps more would each be clipped
+    np.testing.assert_array_equal(run.survived[:, 0], [4, 8])
+    np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
 
 
 def test_a_wall_alters_the_state_that_goes_on(ladder: System) -> None:

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import resource
 import subprocess
 import sys
 
-HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "pandas", "pysindy"}
+import pytest
+
+HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
+SECONDS = 0.5
+"""Processor time in which help is there; the clock of a busy machine says nothing."""
 
 ASK_FOR_HELP = """
 import json, sys
@@ -34,6 +40,17 @@ print(json.dumps([early, sysid_evo.__all__]))
 """
 
 
+MAKE_A_MISTAKE = """
+import json, sys
+from sysid_evo.cli import main
+sys.argv = ["sysid-evo", "compare", "--models", "linaer"]
+try:
+    main()
+except SystemExit as ended:
+    print(json.dumps([ended.code, sorted(sys.modules)]))
+"""
+
+
 def answer(source: str) -> tuple[str, list | dict]:
     """Return all that a fresh interpreter prints, and its last line."""
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
@@ -50,7 +67,37 @@ def test_help_imports_nothing_heavy() -> None:
         assert "typer" in imported
 
 
+def test_help_takes_less_than_half_a_second() -> None:
+    taken = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-m", "sysid_evo", "--help"], capture_output=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    assert min(taken) < SECONDS
+
+
 def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None:
     _, (early, names) = answer(ASK_FOR_NAMES)
     assert not (HEAVY | {"numpy"}) & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
+def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given: str | None, expected: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    if given is not None:
+        environment["OMP_NUM_THREADS"] = given
+    code = (
+        "import os, sys\nfrom sysid_evo.cli import main\nassert 'numpy' not in sys.modules\n"
+        "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n"
+        "    print(os.environ['OMP_NUM_THREADS'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == expected
+
+
+def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
+    _, (code, imported) = answer(MAKE_A_MISTAKE)
+    assert code == 2
+    assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)

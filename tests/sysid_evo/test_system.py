@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,20 @@ def test_neutral_values_stand_in_the_order_of_the_channels() -> None:
     assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
 
 
+def test_the_neutral_value_is_0_or_the_limit_nearest_to_it() -> None:
+    neutral = [Channel("x", low=low, high=high).neutral for low, high in ((-1, 1), (6, 8.4), (-5, -2), (-np.inf, 3))]
+    assert neutral == [0.0, 6.0, -2.0, 0.0]
+    assert Channel("gear", levels=(2.0, 5.0)).neutral == 2.0
+    assert Channel("x", low=6.0, high=8.0, neutral=7.0).neutral == 7.0
+
+
+def test_names_stand_for_channels_without_unit_and_limits() -> None:
+    named = System(states=["theta", "theta_dot"], controls="torque", dt=0.02)
+    assert named == System((Channel("theta"), Channel("theta_dot")), (Channel("torque"),), 0.02)
+    with pytest.raises(InvalidSystem, match=r"expected Channel\(...\) or names as controls, got float"):
+        System(states=("x",), controls=(1.0,), dt=0.1)
+
+
 def test_another_dt_changes_nothing_else(car: System) -> None:
     finer = car.with_dt(0.005)
     assert finer.dt == 0.005
@@ -118,7 +133,7 @@ def test_another_dt_changes_nothing_else(car: System) -> None:
         ({"name": "a", "levels": (-1.0, 1.0), "low": -0.5}, r"'a': levels \(-1.0, 1.0\) lie outside \[-0.5, 1.0\]"),
         ({"name": "a", "low": 1.0, "high": 1.0}, r"'a': expected low < high, got \[1.0, 1.0\]"),
         ({"name": "a", "low": np.nan}, "'a': expected low < high"),
-        ({"name": "a", "low": 1.0}, r"'a': expected a neutral value within \[1.0, inf\], got 0.0"),
+        ({"name": "a", "low": 1.0, "neutral": 0.0}, r"'a': expected a neutral value within \[1.0, inf\], got 0.0"),
         ({"name": "a", "neutral": np.inf}, "'a': expected a neutral value within .*, got inf"),
     ],
 )
@@ -149,3 +164,25 @@ def test_a_system_that_contradicts_itself_is_refused(arguments: dict, message: s
 def test_an_unknown_motion_is_refused(car: System) -> None:
     with pytest.raises(InvalidSystem, match="expected one of planar_body, got 'balloon'"):
         System.from_dict({**car.to_dict(), "motion": {"kind": "balloon"}})
+
+
+def test_systems_differ_in_words_where_it_matters_to_a_controller(car: System) -> None:
+    assert car.differences(car.with_dt(car.dt)) == ()
+    assert car.differences(replace(car, name="another name")) == ()
+    assert car.differences(car.with_dt(0.1)) == ("20 Hz against 10 Hz",)
+    swapped = replace(car, states=(car.states[2], car.states[1], car.states[0]))
+    assert car.differences(swapped) == (
+        "states forward_speed (m/s), lateral_speed (m/s), yaw_rate (rad/s) against "
+        "yaw_rate (rad/s), lateral_speed (m/s), forward_speed (m/s)",
+    )
+    wider = replace(car, states=(replace(car.states[0], low=-1.0, high=1.0), *car.states[1:]))
+    assert car.differences(wider) == ()
+    smooth = replace(car, controls=(Channel("drive", low=-1.0, high=1.0), car.controls[1]))
+    assert car.differences(smooth) == ("legal values of drive: [-1.0, 0.0, 1.0] against [-1, 1]",)
+    still = replace(car, motion=None)
+    assert len(car.differences(still)) == 1
+    assert "against none" in car.differences(still)[0]
+    angle = System([Channel("theta", "rad", period=6.0)], [], dt=1.0)
+    assert angle.differences(System([Channel("theta", "rad")], [], dt=1.0)) == (
+        "states theta (rad, period 6) against theta (rad)",
+    )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hardware.emulation.car_physics import (
     BODY,
     BUFFER,
@@ -19,9 +17,11 @@ from hardware.emulation.car_physics import (
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.motion import frame_change
 
-REPEATS, HEADER = range(2)
+HEAD = Layout("repeats")
 COMMANDS = BUFFER.start * LANES
 CREEP = 1.0 / CREEP_SPEED
 SIXTH = 1.0 / 6.0
@@ -29,12 +29,12 @@ SIXTH = 1.0 / 6.0
 
 def car_kernel(coefficients: Coefficients, repeats: int) -> DynamicsKernel:
     """Return the kernel of ``repeats`` fine steps under a held control."""
-    return DynamicsKernel(KernelSource(car), np.array([repeats, *coefficients]))
+    return DynamicsKernel(KernelSource(car), HEAD.pack(coefficients, repeats=repeats))
 
 
 def car(carry, control, noise, parameters, scratch):
     """Take the fine steps, each under the command then due, and move the commands under way only once."""
-    repeats, p = int(parameters[REPEATS]), view(parameters, HEADER)
+    repeats, p = int(parameters[HEAD.repeats]), view(parameters, HEAD.size)
     commands = view(carry, COMMANDS)
     for k in range(repeats):
         command = view(commands, 2 * k * LANES) if k < LATENCY else control
@@ -93,8 +93,9 @@ def fine_step(state, body, command, noise, p):
         shake = speed * per_pace
 
         push = traction - rolling_drag * u - front * sine * inverse_mass
-        change = (push + v * r + force_noise * shake) * FINE_DT
-        v = v + ((across + rear) * inverse_mass - u * r) * FINE_DT
+        along_turning, across_turning = frame_change(u, v, r)
+        change = (push + along_turning + force_noise * shake) * FINE_DT
+        v = v + ((across + rear) * inverse_mass + across_turning) * FINE_DT
         r = r + ((front_axle * across - rear_axle * rear) * inverse_inertia + yaw_noise * shake) * FINE_DT
 
         creep = max(1.0 - speed * CREEP, 0.0)

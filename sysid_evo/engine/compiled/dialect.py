@@ -7,8 +7,9 @@ hash of its text and of the versions it depends on, so that Numba's cache on dis
 and the second process finds everything compiled.
 
 What a kernel function may use: arguments and local names, numbers, ``math``, other such functions
-(also those decorated with ``numba.njit``), module-level numbers, and the lane functions of
-`sysid_evo.engine.compiled.lanes`. Literals of real arithmetic are written with a point (``2.0``).
+(also those decorated with ``numba.njit``), module-level numbers, the lane functions of
+`sysid_evo.engine.compiled.lanes`, and the places of a `Layout` of the module. Literals of real
+arithmetic are written with a point (``2.0``).
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ import llvmlite
 import numba
 
 from sysid_evo.engine.compiled import elementary, lanes
+from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder, write_atomically
 
@@ -108,12 +111,14 @@ class Lifted:
 Source: TypeAlias = KernelSource | Lifted
 
 
-def compile_kernel(source: Source, signature: str, precision: Precision, *, pointer: bool = True) -> Any:
-    """Return ``source`` compiled for ``signature``: text in terms of R (real array), I (int64 array), types.
+def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
+    """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
 
     With ``pointer`` the result can be passed to compiled code as a first-class function; without it,
     it is called from Python and releases the interpreter lock.
     """
+    if isinstance(source, KernelSource):
+        signature.check(_plain(source.function))
     decorator = "@cfunc" if pointer else "@njit"
     options = "" if pointer else ", nogil=True"
     options = f"cache=True, fastmath={FASTMATH}, error_model='numpy'{options}"
@@ -212,6 +217,9 @@ class _Specialise(ast.NodeTransformer):
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:  # ast's own naming
         if isinstance(node.value, ast.Name) and isinstance(self.scope.get(node.value.id), ModuleType):
             return self._value(getattr(self.scope[node.value.id], node.attr), f"{node.value.id}.{node.attr}")
+        if isinstance(node.value, ast.Name) and isinstance(self.scope.get(node.value.id), Layout):
+            layout: Layout = self.scope[node.value.id]
+            return ast.Constant(layout.size if node.attr == "size" else getattr(layout, node.attr))
         raise self._unusable(ast.unparse(node), "attributes of arrays or objects are not available in kernels")
 
     def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming
@@ -234,9 +242,9 @@ class _Specialise(ast.NodeTransformer):
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
         if value in PASSED_ON:
             return ast.Name(PASSED_ON[value], ast.Load())
-        if getattr(value, "__module__", "") == "math" or value in elementary.FLOAT32:
-            if self.writer.precision == "float32" and value in elementary.FLOAT32:
-                return self._named(KernelSource(elementary.FLOAT32[value]))
+        if self.writer.precision == "float32" and value in elementary.FLOAT32:
+            return self._named(KernelSource(elementary.FLOAT32[value]))
+        if getattr(value, "__module__", "") == "math":
             return ast.Attribute(ast.Name("math", ast.Load()), value.__name__, ast.Load())
         if isinstance(value, (KernelSource, Lifted)):
             return self._named(value)

@@ -97,11 +97,22 @@ def exp(x):
     return power_of_two(k) * (1.0 + p * r)
 
 
+def nearest(x):
+    """The whole number nearest to x, for |x| up to 2^51."""
+    return (x + 6755399441055744.0) - 6755399441055744.0
+
+
+def nearest_single(x):
+    """`nearest` in float32, for |x| up to 2^22."""
+    return (x + 12582912.0) - 12582912.0
+
+
 FLOAT32: dict[Callable[..., float], Callable[..., float]] = {
     math.tanh: tanh,
     math.sin: sin,
     math.cos: cos,
     math.atan2: atan2,
     math.exp: exp,
+    nearest: nearest_single,
 }
-"""What a call of the mathematics library becomes in a float32 kernel."""
+"""What a call of the mathematics library, or of `nearest`, becomes in a float32 kernel."""

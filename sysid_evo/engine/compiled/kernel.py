@@ -14,18 +14,19 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import Precision, Source
+from sysid_evo.engine.compiled.signature import REALS, WHOLES, Signature
 
 if TYPE_CHECKING:
     from sysid_evo.tasks.task import TaskState
 
-DYNAMICS = "types.void(R, R, R, R, R)"
-"""``(carry, control, noise, parameters, scratch)``: overwrite ``carry`` with the next one."""
-CONTROLLER = "types.void(R, R, R, R, R, R)"
-"""``(theta, memory, observation, raw, parameters, scratch)``: write ``raw``, overwrite ``memory``."""
-OBSERVE = "types.void(R, R, R, R)"
-"""``(task, state, observation, parameters)``: write ``observation``."""
-ADVANCE = "types.void(R, R, R, I, R, R)"
-"""``(task, before, after, trials, trial_data, parameters)``: overwrite ``task``, perhaps ``after``.
+DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
+"""Overwrite ``carry`` with the next one."""
+CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, parameters=REALS, scratch=REALS)
+"""Write ``raw``, overwrite ``memory``."""
+OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
+"""Write ``observation``."""
+ADVANCE = Signature(task=REALS, before=REALS, after=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS)
+"""Overwrite ``task``, perhaps ``after``.
 
 Row 0 of ``task`` is the fitness, row 1 is 1.0 while the trial is alive; ``trials`` (64,) is the trial
 of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
@@ -40,6 +41,11 @@ class DynamicsKernel:
     parameters: Array = field(default_factory=lambda: np.zeros(1))
     n_scratch: int = 0
     precision: Precision = "float32"
+
+    def of_candidates(self, own: Array) -> Array:
+        """Return the flat parameters (P, n) of this kernel for candidates whose predictors have ``own`` (P, m)."""
+        shell = self.parameters[: len(self.parameters) - own.shape[1]]
+        return np.concatenate([np.tile(shell, (len(own), 1)), own], axis=1)
 
 
 @dataclass(frozen=True)

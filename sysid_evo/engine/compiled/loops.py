@@ -5,18 +5,17 @@ They know nothing about cars: kernels come as first-class functions, sizes in an
 
 from __future__ import annotations
 
+from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
 from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
 
-(
-    TRIALS, HORIZON, N_CARRY, NX, NU, N_MEMORY, N_TASK, N_NOISE, N_THETA, ROLLOUTS, RECORD, POSE_ROW, N_POSE, SEEN,
-) = range(14)  # fmt: skip
-
-CLOSED_LOOP = (
-    "types.void(types.FunctionType(types.void(R, R, R, R, R)), types.FunctionType(types.void(R, R, R, R, R, R)), "
-    "types.FunctionType(types.void(R, R, R, R)), types.FunctionType(types.void(R, R, R, I, R, R)), "
-    "I, R, R, R, R, R, R, R, R, R, R, types.int64, types.int64, R, R, R, R, R, R, R, R, R, R, R, R, I, I, "
-    "R, I, I, I, R, R, R, R)"
-)
+CLOSED = Layout(
+    "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
+    "pose_row", "n_pose", "seen",
+)  # fmt: skip
+OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
+MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
 
 
 def closed_loop(
@@ -28,10 +27,10 @@ def closed_loop(
     fitness, survived, clipped, diverged, final_task, states, controls, poses,
 ):  # fmt: skip
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
-    horizon, nx, nu = sizes[HORIZON], sizes[NX], sizes[NU]
-    n_carry, n_task, n_noise = sizes[N_CARRY], sizes[N_TASK], sizes[N_NOISE]
-    n_trials, rollouts, n_theta = sizes[TRIALS], sizes[ROLLOUTS], sizes[N_THETA]
-    n_pose, pose_row = sizes[N_POSE], sizes[POSE_ROW]
+    horizon, nx, nu = sizes[CLOSED.horizon], sizes[CLOSED.nx], sizes[CLOSED.nu]
+    n_carry, n_task, n_noise = sizes[CLOSED.n_carry], sizes[CLOSED.n_task], sizes[CLOSED.n_noise]
+    n_trials, rollouts, n_theta = sizes[CLOSED.trials], sizes[CLOSED.rollouts], sizes[CLOSED.n_theta]
+    n_pose, pose_row = sizes[CLOSED.n_pose], sizes[CLOSED.pose_row]
     for block in range(first, last):
         for lane in range(LANES):
             rollout = min(block * LANES + lane, rollouts - 1)
@@ -45,7 +44,7 @@ def closed_loop(
                 task[row * LANES + lane] = task_start[trial * n_task + row]
             for row in range(n_theta):
                 theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
-        for i in range(sizes[N_MEMORY] * LANES):
+        for i in range(sizes[CLOSED.n_memory] * LANES):
             memory[i] = 0.0
         n_dead, marks = 0, observation  # observed anew before it is read
         for lane in range(LANES):
@@ -55,7 +54,7 @@ def closed_loop(
         for k in range(horizon):
             if n_dead == LANES:
                 break
-            observe(task, view(carry, sizes[SEEN] * LANES), observation, task_parameters)
+            observe(task, view(carry, sizes[CLOSED.seen] * LANES), observation, task_parameters)
             controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
             actuate(raw, control, actuation, nu)
             if n_noise > 0:
@@ -91,7 +90,7 @@ def closed_loop(
             advance(task, before, carry, trials, trial_data, task_parameters)
             if n_dead > 0:
                 restore(carry, n_carry, task, n_task, kept, dead)
-            if sizes[RECORD] == 1:
+            if sizes[CLOSED.record] == 1:
                 for lane in range(LANES):
                     rollout = block * LANES + lane
                     if dead[lane] == 0 and rollout < rollouts:
@@ -197,24 +196,17 @@ def restore(carry, n_carry, task, n_task, kept, dead):
                 task[row * LANES + lane] = kept[(n_carry + row) * LANES + lane]
 
 
-OPEN_LOOP = (
-    "types.void(types.FunctionType(types.void(R, R, R, R, R)), I, R, R, R, R, types.int64, types.int64, "
-    "R, R, R, R, R, R)"
-)
-CANDIDATES, WINDOWS, STEPS, OPEN_CARRY, OPEN_NX, OPEN_NU, OPEN_PARAMETERS = range(7)
-
-
 def open_loop(
     dynamics, sizes, parameters_of, start, controls, truth, first, last,
-    carry, control, noise, parameters, scratch, error,
+    weight, carry, control, noise, parameters, scratch, error,
 ):  # fmt: skip
     """Simulate every window under recorded controls for candidates ``first`` to ``last``.
 
     ``error`` of a candidate is the mean over windows and states of the square difference
-    after the last step; not a number where a simulation diverged.
+    after the last step times the state's ``weight``; not a number where a simulation diverged.
     """
-    windows, steps, n_carry = sizes[WINDOWS], sizes[STEPS], sizes[OPEN_CARRY]
-    nx, nu, n_parameters = sizes[OPEN_NX], sizes[OPEN_NU], sizes[OPEN_PARAMETERS]
+    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
+    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
     for candidate in range(first, last):
         for i in range(n_parameters):
             parameters[i] = parameters_of[candidate * n_parameters + i]
@@ -234,14 +226,8 @@ def open_loop(
             for row in range(nx):
                 for lane in range(used):
                     off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
-                    total += off * off
+                    total += off * off * weight[row]
         error[candidate] = total / float(windows * nx)
-
-
-DECIDE = (
-    "types.void(types.FunctionType(types.void(R, R, R, R, R, R)), types.FunctionType(types.void(R, R, R, R)), "
-    "I, R, R, R, R, R, R, R, R, R, R, R, R, R)"
-)
 
 
 def decide(
@@ -249,8 +235,14 @@ def decide(
     state, theta_of, memory_of, task_of, control_of, carry, control, observation, raw, scratch,
 ):  # fmt: skip
     """One control for every rollout: ``state`` and ``control_of`` (rollouts, n), the others block by block."""
-    nx, nu, n_memory, n_task, n_theta = sizes[NX], sizes[NU], sizes[N_MEMORY], sizes[N_TASK], sizes[N_THETA]
-    rollouts = sizes[ROLLOUTS]
+    nx, nu, n_memory, n_task, n_theta = (
+        sizes[MIXED.nx],
+        sizes[MIXED.nu],
+        sizes[MIXED.n_memory],
+        sizes[MIXED.n_task],
+        sizes[MIXED.n_theta],
+    )
+    rollouts = sizes[MIXED.rollouts]
     for block in range((rollouts + LANES - 1) // LANES):
         for lane in range(LANES):
             rollout = min(block * LANES + lane, rollouts - 1)
@@ -267,18 +259,15 @@ def decide(
                 control_of[(block * LANES + lane) * nu + row] = control[row * LANES + lane]
 
 
-SETTLE = "types.void(types.FunctionType(types.void(R, R, R, I, R, R)), I, R, R, R, R, R, I, R, R, R, I)"
-
-
 def settle(
     advance, sizes, task_parameters, trial_data, state, reached, task_of, dead_of, before, carry, kept, trials,
 ):  # fmt: skip
     """Advance the task of every rollout that is not over; ``reached`` (rollouts, nx) may be altered."""
-    nx, n_task, rollouts = sizes[NX], sizes[N_TASK], sizes[ROLLOUTS]
+    nx, n_task, rollouts = sizes[MIXED.nx], sizes[MIXED.n_task], sizes[MIXED.rollouts]
     for block in range((rollouts + LANES - 1) // LANES):
         for lane in range(LANES):
             rollout = min(block * LANES + lane, rollouts - 1)
-            trials[lane] = rollout % sizes[TRIALS]
+            trials[lane] = rollout % sizes[MIXED.trials]
             for row in range(nx):
                 before[row * LANES + lane] = state[rollout * nx + row]
                 carry[row * LANES + lane] = reached[rollout * nx + row]
@@ -294,3 +283,14 @@ def settle(
             else:
                 for row in range(nx):
                     reached[rollout * nx + row] = carry[row * LANES + lane]
+
+
+CLOSED_LOOP = Signature.of(
+    closed_loop,
+    dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
+    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES, dead=WHOLES,
+    survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
+)  # fmt: skip
+OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
+SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)

@@ -56,10 +56,15 @@ def run(
     task_rows = _blocks(rows[:, lane_of % trials])
     theta = _blocks(parameters[lane_of // trials].T)
     memory = empty_lines(blocks * controller.n_memory * LANES, REAL)
-    sizes = np.zeros(16, np.int64)
-    sizes[[loops.TRIALS, loops.NX, loops.NU, loops.N_MEMORY, loops.N_TASK, loops.N_THETA, loops.ROLLOUTS]] = (
-        trials, nx, nu, controller.n_memory, len(rows), parameters.shape[1], rollouts,
-    )  # fmt: skip
+    sizes = loops.MIXED.integers(
+        trials=trials,
+        nx=nx,
+        nu=nu,
+        n_memory=controller.n_memory,
+        n_task=len(rows),
+        n_theta=parameters.shape[1],
+        rollouts=rollouts,
+    )
     buffer = {
         name: empty_lines(n * LANES, REAL)
         for name, n in {
@@ -94,10 +99,21 @@ def run(
             state = np.ascontiguousarray(carry[:, :nx], dtype=REAL)
             seen = np.ascontiguousarray(carry[:, dynamics.observed_at :][:, :nx], dtype=REAL)
             decide(
-                act, observe, sizes, act_parameters, task_parameters, actuation, seen.reshape(-1), theta, memory,
-                task_rows, control, buffer["carry"], buffer["control"], buffer["observation"], buffer["raw"],
-                buffer["scratch"],
-            )  # fmt: skip
+                *loops.DECIDE.ordered(
+                    controller=act,
+                    observe=observe,
+                    sizes=sizes,
+                    controller_parameters=act_parameters,
+                    task_parameters=task_parameters,
+                    actuation=actuation,
+                    state=seen.reshape(-1),
+                    theta_of=theta,
+                    memory_of=memory,
+                    task_of=task_rows,
+                    control_of=control,
+                    **{name: buffer[name] for name in ("carry", "control", "observation", "raw", "scratch")},
+                )
+            )
             legal = control.reshape(rollouts, nu).astype(np.float64)
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, legal, draw)
@@ -107,9 +123,19 @@ def run(
             reached = np.ascontiguousarray(stepped[:, :nx], dtype=REAL)
             dead[:] = ~going
             settle(
-                advance, sizes, task_parameters, trial_data, state.reshape(-1), reached.reshape(-1), task_rows, dead,
-                buffer["before"], buffer["carry"], buffer["kept"], trial_of_lane,
-            )  # fmt: skip
+                *loops.SETTLE.ordered(
+                    advance=advance,
+                    sizes=sizes,
+                    task_parameters=task_parameters,
+                    trial_data=trial_data,
+                    state=state.reshape(-1),
+                    reached=reached.reshape(-1),
+                    task_of=task_rows,
+                    dead_of=dead,
+                    trials=trial_of_lane,
+                    **{name: buffer[name] for name in ("before", "carry", "kept")},
+                )
+            )
             altered = reached != stepped[:, :nx].astype(REAL)
             if altered.any():
                 stepped = stepped.copy()

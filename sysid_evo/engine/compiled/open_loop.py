@@ -27,6 +27,7 @@ def final_errors(
     start: Array,
     controls: Array,
     truth: Array,
+    weight: Array | None = None,
     *,
     precision: Precision = "float32",
     threads: int = 1,
@@ -35,28 +36,38 @@ def final_errors(
 
     ``source`` is a dynamics kernel that needs ``n_scratch`` rows; ``parameters`` (P, m) are its flat
     parameters for every candidate; ``start`` (W, n_carry), ``controls`` (W, H, nu), ``truth``
-    (W, nx) at the end.
+    (W, nx) at the end; the square of state i counts ``weight[i]`` times (nx,), once by default.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (windows, None))
     truth = check_shape("truth", truth, (windows, None))
     real = np.dtype(precision)
+    weight = np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:])
 
-    sizes = np.zeros(16, np.int64)
-    sizes[: loops.OPEN_PARAMETERS + 1] = (
-        len(parameters), windows, steps, start.shape[1], truth.shape[1], nu, parameters.shape[1],
-    )  # fmt: skip
+    sizes = loops.OPEN.integers(
+        windows=windows,
+        steps=steps,
+        n_carry=start.shape[1],
+        nx=truth.shape[1],
+        nu=nu,
+        n_parameters=parameters.shape[1],
+    )
     error = np.zeros(len(parameters), real)
-    shared = (sizes, *(aligned(array, real) for array in (parameters, start, controls, truth)))
+    given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth, "weight": weight}
+    shared = {name: aligned(array, real) for name, array in given.items()}
     kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
+    room = {"carry": start.shape[1], "control": nu, "noise": 1, "scratch": n_scratch}
 
     def prepare() -> Work:
-        rows = (start.shape[1], nu, 1)
-        buffers = [empty_lines(n * LANES, real) for n in rows]
-        own, scratch = empty_lines(parameters.shape[1], real), empty_lines(n_scratch * LANES, real)
+        own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
+        own["parameters"] = empty_lines(parameters.shape[1], real)
 
         def work(first: int, last: int) -> None:
-            loop(kernel, *shared, first, last, *buffers, own, scratch, error)
+            loop(
+                *loops.OPEN_LOOP.ordered(
+                    dynamics=kernel, sizes=sizes, first=first, last=last, error=error, **shared, **own
+                )
+            )
 
         return work
 

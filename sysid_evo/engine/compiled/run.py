@@ -27,6 +27,7 @@ from sysid_evo.engine.compiled.kernel import (
     TaskKernel,
 )
 from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.system import System, level_boundaries
 from sysid_evo.tasks.task import Task
@@ -45,7 +46,7 @@ class Kernels:
 
 
 @cache
-def compiled(source: Source, signature: str, precision: Precision) -> Any:
+def compiled(source: Source, signature: Signature, precision: Precision) -> Any:
     """Return the kernel as a first-class function, compiled at most once a process."""
     return compile_kernel(source, signature, precision)
 
@@ -157,57 +158,74 @@ def run(
 
     if dynamics.n_noise:
         spread(lambda: draw, trials, threads)
-    sizes = np.zeros(16, np.int64)
-    n_observations = len(task.observations)
-    sizes[: loops.SEEN + 1] = (
-        trials, task.horizon, carry.shape[1], system.nx, system.nu, controller.n_memory, len(rows),
-        dynamics.n_noise, parameters.shape[1], rollouts, int(record), kernels.task.pose_row, kernels.task.n_pose,
-        dynamics.observed_at,
-    )  # fmt: skip
+    sizes = loops.CLOSED.integers(
+        trials=trials,
+        horizon=task.horizon,
+        n_carry=carry.shape[1],
+        nx=system.nx,
+        nu=system.nu,
+        n_memory=controller.n_memory,
+        n_task=len(rows),
+        n_noise=dynamics.n_noise,
+        n_theta=parameters.shape[1],
+        rollouts=rollouts,
+        record=int(record),
+        pose_row=kernels.task.pose_row,
+        n_pose=kernels.task.n_pose,
+        seen=dynamics.observed_at,
+    )
+    functions = {
+        "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
+        "controller": compiled(kernels.controller.source, CONTROLLER, precision),
+        "observe": compiled(kernels.task.observe, OBSERVE, precision),
+        "advance": compiled(kernels.task.advance, ADVANCE, precision),
+    }
+    given = {
+        "dynamics_parameters": kernels.dynamics.parameters,
+        "controller_parameters": kernels.controller.parameters,
+        "task_parameters": kernels.task.parameters,
+        "theta_of": parameters,
+        "start": carry,
+        "task_start": rows.T,
+        "trial_data": kernels.task.trial_data(began),
+        "noise_of": noise,
+        "envelope": envelope,
+        "actuation": actuation_table(system),
+    }
+    shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
     kept = rollouts if record else 0
-    tape = [
-        np.zeros(max(1, kept * n), real)
-        for n in (
-            (task.horizon + 1) * system.nx,
-            task.horizon * system.nu,
-            (task.horizon + 1) * kernels.task.n_pose,
-        )
-    ]
-    functions = (
-        compiled(kernels.dynamics.source, DYNAMICS, precision),
-        compiled(kernels.controller.source, CONTROLLER, precision),
-        compiled(kernels.task.observe, OBSERVE, precision),
-        compiled(kernels.task.advance, ADVANCE, precision),
-    )
-    shared = (
-        sizes,
-        *(
-            aligned(array, real)
-            for array in (
-                kernels.dynamics.parameters, kernels.controller.parameters, kernels.task.parameters, parameters, carry,
-                rows.T, kernels.task.trial_data(began), noise, envelope,
-                actuation_table(system),
-            )
-        ),
-    )  # fmt: skip
-    results = (fitness, survived, clipped, diverged, final, *tape)
+    tape = {
+        "states": np.zeros(max(1, kept * (task.horizon + 1) * system.nx), real),
+        "controls": np.zeros(max(1, kept * task.horizon * system.nu), real),
+        "poses": np.zeros(max(1, kept * (task.horizon + 1) * kernels.task.n_pose), real),
+    }
+    results = {
+        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final, **tape,
+    }  # fmt: skip
+    room = {
+        "carry": carry.shape[1],
+        "control": system.nu,
+        "noise": dynamics.n_noise,
+        "memory": controller.n_memory,
+        "observation": max(1, len(task.observations)),
+        "raw": system.nu,
+        "before": system.nx,
+        "task": len(rows),
+        "theta": parameters.shape[1],
+        "kept": carry.shape[1] + len(rows),
+        "scratch": kernels.dynamics.n_scratch,
+        "controller_scratch": kernels.controller.n_scratch,
+    }
     loop = closed_loop(precision)
 
     def prepare() -> Work:
-        buffers = [
-            empty_lines(n * LANES, real)
-            for n in (
-                carry.shape[1], system.nu, dynamics.n_noise, controller.n_memory, max(1, n_observations), system.nu,
-                system.nx, len(rows), parameters.shape[1], carry.shape[1] + len(rows),
-                kernels.dynamics.n_scratch, kernels.controller.n_scratch,
-            )
-        ]  # fmt: skip
-        lanes = (np.zeros(LANES, np.int64), np.zeros(LANES, np.int64))
+        own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
+        own |= {name: np.zeros(LANES, np.int64) for name in ("trials", "dead")}
 
         def work(first: int, last: int) -> None:
-            loop(*functions, *shared, first, last, *buffers, *lanes, *results)
+            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **shared, **own, **results))
 
         return work
 
@@ -221,7 +239,9 @@ def run(
         "clipped": clipped.reshape(grid),
         "task_state": kernels.task.state(began.tile(candidates), final_rows),
         "engine": f"compiled {precision}",
-        "trajectories": _trajectories(tape, survived, began.pose, task, system, trials) if record else (),
+        "trajectories": _trajectories(list(tape.values()), survived, began.pose, task, system, trials)
+        if record
+        else (),
     }
 
 

@@ -12,8 +12,7 @@ from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_k
 from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.run import aligned, compiled, empty_lines
-
-CALL = "types.void(types.FunctionType(types.void(R, R, R, R, R)), R, R, R, R, R)"
+from sysid_evo.engine.compiled.signature import Signature
 
 
 def kernel_step(
@@ -35,6 +34,9 @@ def kernel_step(
 def call(dynamics, carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # read by Numba
     """Step one block."""
     dynamics(carry, control, noise, parameters, scratch)
+
+
+CALL = Signature.of(call, dynamics=DYNAMICS)
 
 
 @cache

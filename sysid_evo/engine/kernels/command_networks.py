@@ -22,11 +22,12 @@ from sysid_evo.engine.compiled.lanes import (
     store,
     view,
 )
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.commands import command_cells
 from sysid_evo.engine.kernels.networks import squash
 from sysid_evo.engine.kernels.stepping import Predictor
 
-N_STATES, N_EXACT, N_OUT, HIDDEN, N_CONTROLS, CELLS, WEIGHTS, EXACT = range(8)
+HEAD = Layout("n_states", "n_exact", "n_out", "hidden", "n_controls", "cells", "weights")
 WIDE = LANES + QUARTER
 
 
@@ -51,34 +52,44 @@ def command_network_predictor(
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
-    cells = EXACT + len(lookup)
-    weights = cells + len(serving)
-    head = [n_states, len(exact), n_out, hidden, len(midpoints), cells, weights, *lookup, *serving]
+    cells = HEAD.size + len(lookup)
     body = [
         np.concatenate([first_bias[c].ravel(), first[c].transpose(1, 0, 2).ravel(), second_bias[c], second[c].ravel()])
         for c in range(commands)
     ]
     rows = 2 + -(-((n_in + n_out * hidden + n_out) * WIDE + len(serving)) // LANES)
-    return Predictor(command_networks, np.concatenate([np.array(head, dtype=np.float64), *body]), n_scratch=rows)
+    parameters = HEAD.pack(
+        lookup,
+        serving,
+        *body,
+        n_states=n_states,
+        n_exact=len(exact),
+        n_out=n_out,
+        hidden=hidden,
+        n_controls=len(midpoints),
+        cells=cells,
+        weights=cells + len(serving),
+    )
+    return Predictor(command_networks, parameters, n_scratch=rows)
 
 
 def command_networks(x, u, p, y, scratch):
     """Write every output of the networks of each lane's command (a predictor, see `stepping`)."""
-    n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
-    hidden, n_in = int(p[HIDDEN]), n_states + n_exact
-    n_units, n_cells = n_out * hidden, int(p[WEIGHTS]) - int(p[CELLS])
+    n_states, n_exact, n_out = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.n_out])
+    hidden, n_in = int(p[HEAD.hidden]), n_states + n_exact
+    n_units, n_cells = n_out * hidden, int(p[HEAD.weights]) - int(p[HEAD.cells])
     size = n_units * (n_in + 2) + n_out
     cells, order, inputs = scratch, view(scratch, LANES), view(scratch, 2 * LANES)
     units = view(inputs, n_in * WIDE)
     result = view(units, n_units * WIDE)
     ends = view(result, n_out * WIDE)
-    command_cells(u, view(p, EXACT + n_exact), int(p[N_CONTROLS]), cells)
+    command_cells(u, view(p, HEAD.size + n_exact), int(p[HEAD.n_controls]), cells)
     sort_lanes(cells, n_cells, order, ends)
     for row in range(n_states):
         sort_row(view(x, row * LANES), order, view(inputs, row * WIDE))
     for row in range(n_exact):
-        sort_row(view(u, int(p[EXACT + row]) * LANES), order, view(inputs, (n_states + row) * WIDE))
-    serving, weights = view(p, int(p[CELLS])), view(p, int(p[WEIGHTS]))
+        sort_row(view(u, int(p[HEAD.size + row]) * LANES), order, view(inputs, (n_states + row) * WIDE))
+    serving, weights = view(p, int(p[HEAD.cells])), view(p, int(p[HEAD.weights]))
     begin = 0
     for cell in range(n_cells):
         command = view(weights, int(serving[cell]) * size)

@@ -8,9 +8,10 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.kernels.stepping import HEADER, copy
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.engine.kernels.stepping import copy
 
-NX, AT, WHOLE, SHARE, OWN, LIMITS = range(6)
+HEAD = Layout("nx", "at", "whole", "share", "own", align=CACHE_LINE)
 
 
 def delayed_kernel(
@@ -19,29 +20,27 @@ def delayed_kernel(
     """Return the kernel of ``inner`` (n_inner rows of carry), then what is observed, then the last ``whole`` states."""
     if envelope is None:
         envelope = np.stack([np.full(nx, -np.inf), np.full(nx, np.inf)])
-    header = np.concatenate([[nx, n_inner, whole, share, 0.0], np.ravel(envelope)])  # OWN is known below
-    header = np.pad(header, (0, -len(header) % HEADER))
-    header[OWN] = len(header)
+    limits = padded(np.ravel(envelope))
+    parameters = HEAD.pack(
+        limits, inner.parameters, nx=nx, at=n_inner, whole=whole, share=share, own=HEAD.size + len(limits)
+    )
     return DynamicsKernel(
-        KernelSource(delayed, {"inner": inner.source}),
-        np.concatenate([header, np.ravel(inner.parameters)]),
-        2 * nx + inner.n_scratch,
-        inner.precision,
+        KernelSource(delayed, {"inner": inner.source}), parameters, 2 * nx + inner.n_scratch, inner.precision
     )
 
 
 def delayed(carry, control, noise, parameters, scratch):
     """Step the inner dynamics, then write what is observed and move the past states one place back."""
-    nx, whole, share = int(parameters[NX]), int(parameters[WHOLE]), parameters[SHARE]
+    nx, whole, share = int(parameters[HEAD.nx]), int(parameters[HEAD.whole]), parameters[HEAD.share]
     rows = nx * LANES
     before, after = view(scratch, 0), view(scratch, rows)
     copy(carry, before, rows)
-    inner(carry, control, noise, view(parameters, int(parameters[OWN])), view(scratch, 2 * rows))
-    observed = view(carry, int(parameters[AT]) * LANES)
+    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 2 * rows))
+    observed = view(carry, int(parameters[HEAD.at]) * LANES)
     past = view(observed, rows)
     for row in range(nx):
         here, there = view(carry, row * LANES), view(after, row * LANES)
-        low, high = parameters[LIMITS + row], parameters[LIMITS + nx + row]
+        low, high = parameters[HEAD.size + row], parameters[HEAD.size + nx + row]
         for lane in range(LANES):
             there[lane] = min(max(here[lane], low), high)
     if whole == 0:

@@ -8,9 +8,10 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 
-N_CARRY, N_CONTROL, N_OUT, N_POINTS, HEADER = range(5)
+HEAD = Layout("n_carry", "n_control", "n_out", "n_points")
 
 
 def gaussian_predictor(
@@ -22,7 +23,6 @@ def gaussian_predictor(
     (n_out, M), ``slope`` (n, n_out), ``intercept`` (n_out,).
     """
     n_out, n = lengths.shape
-    head = np.array([n_carry, n - n_carry, n_out, len(points)], dtype=np.float64)
     channels = [
         np.concatenate(
             [
@@ -34,19 +34,20 @@ def gaussian_predictor(
         )
         for j in range(n_out)
     ]
-    return Predictor(bumps, np.concatenate([head, *channels]), n_scratch=2 * n + 1)
+    parameters = HEAD.pack(*channels, n_carry=n_carry, n_control=n - n_carry, n_out=n_out, n_points=len(points))
+    return Predictor(bumps, parameters, n_scratch=2 * n + 1)
 
 
 def bumps(x, u, p, y, scratch):
     """Write the mean of every output (a predictor, see `stepping`)."""
-    n_carry, n_control, n_points = int(p[N_CARRY]), int(p[N_CONTROL]), int(p[N_POINTS])
+    n_carry, n_control, n_points = int(p[HEAD.n_carry]), int(p[HEAD.n_control]), int(p[HEAD.n_points])
     n = n_carry + n_control
     inputs, scaled = scratch, view(scratch, n * LANES)
     bump = view(scaled, n * LANES)
     copy(x, inputs, n_carry * LANES)
     copy(u, view(inputs, n_carry * LANES), n_control * LANES)
-    own = view(p, HEADER)
-    for output in range(int(p[N_OUT])):
+    own = view(p, HEAD.size)
+    for output in range(int(p[HEAD.n_out])):
         total = splat(own[0])
         for i in range(n):
             row = load(inputs, i * LANES)

@@ -27,6 +27,7 @@ from sysid_evo.engine.compiled.lanes import (
     view,
     where_less,
 )
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.commands import command_cells
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 from sysid_evo.errors import InvalidArgument
@@ -37,8 +38,8 @@ ALL_BOXES = 2**BUCKET - 1
 FAR = 1e15
 EXACT_INTEGERS = 2**24
 
-N_STATES, N_EXACT, N_OUT, N_CONTROLS, CELLS, MOST_GROUPS, MIDPOINTS = range(7)
-GROUPS, PLACE, TABLE = range(3)
+HEAD = Layout("n_states", "n_exact", "n_out", "n_controls", "cells", "most_groups")
+TABLE = Layout("groups", "place")
 
 
 def neighbour_predictor(
@@ -56,31 +57,39 @@ def neighbour_predictor(
     that join the state in a query.
     """
     n_out = tables[0][1].shape[1]
-    head = [n_states, len(exact), n_out, len(midpoints)]
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
-    where_cells = MIDPOINTS + len(lookup)
+    where_cells = HEAD.size + len(lookup)
     where_tables = where_cells + len(serving)
-    flat = [*head, where_cells, 0, *lookup, *(where_tables + TABLE * table for table in serving)]
-    place = -(-(where_tables + TABLE * len(tables)) // BUCKET) * BUCKET
-    begin = place
+    begin = place = -(-(where_tables + TABLE.size * len(tables)) // BUCKET) * BUCKET
+    listed: list[Array] = []
     blocks: list[Array] = []
     most = 0
     for points, values in tables:
         buckets = split(points, np.arange(len(points)))
         boxes, near, value = _pack(points, values, buckets)
-        flat += [len(boxes), place]
+        listed.append(TABLE.pack(groups=len(boxes), place=place))
         place += boxes.size + near.size + value.size
         most = max(most, len(boxes))
         blocks += [boxes.ravel(), near.ravel(), value.ravel()]
-    flat[MOST_GROUPS] = most
     if place >= EXACT_INTEGERS:
         raise InvalidArgument(
             f"nearest neighbour: its tables take {place} numbers; the compiled form addresses {EXACT_INTEGERS}: "
             "use fewer points"
         )
-    parameters = np.concatenate([np.pad(np.array(flat, dtype=np.float64), (0, begin - len(flat))), *blocks])
+    head = HEAD.pack(
+        lookup,
+        [where_tables + TABLE.size * table for table in serving],
+        *listed,
+        n_states=n_states,
+        n_exact=len(exact),
+        n_out=n_out,
+        n_controls=len(midpoints),
+        cells=where_cells,
+        most_groups=most,
+    )
+    parameters = np.concatenate([np.pad(head, (0, begin - len(head))), *blocks])
     sides = n_states + len(exact)
     return Predictor(
         KernelSource(neighbours, {"SIDES": sides}), parameters, n_scratch=1 + sides + -(-most * BUCKET // LANES) + most
@@ -120,23 +129,23 @@ def neighbours(x, u, p, y, scratch):
 
     The number of SIDES is compiled in: unrolled, the two distances take half the time.
     """
-    n_states, n_exact, n_out = int(p[N_STATES]), int(p[N_EXACT]), int(p[N_OUT])
+    n_states, n_exact, n_out = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.n_out])
     cells, queries = scratch, view(scratch, LANES)
-    command_cells(u, view(p, MIDPOINTS + n_exact), int(p[N_CONTROLS]), cells)
+    command_cells(u, view(p, HEAD.size + n_exact), int(p[HEAD.n_controls]), cells)
     copy(x, queries, n_states * LANES)
     for row in range(n_exact):
-        copy(view(u, int(p[MIDPOINTS + row]) * LANES), view(queries, (n_states + row) * LANES), LANES)
-    serving = view(p, int(p[CELLS]))
+        copy(view(u, int(p[HEAD.size + row]) * LANES), view(queries, (n_states + row) * LANES), LANES)
+    serving = view(p, int(p[HEAD.cells]))
     marks = view(queries, SIDES * LANES)
-    bounds = view(marks, int(p[MOST_GROUPS]) * LANES)
+    bounds = view(marks, int(p[HEAD.most_groups]) * LANES)
     for lane in range(LANES):
         table = view(p, int(serving[int(cells[lane])]))
-        groups, boxes = int(table[GROUPS]), view(p, int(table[PLACE]))
+        groups, boxes = int(table[TABLE.groups]), view(p, int(table[TABLE.place]))
         mark_boxes(view(queries, lane), SIDES, groups, boxes, bounds, view(marks, lane))
     for lane in range(LANES):
         table = view(p, int(serving[int(cells[lane])]))
-        groups = int(table[GROUPS])
-        points = view(p, int(table[PLACE]) + groups * SIDES * 2 * BUCKET)
+        groups = int(table[TABLE.groups])
+        points = view(p, int(table[TABLE.place]) + groups * SIDES * 2 * BUCKET)
         winner = nearest(view(queries, lane), SIDES, groups, points, view(marks, lane))
         value = view(points, groups * BUCKET * SIDES * BUCKET + winner * n_out)
         for row in range(n_out):

@@ -10,12 +10,12 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.runge_kutta import move_rows
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 from sysid_evo.errors import InvalidArgument
 
-N_NETWORKS, N_LAYERS, N_CARRY, N_CONTROL, SIZES = range(5)
-
+HEAD = Layout("n_networks", "n_layers", "n_carry", "n_control")
 
 Layers: TypeAlias = Sequence[tuple[Array, Array]]
 """Weights (n_in, n_out) and bias (n_out,) of every layer; hidden layers are tanh, the last is linear."""
@@ -44,17 +44,17 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
     ):
         raise InvalidArgument(f"networks: expected {n_carry} + {n_control} inputs and equal shapes, got {sizes}")
     flat = [np.concatenate([bias, weights.ravel()]) for layers in networks for weights, bias in layers]
-    head = [len(networks), len(sizes) - 1, n_carry, n_control, *sizes]
-    return Predictor(
-        function, np.concatenate([np.array(head, dtype=np.float64), *flat]), n_scratch=sizes[0] + 3 * max(sizes)
+    parameters = HEAD.pack(
+        sizes, *flat, n_networks=len(networks), n_layers=len(sizes) - 1, n_carry=n_carry, n_control=n_control
     )
+    return Predictor(function, parameters, n_scratch=sizes[0] + 3 * max(sizes))
 
 
 def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
-    n_networks = int(p[N_NETWORKS])
-    room, weights = gather(x, u, p, scratch), view(p, SIZES + int(p[N_LAYERS]) + 1)
-    n_out = int(p[SIZES + int(p[N_LAYERS])])
+    n_networks = int(p[HEAD.n_networks])
+    room, weights = gather(x, u, p, scratch), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
+    n_out = int(p[HEAD.size + int(p[HEAD.n_layers])])
     weights = forward(p, weights, scratch, room, y)
     if n_networks > 1:
         other = view(room, 2 * widest(p) * LANES)
@@ -68,15 +68,15 @@ def network(x, u, p, y, scratch):
 
 def separate_networks(x, u, p, y, scratch):
     """Write the outputs of every network one after the other (a predictor, see `stepping`)."""
-    room, weights = gather(x, u, p, scratch), view(p, SIZES + int(p[N_LAYERS]) + 1)
-    size = int(p[SIZES + int(p[N_LAYERS])]) * LANES
-    for member in range(int(p[N_NETWORKS])):
+    room, weights = gather(x, u, p, scratch), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
+    size = int(p[HEAD.size + int(p[HEAD.n_layers])]) * LANES
+    for member in range(int(p[HEAD.n_networks])):
         weights = forward(p, weights, scratch, room, view(y, member * size))
 
 
 def gather(x, u, p, scratch):
     """Write the inputs of the networks to the head of ``scratch``; return what comes after them."""
-    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
+    n_carry, n_control = int(p[HEAD.n_carry]), int(p[HEAD.n_control])
     copy(x, scratch, n_carry * LANES)
     copy(u, view(scratch, n_carry * LANES), n_control * LANES)
     return view(scratch, (n_carry + n_control) * LANES)
@@ -85,17 +85,17 @@ def gather(x, u, p, scratch):
 def widest(p):
     """Return the number of rows of the widest layer."""
     rows = 0
-    for layer in range(int(p[N_LAYERS]) + 1):
-        rows = max(rows, int(p[SIZES + layer]))
+    for layer in range(int(p[HEAD.n_layers]) + 1):
+        rows = max(rows, int(p[HEAD.size + layer]))
     return rows
 
 
 def forward(p, weights, inputs, room, y):
     """Write the output of one network; return the weights after its own."""
-    n_layers, even = int(p[N_LAYERS]), room
+    n_layers, even = int(p[HEAD.n_layers]), room
     odd = view(room, widest(p) * LANES)
     for layer in range(n_layers):
-        n_in, n_out = int(p[SIZES + layer]), int(p[SIZES + layer + 1])
+        n_in, n_out = int(p[HEAD.size + layer]), int(p[HEAD.size + layer + 1])
         source = inputs if layer == 0 else (even if layer % 2 == 1 else odd)
         if layer == n_layers - 1:
             dense(source, n_in, weights, y, n_out)

@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.errors import InvalidArgument
 
-N_OUT, N_STATE, N_CONTROL, N_FACTORS, AFTER_CHAINS, HEADER = range(6)
+HEAD = Layout("n_out", "n_state", "n_control", "n_factors", "after_chains")
 
 
 def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: int, n_control: int) -> Predictor:
@@ -41,16 +42,22 @@ def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: in
         factors.append(found)
     chains = [number for chain in (states, controls) for link in chain.links for number in link]
     n_factors = sum(len(found) for found in factors)
-    flat: list[float] = [
-        coefficients.shape[1], len(states.links), len(controls.links), n_factors, HEADER + len(chains), *chains,
-    ]  # fmt: skip
+    flat: list[float] = [*chains]
     for found in factors:
         flat += [len(found), *found]
     for found in factors:
         for terms in found.values():
             flat += [len(terms), *(number for term in terms for number in term)]
     rows = n_factors + max(len(states.links), len(controls.links)) + 1
-    return Predictor(polynomial, np.array(flat, dtype=np.float64), n_scratch=rows, prepare=control_factors)
+    parameters = HEAD.pack(
+        flat,
+        n_out=coefficients.shape[1],
+        n_state=len(states.links),
+        n_control=len(controls.links),
+        n_factors=n_factors,
+        after_chains=HEAD.size + len(chains),
+    )
+    return Predictor(polynomial, parameters, n_scratch=rows, prepare=control_factors)
 
 
 class _Chain:
@@ -71,10 +78,10 @@ class _Chain:
 
 def control_factors(u, p, scratch):
     """Write the factor of every state monomial of every output: a polynomial in the control."""
-    n_factors = int(p[N_FACTORS])
+    n_factors = int(p[HEAD.n_factors])
     monomials = view(scratch, n_factors * LANES)
-    raise_powers(u, view(p, HEADER + 2 * int(p[N_STATE])), int(p[N_CONTROL]), monomials)
-    rest = view(p, int(p[AFTER_CHAINS]) + int(p[N_OUT]) + n_factors)
+    raise_powers(u, view(p, HEAD.size + 2 * int(p[HEAD.n_state])), int(p[HEAD.n_control]), monomials)
+    rest = view(p, int(p[HEAD.after_chains]) + int(p[HEAD.n_out]) + n_factors)
     for factor in range(n_factors):
         total = splat(rest[2]) * load(monomials, int(rest[1]) * LANES)
         count = int(rest[0])
@@ -86,10 +93,10 @@ def control_factors(u, p, scratch):
 
 def polynomial(x, u, p, y, scratch):
     """Write every output: the sum over its state monomials, each times its factor."""
-    monomials = view(scratch, int(p[N_FACTORS]) * LANES)
-    raise_powers(x, view(p, HEADER), int(p[N_STATE]), monomials)
-    rest, factors = view(p, int(p[AFTER_CHAINS])), scratch
-    for output in range(int(p[N_OUT])):
+    monomials = view(scratch, int(p[HEAD.n_factors]) * LANES)
+    raise_powers(x, view(p, HEAD.size), int(p[HEAD.n_state]), monomials)
+    rest, factors = view(p, int(p[HEAD.after_chains])), scratch
+    for output in range(int(p[HEAD.n_out])):
         total, count = splat(0.0), int(rest[0])
         for i in range(count):
             total = total + load(factors, i * LANES) * load(monomials, int(rest[1 + i]) * LANES)

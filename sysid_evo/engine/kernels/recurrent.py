@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import ControllerKernel
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store
+from sysid_evo.engine.compiled.layout import Layout
 
-N_INPUTS, HIDDEN, N_OUTPUTS = range(3)
+HEAD = Layout("n_inputs", "hidden", "n_outputs")
 
 
 def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:
     """Return the compiled form of `RecurrentNetwork`."""
-    return ControllerKernel(KernelSource(recurrent), np.array([n_inputs, hidden, n_outputs], dtype=float), hidden)
+    sizes = HEAD.pack(n_inputs=n_inputs, hidden=hidden, n_outputs=n_outputs)
+    return ControllerKernel(KernelSource(recurrent), sizes, hidden)
 
 
 def recurrent(theta, memory, observation, raw, parameters, scratch):
     """h = tanh(W_in o + W_h h), y = tanh(W_out h), see `RecurrentNetwork`."""
-    n_inputs, hidden, n_outputs = int(parameters[N_INPUTS]), int(parameters[HIDDEN]), int(parameters[N_OUTPUTS])
+    n_inputs, hidden, n_outputs = (
+        int(parameters[HEAD.n_inputs]),
+        int(parameters[HEAD.hidden]),
+        int(parameters[HEAD.n_outputs]),
+    )
     for j in range(hidden):
         total = splat(0.0)
         for i in range(n_inputs):

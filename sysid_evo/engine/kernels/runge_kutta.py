@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout
 from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.system import System
 
-NX, N_CARRY, SUBSTEPS, H, HEADER = range(5)
+HEAD = Layout("nx", "n_carry", "substeps", "h", align=CACHE_LINE)
 
 
 def runge_kutta_predictor(
@@ -21,25 +20,24 @@ def runge_kutta_predictor(
     state alone) are held during the step.
     """
     rows = n_carry or system.nx
-    header = np.array([system.nx, rows, substeps, system.dt / substeps])
     return Predictor(
         KernelSource(runge_kutta, derivative.bindings),
-        np.concatenate([header, np.ravel(derivative.parameters)]),
+        HEAD.pack(derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps),
         n_scratch=rows + 2 * system.nx + derivative.n_scratch,
     )
 
 
 def runge_kutta(x, u, p, y, scratch):
     """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
-    nx, h, own_parameters = int(p[NX]), p[H], view(p, HEADER)
-    trial, n_carry = scratch, int(p[N_CARRY])
+    nx, h, own_parameters = int(p[HEAD.nx]), p[HEAD.h], view(p, HEAD.size)
+    trial, n_carry = scratch, int(p[HEAD.n_carry])
     slope = view(scratch, n_carry * LANES)
     total = view(slope, nx * LANES)
     room = view(total, nx * LANES)
     prepare(u, own_parameters, room)
     copy_rows(x, trial, n_carry)
     copy_rows(x, y, nx)
-    for _ in range(int(p[SUBSTEPS])):
+    for _ in range(int(p[HEAD.substeps])):
         for stage in range(4):
             predict(trial, u, own_parameters, slope, room)
             if stage == 0:

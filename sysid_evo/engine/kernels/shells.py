@@ -7,89 +7,101 @@ import numpy as np
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import Predictor
-from sysid_evo.motion import PlanarBody
+from sysid_evo.motion.compiled_form import motion_kernel
 from sysid_evo.system import System
 
-FORWARD, LATERAL, YAW_RATE, PLANAR, CONTAINED, NX, RATE, OWN, HEADER = range(9)
+FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACHE_LINE)
 
 
-def turning_frame(rate: Predictor, system: System, *, low: Array | None = None, high: Array | None = None) -> Predictor:
-    """Return a predictor of dx/dt = rate + w(x), w how a planar body's turning frame changes its velocities.
+def turning_frame(
+    rate: Predictor, system: System, *, low: Array | None = None, high: Array | None = None
+) -> Predictor | None:
+    """Return a predictor of dx/dt = rate + w(x), w how the motion's turning frame changes the state.
 
     With ``low`` and ``high`` (nx,), what a state has beyond them decays with the time constant dt.
+    None if the system's motion has no compiled form.
     """
-    header = np.zeros(HEADER)
-    header[[NX, RATE]] = system.nx, 1.0 / system.dt
-    if isinstance(system.motion, PlanarBody):
-        forward, lateral, yaw_rate = system.motion.indices(system.state_names)
-        if lateral is not None:
-            header[[FORWARD, LATERAL, YAW_RATE, PLANAR]] = forward, lateral, yaw_rate, 1.0
-    limits = []
-    if low is not None and high is not None:
-        header[CONTAINED], limits = 1.0, [low, high]
-    header[OWN] = HEADER + 2 * system.nx * (len(limits) > 0)
+    motion = motion_kernel(system)
+    if motion is None:
+        return None
+    limits = np.empty(0) if low is None or high is None else np.concatenate([low, high])
+    parts = [padded(motion.parameters), padded(limits)]
+    places = np.cumsum([FRAME.size, *(len(part) for part in parts)])
+    parameters = FRAME.pack(
+        *parts,
+        rate.parameters,
+        nx=system.nx,
+        per_dt=1.0 / system.dt,
+        contained=len(limits) > 0,
+        frame=places[0],
+        limits=places[1],
+        own=places[2],
+    )
     return Predictor(
-        KernelSource(turn, rate.bindings),
-        np.concatenate([header, *limits, rate.parameters]),
+        KernelSource(turned, {**rate.bindings, "turn": motion.turn}),
+        parameters,
         rate.n_scratch,
-        prepare=KernelSource(prepare_turn, rate.bindings),
+        prepare=KernelSource(prepare_turned, rate.bindings),
     )
 
 
-def prepare_turn(u, p, scratch):
+def prepare_turned(u, p, scratch):
     """Prepare the rate."""
-    prepare(u, view(p, int(p[OWN])), scratch)
+    prepare(u, view(p, int(p[FRAME.own])), scratch)
 
 
-def turn(x, u, p, y, scratch):
+def turned(x, u, p, y, scratch):
     """Write rate + w(x)."""
-    predict(x, u, view(p, int(p[OWN])), y, scratch)
-    if p[PLANAR] > 0.0:
-        forward, lateral = int(p[FORWARD]) * LANES, int(p[LATERAL]) * LANES
-        along, across, yaw_rate = view(x, forward), view(x, lateral), view(x, int(p[YAW_RATE]) * LANES)
-        along_rate, across_rate = view(y, forward), view(y, lateral)
-        for lane in range(LANES):
-            along_rate[lane] += yaw_rate[lane] * across[lane]
-            across_rate[lane] -= yaw_rate[lane] * along[lane]
-    if p[CONTAINED] > 0.0:
-        nx = int(p[NX])
+    predict(x, u, view(p, int(p[FRAME.own])), y, scratch)
+    turn(x, y, view(p, int(p[FRAME.frame])))
+    if p[FRAME.contained] > 0.0:
+        nx, limits, back = int(p[FRAME.nx]), view(p, int(p[FRAME.limits])), p[FRAME.per_dt]
         for row in range(nx):
-            low, high, back = p[HEADER + row], p[HEADER + nx + row], p[RATE]
+            low, high = limits[row], limits[nx + row]
             here, rate = view(x, row * LANES), view(y, row * LANES)
             for lane in range(LANES):
                 rate[lane] -= back * (here[lane] - min(max(here[lane], low), high))
 
 
-N_CARRY, N_CONTROL, WITHIN = range(3)
+CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
 
 
 def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor:
     """Return a predictor that sees carry and control clipped to ``low`` and ``high`` (n_carry + nu,)."""
-    header = np.array([n_carry, len(low) - n_carry], dtype=np.float64)
+    inputs, limits = len(low), padded(np.concatenate([low, high]))
+    parameters = CLIP.pack(
+        limits,
+        inner.parameters,
+        n_carry=n_carry,
+        n_control=inputs - n_carry,
+        low=CLIP.size,
+        high=CLIP.size + inputs,
+        own=CLIP.size + len(limits),
+    )
     return Predictor(
         KernelSource(clipped, inner.bindings),
-        np.concatenate([header, low, high, inner.parameters]),
-        len(low) + inner.n_scratch,
+        parameters,
+        inputs + inner.n_scratch,
         prepare=KernelSource(prepare_clipped, inner.bindings),
     )
 
 
 def prepare_clipped(u, p, scratch):
     """Clip the control, and prepare with it; it stands at the head of the scratch, then the carry."""
-    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
-    inputs = n_carry + n_control
-    clip_rows(u, view(p, WITHIN + n_carry), view(p, WITHIN + inputs + n_carry), n_control, scratch)
-    prepare(scratch, view(p, WITHIN + 2 * inputs), view(scratch, inputs * LANES))
+    n_carry, n_control = int(p[CLIP.n_carry]), int(p[CLIP.n_control])
+    low, high = view(p, int(p[CLIP.low]) + n_carry), view(p, int(p[CLIP.high]) + n_carry)
+    clip_rows(u, low, high, n_control, scratch)
+    prepare(scratch, view(p, int(p[CLIP.own])), view(scratch, (n_carry + n_control) * LANES))
 
 
 def clipped(x, u, p, y, scratch):
     """Clip the carry, and predict from it and the clipped control."""
-    n_carry, n_control = int(p[N_CARRY]), int(p[N_CONTROL])
-    inputs = n_carry + n_control
+    n_carry, n_control = int(p[CLIP.n_carry]), int(p[CLIP.n_control])
     carry = view(scratch, n_control * LANES)
-    clip_rows(x, view(p, WITHIN), view(p, WITHIN + inputs), n_carry, carry)
-    predict(carry, scratch, view(p, WITHIN + 2 * inputs), y, view(scratch, inputs * LANES))
+    clip_rows(x, view(p, int(p[CLIP.low])), view(p, int(p[CLIP.high])), n_carry, carry)
+    predict(carry, scratch, view(p, int(p[CLIP.own])), y, view(scratch, (n_carry + n_control) * LANES))
 
 
 def clip_rows(x, low, high, count, y):
@@ -100,23 +112,41 @@ def clip_rows(x, low, high, count, y):
             there[lane] = min(max(here[lane], least), most)
 
 
-FIRST_SIZE, FIRST_ROWS, SUM_NX, SUM = range(4)
+SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
 
 
 def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
-    """Return a predictor of the sum of two; neither prepares anything."""
-    header = np.array([len(first.parameters), first.n_scratch, nx], dtype=np.float64)
+    """Return a predictor of the sum of two; each prepares in room of its own."""
+    head = padded(np.ravel(first.parameters))
+    parameters = SUM.pack(
+        head,
+        second.parameters,
+        nx=nx,
+        first=SUM.size,
+        second=SUM.size + len(head),
+        second_room=first.n_scratch,
+        sum_room=first.n_scratch + second.n_scratch,
+    )
+    one, other = first.bindings, second.bindings
+    prepares = {"prepare_one": one["prepare"], "prepare_other": other["prepare"]}
     return Predictor(
-        KernelSource(add, {"one": first.function, "other": second.function}),
-        np.concatenate([header, first.parameters, second.parameters]),
-        nx + max(first.n_scratch, second.n_scratch),
+        KernelSource(add, {"one": one["predict"], "other": other["predict"]}),
+        parameters,
+        first.n_scratch + second.n_scratch + nx,
+        prepare=KernelSource(prepare_added, prepares),
     )
 
 
+def prepare_added(u, p, scratch):
+    """Prepare both."""
+    prepare_one(u, view(p, int(p[SUM.first])), scratch)
+    prepare_other(u, view(p, int(p[SUM.second])), view(scratch, int(p[SUM.second_room]) * LANES))
+
+
 def add(x, u, p, y, scratch):
-    """Write the sum."""
-    room = view(scratch, int(p[SUM_NX]) * LANES)
-    one(x, u, view(p, SUM), y, room)
-    other(x, u, view(p, SUM + int(p[FIRST_SIZE])), scratch, room)
-    for i in range(int(p[SUM_NX]) * LANES):
-        y[i] += scratch[i]
+    """Write the sum; the last rows of the scratch take what the second adds."""
+    more = view(scratch, int(p[SUM.sum_room]) * LANES)
+    one(x, u, view(p, int(p[SUM.first])), y, scratch)
+    other(x, u, view(p, int(p[SUM.second])), more, view(scratch, int(p[SUM.second_room]) * LANES))
+    for i in range(int(p[SUM.nx]) * LANES):
+        y[i] += more[i]

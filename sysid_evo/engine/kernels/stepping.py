@@ -1,4 +1,4 @@
-"""From a prediction to the next carry: integration, frame rotation, lags. The shell of most model kernels.
+"""From a prediction to the next carry: integration by the motion, lags. The shell of most model kernels.
 
 A *predictor* is a block function ``predict(x, u, p, y, scratch)``: it reads rows of the carry ``x``
 and of the control ``u``, its own parameters ``p``, and writes ``nx`` rows to ``y``; ``scratch`` is
@@ -8,9 +8,8 @@ an integrator asks several times under the same control.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, overload
 
 import numpy as np
 
@@ -18,14 +17,13 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.motion import PlanarBody
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.motion.compiled_form import MotionKernel, motion_kernel, move_nothing, turn_nothing
 from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-NX, NU, STATE_LAGS, CONTROL_LAGS, MODE, DT, FORWARD, LATERAL, YAW_RATE, REST, OWN = range(11)
-HEADER = 16  # numbers: a cache line, so that what a predictor aligns in its parameters stays aligned
-NEXT_STATE, PLAIN, PLANAR = range(3)
+HEAD = Layout("nx", "nu", "state_lags", "control_lags", "dt", "held", "frame", "rest", "own", align=CACHE_LINE)
 
 
 @dataclass(frozen=True)
@@ -48,6 +46,16 @@ def nothing_to_prepare(u, p, scratch):
     return
 
 
+@overload
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Literal["next_state"],
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
+) -> DynamicsKernel: ...
+@overload
 def stepping_kernel(
     predictor: Predictor,
     system: System,
@@ -55,53 +63,60 @@ def stepping_kernel(
     output: Output,
     lags: tuple[int, int] = (0, 0),
     rest_band: Array | None = None,
-) -> DynamicsKernel:
+) -> DynamicsKernel | None: ...
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Output,
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
+) -> DynamicsKernel | None:
     """Return the kernel of a model whose predictor gives the next state or an acceleration.
 
+    None if an acceleration is to be integrated and the system's motion has no compiled form.
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
     ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
     controls in the carry included.
     """
-    header = np.zeros(HEADER)
-    header[[NX, NU, STATE_LAGS, CONTROL_LAGS, DT]] = system.nx, system.nu, *lags, system.dt
-    if output == "acceleration":
-        header[MODE] = PLAIN
-        if isinstance(system.motion, PlanarBody):
-            forward, lateral, yaw_rate = system.motion.indices(system.state_names)
-            if lateral is not None:
-                header[[MODE, FORWARD, LATERAL, YAW_RATE]] = PLANAR, forward, lateral, yaw_rate
+    motion = REACHED if output == "next_state" else motion_kernel(system)
+    if motion is None:
+        return None
     rest = np.empty(0)
     if rest_band is not None:
-        header[REST] = 1.0
         rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
-        rest = np.pad(rest, (0, -len(rest) % HEADER))
-    header[OWN] = HEADER + len(rest)
-    return DynamicsKernel(
-        KernelSource(step, predictor.bindings),
-        np.concatenate([header, rest, np.ravel(predictor.parameters)]),
-        system.nx + 1 + predictor.n_scratch,
+    parts = [padded(motion.parameters), padded(rest)]
+    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
+    parameters = HEAD.pack(
+        *parts,
+        predictor.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        state_lags=lags[0],
+        control_lags=lags[1],
+        dt=system.dt,
+        held=rest_band is not None,
+        frame=places[0],
+        rest=places[1],
+        own=places[2],
     )
+    bindings = {**predictor.bindings, "integrate": motion.integrate}
+    return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + 1 + predictor.n_scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
     """Predict, integrate, and shift the lags."""
-    nx, nu = int(parameters[NX]), int(parameters[NU])
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
     rows = nx * LANES
     moving = view(scratch, rows)
-    own, room = view(parameters, int(parameters[OWN])), view(moving, LANES)
+    own, room = view(parameters, int(parameters[HEAD.own])), view(moving, LANES)
     prepare(control, own, room)
     predict(carry, control, own, scratch, room)
-    mode, dt = int(parameters[MODE]), parameters[DT]
-    if mode != NEXT_STATE:
-        for i in range(rows):
-            scratch[i] = carry[i] + dt * scratch[i]
-    if mode == PLANAR:
-        forward, lateral = int(parameters[FORWARD]) * LANES, int(parameters[LATERAL]) * LANES
-        turn_back(view(scratch, forward), view(scratch, lateral), view(carry, int(parameters[YAW_RATE]) * LANES), dt)
-    state_lags, control_lags = int(parameters[STATE_LAGS]), int(parameters[CONTROL_LAGS])
+    integrate(carry, scratch, nx, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.frame])))
+    state_lags, control_lags = int(parameters[HEAD.state_lags]), int(parameters[HEAD.control_lags])
     past = view(carry, (1 + state_lags) * rows)
-    if parameters[REST] > 0.0:
-        hold(carry, control, past, control_lags, view(parameters, HEADER), nx, nu, moving, scratch)
+    if parameters[HEAD.held] > 0.0:
+        hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, moving, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
     size = nu * LANES
@@ -110,6 +125,15 @@ def step(carry, control, noise, parameters, scratch):
     if control_lags > 0:
         copy(control, past, size)
     copy(scratch, carry, rows)
+
+
+def reached(state, after, nx, dt, p):
+    """Leave the state as it was predicted."""
+    return
+
+
+REACHED = MotionKernel(reached, turn_nothing, move_nothing)
+"""Of a model that predicts the next state itself: there is nothing to integrate."""
 
 
 def hold(carry, control, past, control_lags, p, nx, nu, moving, after):
@@ -133,16 +157,6 @@ def hold(carry, control, past, control_lags, p, nx, nu, moving, after):
         there, neutral = view(after, row * LANES), p[nx + row]
         for lane in range(LANES):
             there[lane] = there[lane] if moving[lane] > 0.0 else neutral
-
-
-def turn_back(along, across, yaw_rate, dt):
-    """Take the frame's own rotation out of the velocities: R(-r dt), see `PlanarBody`."""
-    for lane in range(LANES):
-        angle = yaw_rate[lane] * dt
-        c, s = math.cos(angle), math.sin(angle)
-        forward, lateral = along[lane], across[lane]
-        along[lane] = c * forward + s * lateral
-        across[lane] = c * lateral - s * forward
 
 
 def copy(source, target, count):

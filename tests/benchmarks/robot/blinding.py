@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.messages import State, StatusMessage
 from hardware.recording.journal import read_journal
 from hardware.recording.raw_log import raw_log
 from hardware.terminal.faults import Fault
 from hardware.terminal.journal import Entry
+from hardware.toy_car import CAR
 from sysid_evo.data.preparation import prepare
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import Host, Rig, messages

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.serial_robot import SerialRobot
 from hardware.listener import Command, Listener
 from hardware.loop.control_loop import ControlLoop
@@ -24,6 +23,7 @@ from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
 from hardware.recording.recorder import Recorder
 from hardware.terminal.journal import JournalWriter
+from hardware.toy_car import CAR
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleRobot, LinkLost

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.transfer import load_measured
-from sysid_evo.store import RunFolder
 from tests.benchmarks.robot.outcome import Row
 
 ROBOT, TWIN = "terminal_car", "emulated_car"
@@ -36,7 +35,7 @@ def whole_loop(folder: Path, *, repeats: int, seed: int, minutes: float = 3.0, p
     for robot in (ROBOT, TWIN):
         words = ("drive", "--controller", controller, "--robot", robot, "--trials", repeats, "--run", run)
         seconds[f"drive {robot}"] = _command(*words)
-    cells = {measured.cell.column: measured.cell for measured in load_measured(RunFolder(run))}
+    cells = {measured.cell.column: measured.cell for measured in load_measured(run)[0]}
     there, here = (next(cells[name] for name in cells if name.startswith(robot)) for robot in (ROBOT, TWIN))
     distance = abs(float(np.mean(there.fitness)) - float(np.mean(here.fitness)))
     holds = there.trials == here.trials == repeats and distance <= SPREAD * float(np.std(here.fitness))

@@ -129,6 +129,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "goals: mean fitness; thr.: threads. Processor time, but 2 thr. and 2/1 by the clock; "
         f"load average at the start {load:.1f} on {os.cpu_count()} processors."
     )
+    if not jax and not chosen.without_jax:
+        console.print(
+            "JAX is not installed and was left out; install the peers with: pip install '.[bench]'", markup=False
+        )
     if report:
         console.print(
             f"A generation on {report['model']}: evosax in JAX {report['evosax']:.1f} ms, "

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hardware.robot import Robot
-from model_zoo.command_cells import CommandCells
+from model_zoo.channels.command_cells import CommandCells
 from model_zoo.nearest_neighbour import NearestNeighbour
 from model_zoo.parametrised import Parametrised
 from sysid_evo.arrays import Array

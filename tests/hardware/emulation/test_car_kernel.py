@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.car_physics import BODY, BUFFER, CarPhysics
+from hardware.emulation.car_physics import BODY, BUFFER
+from hardware.emulation.emulated_car import CarPhysics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics

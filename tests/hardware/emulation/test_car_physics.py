@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_parameters import FINE_DT, CarParameters
-from hardware.emulation.car_physics import BODY, LATENCY, CarPhysics
+from hardware.emulation.car_physics import BODY, LATENCY
+from hardware.emulation.emulated_car import CarPhysics
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_car import CarPhysics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics

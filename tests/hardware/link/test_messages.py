@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.emulation.car_physics import CAR
 from hardware.link.buttons import buttons_of, control_of
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import EXCLUSIVE, MESSAGES, Buttons, unpack
+from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, ShapeError
 
 from .golden import CONVERSATION

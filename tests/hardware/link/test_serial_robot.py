@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.emulation.car_physics import CAR
 from hardware.firmware.core import FirmwareCore
 from hardware.link import serial_connection
 from hardware.link.framing import FrameDecoder, encode
@@ -23,6 +22,7 @@ from hardware.link.port import SerialPort
 from hardware.link.serial_robot import SerialRobot
 from hardware.measurement import Measurement
 from hardware.robot import Robot
+from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost, UnknownName
 from sysid_evo.registry import make_robot, trackers

@@ -90,7 +90,11 @@ def test_robot_drives_for_minutes_at_twenty_hertz(wire):
 def test_sequence_numbers_run_over_their_end(wire):
     for _ in range(65536 + 10):
         wire.say(wire.session.command(GO, LIFE, wire.now))
+    for _ in range(3):  # until the robot has told what it made of them
+        wire.wait(0.05)
+        wire.command()
     assert wire.robot.buttons == GO
+    assert wire.session.status.last_sequence < 20
     assert wire.session.status.duplicate == 0
 
 

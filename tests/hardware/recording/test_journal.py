@@ -16,13 +16,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.emulation.car_physics import CAR
 from hardware.listener import Command, RobotStatus
 from hardware.measurement import Measurement
 from hardware.recording.journal import MAGIC, SCHEMA, Journal, read_journal
 from hardware.recording.raw_log import raw_log
 from hardware.recording.recorder import Recorder
 from hardware.recording.records import LONGEST
+from hardware.toy_car import CAR
 from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidArgument, InvalidData
 from tests.benchmarks.recorder import kill_once
@@ -144,7 +144,7 @@ def header(**fields: object) -> bytes:
         (MAGIC + record(1, b"[]"), "an object"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/2"}'), "schema"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/1", "system": {"states": 3}}'), "a system"),
-        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: expected speed"),
+        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: speed: expected a number"),
         (MAGIC + record(1, header(limits={"pace": 1.0})), "the gate's limits"),
         (MAGIC + record(1, header(limits={"speed": "9"})), "the gate's limits"),
         (MAGIC + record(2, b""), "header, and first"),

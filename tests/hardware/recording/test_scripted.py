@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.car_physics import CarPhysics
+from hardware.emulation.emulated_car import CarPhysics
 from hardware.emulation.emulated_robot import EmulatedRobot
 from hardware.loop.report import Reason
 from hardware.loop.stops import Stops
@@ -227,13 +227,15 @@ def test_prepared_recording_agrees_with_the_true_states(robot, recorded):
 
 
 def test_registered_robot_gives_a_data_set(car):
-    recorded = record_dataset("emulated_car:1", seed=3, duration=24.0)
+    recorded = record_dataset(make_robot("emulated_car:1"), seed=3, duration=24.0)
     logs, dataset = recorded.logs, recorded.dataset
     assert len(logs) == len(dataset) == 12
     assert dataset.system == car
     assert dataset.names == tuple(log.name for log in logs)
     assert dataset.duration == pytest.approx(24.0, abs=6.0)
-    assert dataset.fingerprint == record_dataset("emulated_car:1", seed=3, duration=24.0).dataset.fingerprint
+    assert (
+        dataset.fingerprint == record_dataset(make_robot("emulated_car:1"), seed=3, duration=24.0).dataset.fingerprint
+    )
 
 
 def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.emulation.car_physics import CAR
 from hardware.robot import Connection
 from hardware.terminal.faults import Fault
 from hardware.terminal.journal import read_journal
 from hardware.terminal.terminal_car import TerminalCar
+from hardware.toy_car import CAR
+from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.registry import make_robot
 
@@ -38,8 +39,9 @@ def test_it_drives_where_it_is_told(tmp_path: Path) -> None:
     assert [entry.value for entry in entries if entry.event == "buttons"] == [1, 0]
 
 
-def test_closing_ends_the_process_and_a_second_time_does_nothing(tmp_path: Path) -> None:
-    connection = TerminalCar(journal=tmp_path / "journal").connect(seed=1)
+def test_its_session_has_the_gate_it_was_made_with_and_closing_ends_the_process_once(tmp_path: Path) -> None:
+    connection = TerminalCar(journal=tmp_path / "journal", gate={"speed": 8.0}).connect(seed=1)
+    assert connection.gate_limits == GateLimits(speed=8.0)
     connection.close()
     connection.close()
     entries = read_journal(tmp_path / "journal")

@@ -50,7 +50,7 @@ class ScriptedTracker(ProcessTracker):
 class MissingTracker(ScriptedTracker):
     """Needs a package that nobody has."""
 
-    package: ClassVar[str | None] = "no_such_package"
+    requires: ClassVar[tuple[str, ...]] = ("no_such_package",)
 
 
 @dataclass(frozen=True)

@@ -115,10 +115,76 @@ def test_frozen_pose_is_seen_while_driving_only_and_ends_the_track(gate):
     assert all(one.accepted for one in verdicts(unlimited, frames[:50] + frozen))
 
 
+def straight(count: int, speed: float = 0.0, yaw_rate: float = 0.0, *, rate: float, start: int = 0):
+    """Return frames of a body that goes and turns at constant speeds."""
+    times = (start + np.arange(count)) / rate
+    return [frame(t, [speed * t, 0.0, math.remainder(yaw_rate * t, 2 * math.pi)]) for t in times]
+
+
+@pytest.mark.parametrize(
+    "frames, sentence",
+    [
+        (straight(60, 8.0, rate=200.0), "it moves at 8.0 m/s, and a frame is believed up to speed = 5 m/s"),
+        (straight(60, yaw_rate=40.0, rate=60.0), "it turns at 40.0 rad/s, and a frame is believed up to yaw_rate = 12"),
+        (drive(50) + moved(drive(50, start=50), [1.5, 0, 0]), "it was seen 1."),
+        (drive(50) + moved(drive(50, start=50), [0, 0, 3.0]), "it was seen turned by "),
+    ],
+)
+def test_a_body_beyond_the_limits_is_told_with_what_was_seen_the_limit_and_its_key(gate, frames, sentence):
+    verdicts(gate, frames)
+    assert gate.excess.startswith(sentence)
+    assert "[gate] of its file" in gate.excess
+
+
+def test_a_single_frame_far_away_is_no_fast_robot(gate):
+    verdicts(gate, drive(98) + moved(drive(1, start=98), [2.0, 0, 0]))
+    assert gate.excess.startswith("it was seen 2.0")
+    verdicts(gate, moved(drive(20, start=99), [2.0, 0, 0]))
+    assert gate.excess.startswith("it was seen ")
+
+
+def test_nothing_is_beyond_a_limit_once_a_frame_is_believed_again(gate):
+    frames = drive(100)
+    frames[40:60] = moved(frames[40:60], [1.0, 0, 0])
+    verdicts(gate, frames[:60])
+    assert gate.excess
+    verdicts(gate, frames[60:61])
+    assert gate.excess == ""
+
+
+def test_a_fast_robot_is_believed_when_its_limits_say_so():
+    gate = PoseGate("car", GateLimits.read({"speed": 9}))
+    assert all(one.accepted for one in verdicts(gate, straight(60, 8.0, rate=200.0)))
+
+
+@pytest.mark.parametrize(
+    "table, sentence",
+    [
+        ({"sped": 8.0}, "gate: no key is called 'sped'. Did you mean 'speed'?"),
+        ({"speed": "fast"}, "gate: speed: expected a number above 0, got 'fast'"),
+        ({"speed": math.nan}, "gate: speed: expected a number above 0, got nan"),
+        ({"jump": True}, "gate: jump: expected a number above 0, got True"),
+        ({"position_error": -1}, "gate: position_error: expected a number of 0 or more, got -1"),
+        ({"confirm": 2.5}, "gate: confirm: expected a whole number from 1"),
+        ({"frozen": 0}, "gate: frozen: expected a whole number from 1"),
+        (8.0, "gate: expected a table with some of speed, yaw_rate"),
+    ],
+)
+def test_a_table_of_limits_that_cannot_be_is_refused_in_a_sentence(table, sentence):
+    with pytest.raises(InvalidArgument) as raised:
+        GateLimits.read(table)
+    assert str(raised.value).startswith(sentence)
+
+
+def test_limits_that_are_left_out_hold_as_for_most_robots():
+    assert GateLimits.read(None) == GateLimits.read({}) == GateLimits()
+    assert GateLimits.read({"speed": 8}).yaw_rate == GateLimits().yaw_rate
+
+
 def test_wrong_limits_are_refused():
     with pytest.raises(InvalidArgument, match="speed"):
         GateLimits(speed=0.0)
-    with pytest.raises(InvalidArgument, match="frame"):
+    with pytest.raises(InvalidArgument, match="confirm"):
         GateLimits(confirm=0)
 
 

@@ -127,9 +127,10 @@ def test_reader_that_stalls_gets_whole_frames_and_no_more_than_the_pipe_holds():
     assert 100 < len(frames) < 400
 
 
-def test_missing_package_names_the_extra():
-    with pytest.raises(MissingExtra, match=r'pip install "sysid-evo\[no_such_package\]"'):
-        MissingTracker().open()
+def test_missing_package_is_named_with_its_installation_before_a_process_starts():
+    for attempt in (MissingTracker().check, MissingTracker().open):
+        with pytest.raises(MissingExtra, match=r"needs the package 'no_such_package'.*pip install"):
+            attempt()
 
 
 def test_every_record_has_one_length():

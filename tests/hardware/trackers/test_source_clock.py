@@ -34,6 +34,12 @@ def test_mapped_times_are_never_after_the_arrival(rng):
     assert np.all(mapped(SourceClock(), source, arrival) <= arrival)
 
 
+def test_rounding_does_not_map_a_time_after_its_arrival():
+    source, arrival = 472.14271545271333, 100.7012080683658
+    assert source + (arrival - source) > arrival
+    assert SourceClock().map(source, arrival) <= arrival
+
+
 @pytest.mark.parametrize("jump", [-3600.0, 3600.0])
 def test_source_that_sets_its_clock_is_mapped_anew(jump):
     clock = SourceClock()

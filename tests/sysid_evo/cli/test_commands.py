@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
-
-from sysid_evo.testing import example_dataset
+from tests.sysid_evo.cli.calling import run
 
 PLUGIN = '''
 """A family outside the repository: the mean acceleration, whatever the state."""
@@ -32,25 +27,15 @@ class MeanAcceleration(DynamicsModel):
 '''
 
 
-def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}
-    command = [sys.executable, "-c", "from sysid_evo.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=240, check=False)
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return example_dataset().save(tmp_path_factory.mktemp("logs") / "car")
-
-
 def test_compare_runs_from_recordings_to_a_report_with_a_family_from_outside(logs: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(PLUGIN)
     done = run(
         "compare", "--data", logs, "--test", "episode-2", "--plugin", "mine.py", "--models", "mean_acceleration,linear",
-        "--generations", "1", "--out", "out", cwd=tmp_path,
+        "--generations", "1", "--out", "out", "--verbose", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "Transfer matrix" in done.stdout
+    assert done.stdout.splitlines()[-1] == "Report: out/report.html"
     assert "mean_acceleration" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "done" in done.stderr
@@ -69,7 +54,9 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     )  # fmt: skip
     assert evolved.returncode == 0, evolved.stderr
     assert "linear:" in evolved.stdout
-    assert (tmp_path / "mine" / "controllers" / "linear+nearest_neighbour-0.safetensors").is_file()
+    (controller,) = (tmp_path / "mine" / "controllers").glob("linear+nearest_neighbour-*.json")
+    assert f"stored as mine/controllers/{controller.name}" in evolved.stdout
+    assert controller.with_suffix(".safetensors").is_file()
 
 
 def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Path) -> None:
@@ -78,14 +65,11 @@ def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Pa
     )
     assert evolved.returncode == 0, evolved.stderr
     assert "emulated_car:4:" in evolved.stdout
-    assert len(list(tmp_path.glob("runs/*/controllers/emulated_car-4-0.safetensors"))) == 1
+    assert len(list(tmp_path.glob("runs/*/controllers/emulated_car-4-*.safetensors"))) == 1
 
 
 def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(logs: Path, tmp_path: Path) -> None:
     command = ("compare", "--data", logs, "--models", "linear", "--generations", "1", "--out", "out", "--yardstick")
-    refused = run(*command, cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "nametheemulatedrobot" in "".join(refused.stderr.split())
     done = run(*command, "--robot", "emulated_car", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "evolve emulated_car" in done.stderr
@@ -100,28 +84,6 @@ def test_models_list_names_every_family_as_table_and_as_json(tmp_path: Path) -> 
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("compare", "--models", "linaer"), "no model is called 'linaer'. Did you mean 'linear'?"),
-        (("compare", "--preset", "slow"), "no preset is called 'slow'"),
-        (("compare", "--data", "nowhere"), "nowhere"),
-        (("compare", "--plugin", "missing.py"), "missing.py: expected a Python file, found none"),
-        (("evolve", "--against", "linear"), "no run folder given"),
-        (("compare", "--only", "predictions"), "--only: expected 'prediction', got 'predictions'"),
-    ],
-)
-def test_a_wrong_argument_is_one_message_and_exit_code_2(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "".join(message.split()) in "".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
-    assert not done.stdout
-    assert not (tmp_path / "runs").exists()
-
-
 def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path, tmp_path: Path) -> None:
     family = run("models", "show", "parametrised", cwd=tmp_path)
     assert family.returncode == 0, family.stderr
@@ -129,10 +91,11 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path
     assert "thrust" in family.stdout
     fitted = run("fit", logs, "--models", "linear", "--out", "mine", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
-    card = json.loads(run("models", "show", "mine/models/linear-0.json", "--json", cwd=tmp_path).stdout)
+    (stored,) = (tmp_path / "mine" / "models").glob("linear-*.json")
+    card = json.loads(run("models", "show", stored, "--json", cwd=tmp_path).stdout)
     assert card["family"] == "linear"
     assert card["timings"]["fit_seconds"] >= 0
     assert card["timings"]["million_steps_per_second"] > 0
     assert card["timings"]["engine"].startswith("compiled")
-    shown = run("models", "show", "mine/models/linear-0.json", cwd=tmp_path)
+    shown = run("models", "show", stored, cwd=tmp_path)
     assert max(map(len, shown.stdout.splitlines())) <= 80

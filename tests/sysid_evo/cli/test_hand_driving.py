@@ -26,13 +26,13 @@ from hardware.emulation.modelled_robot import ModelledRobot
 from hardware.loop.report import LoopReport, Reason
 from hardware.recording.journal import read_journal
 from hardware.trackers.gates import GateLimits
-from sysid_evo.cli.hand_driving import Driven, append_row
+from sysid_evo.cli.hand_driving import Driven, _server_class, append_row
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.registry import make_model, make_robot
-from sysid_evo.store import RunFolder, save_model
+from sysid_evo.errors import MissingExtra
+from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.test_commands import run
+from tests.sysid_evo.cli.calling import run
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "drive"]
 SECONDS = 3.0
@@ -91,10 +91,9 @@ def test_what_is_driven_becomes_a_data_set_that_inspect_reads(tmp_path: Path) ->
 
 
 def test_a_model_is_recorded_in_the_same_way(tmp_path: Path) -> None:
-    data = example_dataset()
-    save_model(
-        make_model("linear").fit(data, rng=np.random.default_rng(0)), tmp_path / "runs/a/models/linear-0", seed=0
-    )
+    data = example_dataset().save(tmp_path / "car")
+    fitted = run("fit", data, "--models", "linear", "--out", "runs/a", cwd=tmp_path)
+    assert fitted.returncode == 0, fitted.stderr
     code, output, errors = drive(
         "--model", "linear", "--out", "felt", cwd=tmp_path, until=lambda _, seconds: seconds > SECONDS
     )
@@ -112,7 +111,7 @@ def test_whole_trials_become_a_row_of_the_matrix(tmp_path: Path) -> None:
     options = ("--run", "runs/a", "--name", "human", "--trials", "1")
     code, output, errors = drive(*options, cwd=tmp_path, until=lambda _, seconds: False, interrupt=False)
     assert code == 0, errors
-    (measured,) = load_measured(RunFolder(tmp_path / "runs/a"))
+    ((measured,), _) = load_measured(tmp_path / "runs/a")
     assert (measured.cell.champion, measured.cell.column) == ("human", "emulated_car driven")
     assert f"trial 1: {measured.cell.fitness[0]:g} waypoints" in output
 
@@ -130,9 +129,9 @@ def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path: Path) -> Non
     robot = ModelledRobot("linear", make_robot("emulated_car").dynamics)
     driven = Driven(robot, "linear", tmp_path, on_robot=False)
     append_row(driven, "humFc", [trial(1, None)])
-    assert not load_measured(RunFolder(tmp_path))
+    assert load_measured(tmp_path) == ((), ())
     append_row(driven, "humFc", [trial(1, 7.0), trial(2, None), trial(3, 9.0)])
-    (measured,) = load_measured(RunFolder(tmp_path))
+    ((measured,), _) = load_measured(tmp_path)
     assert measured.cell.fitness.tolist() == [7.0, 9.0]
     assert (measured.cell.champion, measured.cell.column, measured.cell.unit) == ("humFc", "linear", "waypoints")
     assert (measured.on_robot, measured.physical, measured.champion.against) == (False, False, ())
@@ -158,3 +157,10 @@ def test_what_cannot_be_driven_is_told_in_a_sentence(tmp_path: Path, options: tu
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert said in "".join(done.stderr.split())
+
+
+def test_a_page_that_cannot_be_served_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "hardware.driving.server", raising=False)
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(MissingExtra, match=r"driving by hand needs the package 'uvicorn'.*sysid-evo\[drive\]"):
+        _server_class()

@@ -1,40 +1,99 @@
-"""The plugin path: a new package that works as it is written."""
+"""The plugin path: for every kind a new package that works as it is written."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
-from tests.sysid_evo.cli.test_commands import run
+import pytest
+from typer.testing import CliRunner
+
+from sysid_evo.cli.plugins import app
+from sysid_evo.errors import SysidEvoError
+from sysid_evo.plugin_template import PLUGINS, write_plugin
+from sysid_evo.registry import KINDS
+from tests.sysid_evo.cli.calling import run
+
+OPTIONS = ["-q", "-p", "no:cacheprovider", "--import-mode=prepend", "-c", os.devnull, "--rootdir", "."]
+
+CHECK_ALL = """
+import sys
+from typer.testing import CliRunner
+from sysid_evo.cli.plugins import app
+
+for line in sys.stdin.read().splitlines():
+    done = CliRunner().invoke(app, ["check", *line.split()])
+    print(line.split()[0], done.exit_code, done.output.count("ok     "), done.output.count("BROKEN"), done.exception)
+"""
 
 
-def test_a_new_plugin_keeps_the_contract_passes_its_test_and_is_not_overwritten(tmp_path: Path) -> None:
-    written = run("plugin", "new", "my_model", cwd=tmp_path)
-    assert written.returncode == 0, written.stderr
-    checked = run("plugin", "check", "my_model", "--plugin", "my_model/my_model.py", cwd=tmp_path)
-    assert checked.returncode == 0, checked.stdout + checked.stderr
-    assert "ok     A step changes neither its arguments" in checked.stdout
-    assert max(map(len, checked.stdout.splitlines())) <= 80
-    options = ["-q", "-p", "no:cacheprovider", "--import-mode=prepend", "-c", "/dev/null", "--rootdir", "."]
-    test = subprocess.run(
-        [sys.executable, "-m", "pytest", *options, "tests"],
-        cwd=tmp_path / "my_model",
-        env={"PYTHONPATH": ".", "PATH": ""},
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a new package of every kind, called my_KIND."""
+    folder = tmp_path_factory.mktemp("plugins")
+    for kind in PLUGINS:
+        assert folder / f"my_{kind}" / f"my_{kind}.py" in write_plugin(f"my_{kind}", folder / f"my_{kind}", kind)
+    return folder
+
+
+def python(*arguments: str, cwd: Path, path: str = "", given: str = "") -> str:
+    """What a Python process prints that ends well."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": path},
+        input=given,
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
     )
-    assert test.returncode == 0, test.stdout + test.stderr
-    again = run("plugin", "new", "my_model", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_own_test_of_a_new_plugin_of_every_kind_passes(packages: Path) -> None:
+    tests = [str(path) for path in sorted(packages.glob("*/tests/test_*.py"))]
+    assert len(tests) == len(PLUGINS)
+    path = os.pathsep.join(str(packages / f"my_{kind}") for kind in PLUGINS)
+    assert f"{len(PLUGINS)} passed" in python("-m", "pytest", *OPTIONS, *tests, cwd=packages, path=path)
+
+
+def test_a_new_plugin_of_every_kind_keeps_the_contract_by_the_command(packages: Path) -> None:
+    lines = [
+        f"my_{kind} --plugin my_{kind}/my_{kind}.py{of_kind.check.replace('tests/', f'my_{kind}/tests/')}"
+        for kind, of_kind in PLUGINS.items()
+    ]
+    told = python("-c", CHECK_ALL, cwd=packages, given="\n".join(lines)).splitlines()
+    assert [line.split()[0] for line in told] == [f"my_{kind}" for kind in PLUGINS]
+    for line in told:
+        _, code, kept, broken, *error = line.split()
+        assert (code, broken, error) == ("0", "0", ["None"]), line
+        assert int(kept) >= 7
+
+
+def test_there_is_a_template_for_every_kind_but_that_of_trackers() -> None:
+    assert set(PLUGINS) == set(KINDS) - {"tracker"}
+
+
+def test_new_says_how_to_check_and_overwrites_nothing(tmp_path: Path) -> None:
+    written = run("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
+    assert written.returncode == 0, written.stderr
+    command = written.stderr.split("check it with: ")[1].split()
+    assert command[:3] == ["sysid-evo", "plugin", "check"]
+    checked = run(*command[1:], cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    assert max(map(len, checked.stdout.splitlines())) <= 80
+    again = run("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
     assert again.returncode == 2
-    assert "would be overwritten" in again.stderr
+    assert "would be overwritten" in " ".join(again.stderr.split())
 
 
 def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path: Path) -> None:
-    run("plugin", "new", "my_model", cwd=tmp_path)
-    path = tmp_path / "my_model" / "my_model.py"
+    folder = tmp_path / "my_model"
+    path, *_ = write_plugin("my_model", folder)
     path.write_text(
         path.read_text().replace("return self._regressors(carry", "carry[:] = 0\n        return self._regressors(carry")
     )
@@ -43,7 +102,37 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path: Path
     assert "BROKEN A step changes neither its arguments nor its own later results" in checked.stdout
 
 
-def test_a_name_that_is_no_python_name_is_refused(tmp_path: Path) -> None:
-    done = run("plugin", "new", "my-model", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("new", "my-model"), "expected a lower-case Python name such as my_model, got 'my-model'"),
+        (("new", "linear"), "model 'linear' is taken by the module model_zoo.linear, so that the new module linear"),
+        (("new", "min", "--kind", "aggregate"), "aggregate 'min' is taken by the module sysid_evo.evolution."),
+        (("new", "random", "--kind", "task"), "a module called 'random' can be imported already"),
+        (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, aggregate,"),
+        (("check", "linnear"), "no model, task, controller, strategy, aggregate, robot, reader, probe or motion is"),
+        (("check", "linear", "--kind", "task"), "no task is called 'linear'"),
+        (("check", "csv"), "a reader is checked on a file of its kind: name one with --data"),
+        (("check", "min", "--data", "logs"), "kind aggregate is checked without recordings: leave --data out"),
+    ],
+)
+def test_a_mistake_is_told_before_anything_is_written(
+    arguments: tuple[str, ...], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, list(arguments))
+    assert isinstance(done.exception, SysidEvoError)
+    assert reason in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_in_use_is_exit_code_2(tmp_path: Path) -> None:
+    done = run("plugin", "new", "linear", cwd=tmp_path)
     assert done.returncode == 2
-    assert "expected a lower-case Python name such as my_model, got 'my-model'" in " ".join(done.stderr.split())
+    assert "model 'linear' is taken by the module model_zoo.linear" in " ".join(done.stderr.split())
+
+
+def test_a_shipped_thing_is_checked_by_its_name_alone_with_parameters() -> None:
+    done = CliRunner().invoke(app, ["check", "mu_plus_lambda(parents=5, children=5)"])
+    assert done.exit_code == 0, done.output
+    assert "ok     Fitness is maximised: on a hill the elite climbs" in done.output

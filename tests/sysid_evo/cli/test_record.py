@@ -52,8 +52,8 @@ def test_recording_leaves_journals_raw_logs_and_a_data_set_and_is_not_overwritte
         assert np.array_equal(one.states, other.states)
         assert np.array_equal(one.controls, other.controls)
     second = subprocess.run(arguments, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
-    assert second.returncode != 0
-    assert "a recording is there already" in second.stderr
+    assert second.returncode == 2
+    assert "expected a new or an empty folder" in " ".join(second.stderr.split())
     assert "Traceback" not in second.stderr
 
 

@@ -12,6 +12,7 @@ from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_k
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.run import aligned
+from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.engine.kernels import Predictor
 
 PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
@@ -19,7 +20,7 @@ RTOL: Mapping[str, float] = {"float64": 1e-9, "float32": 2e-4}
 
 
 def compile_for_python(
-    function: Callable[..., Any], signature: str, precision: Precision, bindings: Mapping[str, Any] | None = None
+    function: Callable[..., Any], signature: Signature, precision: Precision, bindings: Mapping[str, Any] | None = None
 ) -> Any:
     """Return ``function`` compiled, to be called from Python."""
     return compile_kernel(KernelSource(function, bindings or {}), signature, precision, pointer=False)
@@ -27,7 +28,7 @@ def compile_for_python(
 
 def call_block(
     function: Callable[..., Any],
-    signature: str,
+    signature: Signature,
     precision: Precision,
     arguments: list[Any],
     bindings: Mapping[str, Any] | None = None,

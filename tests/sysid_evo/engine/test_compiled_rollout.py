@@ -115,6 +115,17 @@ def test_clipped_steps_are_counted_and_clipped_states_go_on(climb: System, engin
 
 
 @pytest.mark.parametrize("engine", FAST)
+def test_a_trial_that_is_over_is_clipped_no_more(climb: System, engine: Engine) -> None:
+    dynamics = CompiledClimber(climb, envelope=np.array([[-9.0], [3.0]]))
+    parameters = np.array([[0.5], [0.0]])
+    fast, _ = compare(
+        engine, dynamics, CompiledConstant(), parameters, CompiledLadder(horizon=8, top=1.7), seeds_from(0, 1)
+    )
+    assert fast.survived.min() < 8
+    np.testing.assert_array_equal(fast.clipped, 0)
+
+
+@pytest.mark.parametrize("engine", FAST)
 def test_a_wall_alters_the_state_that_goes_on(climb: System, engine: Engine) -> None:
     """At the ceiling a climber stays below the top that would end its trial."""
     task = CompiledLadder(horizon=8, ceiling=0.8, top=0.9)

@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel, generate
+from sysid_evo.engine.compiled.signature import REALS, Signature
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
 
 from . import same_name
 from .running import PRECISIONS
 
-SIGNATURE = "types.void(R, R)"
+SIGNATURE = Signature(x=REALS, y=REALS)
 GAIN = 0.1
 COUNT = 3
 SWITCH = True
@@ -222,10 +223,11 @@ SECOND = """
 import json, sys
 from pathlib import Path
 from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
+from sysid_evo.engine.compiled.signature import REALS, Signature
 from tests.sysid_evo.engine.test_dialect import with_numbers, mathematics
 for function in (with_numbers, mathematics):
     for pointer in (False, True):
-        compile_kernel(KernelSource(function), "types.void(R, R)", "float32", pointer=pointer)
+        compile_kernel(KernelSource(function), Signature(x=REALS, y=REALS), "float32", pointer=pointer)
 """
 
 

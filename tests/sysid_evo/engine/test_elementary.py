@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.signature import NUMBER, REALS, Signature
 
 from .running import compile_for_python
 
-ONE = "types.void(types.int64, R, R)"
-TWO = "types.void(types.int64, R, R, R)"
+ONE = Signature(n=NUMBER, x=REALS, y=REALS)
+TWO = Signature(n=NUMBER, a=REALS, b=REALS, y=REALS)
 
 
 def tanh(n, x, y):

@@ -41,8 +41,14 @@ def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, register: Callable
 def test_every_example_keeps_the_contract_and_its_kernel_is_its_numpy_form(examples: Any, recording: Dataset) -> None:
     for name in NAMES:
         check_model(name)
-    for name in NAMES[1:]:
+    for name in NAMES:
         assert examples.difference(name) == 0.0
+
+
+def test_the_page_names_nothing_that_an_installed_package_lacks() -> None:
+    text = PAGE.read_text()
+    assert not re.search(r"python -m tests|make \w+|tests\.benchmarks|model_zoo/\w+\.py", text)
+    assert set(re.findall(r"from (sysid_evo\.engine[\w.]*) import", text)) == {"sysid_evo.engine"}
 
 
 def test_the_three_levels_step_alike_in_the_forms_they_promise(examples: Any, recording: Dataset) -> None:

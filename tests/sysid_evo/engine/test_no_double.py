@@ -13,6 +13,7 @@ from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Source, generate
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
+from sysid_evo.engine.compiled.signature import REALS, Signature
 from sysid_evo.engine.kernels import (
     command_network_predictor,
     neighbour_predictor,
@@ -25,7 +26,7 @@ from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 
 
-def library(car: System) -> dict[str, tuple[Source, str]]:
+def library(car: System) -> dict[str, tuple[Source, Signature]]:
     between, layers = [np.zeros(1)], [(np.zeros((3, 3)), np.zeros(3))]
     predictors = {
         "networks": network_predictor([layers, layers], 3, 0),
@@ -38,7 +39,7 @@ def library(car: System) -> dict[str, tuple[Source, str]]:
             np.zeros(2, dtype=int), between, [], 3,
         ),
     }  # fmt: skip
-    found: dict[str, tuple[Source, str]] = {
+    found: dict[str, tuple[Source, Signature]] = {
         name: (stepping_kernel(predictor, car, output="acceleration").source, DYNAMICS)
         for name, predictor in predictors.items()
     }
@@ -53,7 +54,7 @@ def promotes(x, y):
     y[0] = x[0] * 3 + x[1] * 5
 
 
-def llvm(source: Source, signature: str, folder: Path, decorator: str = "@cfunc") -> str:
+def llvm(source: Source, signature: Signature, folder: Path, decorator: str = "@cfunc") -> str:
     """Compile without the cache, whose code cannot be looked at; return its LLVM text."""
     options = "fastmath={'contract', 'arcp', 'nsz'}, error_model='numpy'"
     path = folder / "looked_at.py"
@@ -80,4 +81,4 @@ def test_a_float32_kernel_computes_no_double(name: str, car: System, tmp_path: P
 
 def test_the_search_for_doubles_finds_one(tmp_path: Path) -> None:
     """A whole number beside a float32 one makes a float64 one: that is what the library avoids."""
-    assert " double" in llvm(KernelSource(promotes), "types.void(R, R)", tmp_path)
+    assert " double" in llvm(KernelSource(promotes), Signature(x=REALS, y=REALS), tmp_path)

@@ -14,6 +14,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import Precision
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.kernels import (
+    added,
     command_network_predictor,
     neighbour_predictor,
     neighbours,
@@ -208,3 +209,12 @@ def test_more_points_than_the_compiled_form_can_address_are_refused(monkeypatch:
     points = np.zeros((400, 1))
     with pytest.raises(InvalidArgument, match="use fewer points"):
         neighbour_predictor([(points, np.zeros((len(points), 3)))], np.array([0, 0]), [np.array([0.0])], [], 1)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_sum_prepares_both_of_its_parts(precision: Precision) -> None:
+    rng = np.random.default_rng(6)
+    x, u = rng.uniform(-1, 1, (LANES, 3)), rng.uniform(-1, 1, (LANES, 2))
+    parts = [polynomial_predictor(rng.integers(0, 3, (n, 5)), rng.normal(size=(n, 3)), 3, 2) for n in (4, 7)]
+    expected = sum(predictions(part, x, u, 3, precision) for part in parts)
+    agree(predictions(added(parts[0], parts[1], 3), x, u, 3, precision), expected, precision)

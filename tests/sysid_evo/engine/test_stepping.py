@@ -22,6 +22,7 @@ from sysid_evo.engine.kernels import (
     polynomial_predictor,
     runge_kutta_predictor,
     stepping_kernel,
+    turning_frame,
 )
 from sysid_evo.engine.kernels.stepping import Output
 from sysid_evo.motion import PlanarBody
@@ -143,6 +144,31 @@ def test_runge_kutta_equals_plain_numpy_around_any_derivative(
     np.testing.assert_allclose(
         predictions(predictor, carry, u, nx, precision), x, rtol=tolerance, atol=tolerance
     )  # fmt: skip
+
+
+def leak(x, u, p, y, scratch):
+    for row in range(int(p[0])):
+        for lane in range(LANES):
+            y[row * LANES + lane] = u[lane] - p[1] * x[row * LANES + lane]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("system", [plane(), plane(order="rvu"), plane(None, "ru"), no_motion(3)])
+def test_a_turning_frame_adds_how_the_motion_turns_and_draws_back_what_is_outside(
+    precision: Precision, system: System
+) -> None:
+    rng = np.random.default_rng(5)
+    x, u = 2.0 * rng.normal(size=(LANES, system.nx)), rng.uniform(-1, 1, (LANES, 2))
+    rate = Predictor(leak, np.array([system.nx, 0.7]), 0)
+    plain = u[:, :1] - 0.7 * x + system.turning(x)
+    low, high = np.full(system.nx, -1.0), np.full(system.nx, 0.5)
+    inward = (x - np.clip(x, low, high)) / system.dt
+    tolerance = RTOL[precision]
+    for limits, expected in (({}, plain), ({"low": low, "high": high}, plain - inward)):
+        turned = turning_frame(rate, system, **limits)
+        assert turned is not None
+        found = predictions(turned, x, u, system.nx, precision)
+        np.testing.assert_allclose(found, expected, rtol=tolerance, atol=10 * tolerance)
 
 
 def test_runge_kutta_in_a_step_shifts_the_lags_it_held() -> None:

@@ -1,0 +1,38 @@
+"""Comparisons: an experiment, the plan of its cells, and the report that is made of them."""
+
+from evaluation.comparison.columns import Column, emulated
+from evaluation.comparison.comparing import check_run_folder, compare, finished, is_run
+from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matrix, RunCell, ensemble_name
+from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
+from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
+from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
+from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison, unsettled
+
+__all__ = [
+    "BUDGETS",
+    "Column",
+    "Comparison",
+    "DataCell",
+    "EvolveCell",
+    "Experiment",
+    "FILE",
+    "ExploitCell",
+    "FitCell",
+    "GivenData",
+    "Matrix",
+    "Parts",
+    "PredictCell",
+    "RecordedData",
+    "RunCell",
+    "Split",
+    "StoredModel",
+    "check_experiment",
+    "check_run_folder",
+    "compare",
+    "emulated",
+    "ensemble_name",
+    "finished",
+    "is_run",
+    "plan_comparison",
+    "unsettled",
+]

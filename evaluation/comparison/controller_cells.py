@@ -1,0 +1,235 @@
+"""Controllers as cells: evolving one, running it on a column, and how models are exploited by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from evaluation.comparison.columns import Column
+from evaluation.comparison.model_cells import files_of, read_json, write_json
+from evaluation.exploitability import (
+    ModelExploitability,
+    assess_exploitability,
+    exploitability_from_json,
+    exploitability_to_json,
+)
+from evaluation.transfer import Cell as MatrixCell
+from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
+from sysid_evo.engine import Runner
+from sysid_evo.errors import InvalidData
+from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
+from sysid_evo.plan import Cell, Outcome, Work, cell_seed
+from sysid_evo.registry import aggregates, controllers, strategies, tasks
+from sysid_evo.store import load_champion, save_champion
+
+ROLLOUT_STEPS_PER_SECOND = 2e7
+
+
+def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
+    """Return how an ensemble and its champion are called: ``a+b``, or ``mean(a+b)`` for another rule."""
+    name = "+".join(members)
+    return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
+
+
+@dataclass(frozen=True, eq=False)
+class EvolveCell(Cell):
+    """Evolves one controller against all of ``members`` at once."""
+
+    kind = "evolve"
+    place = "controllers"
+
+    members: tuple[Column, ...]
+    settings: ControllerEvolution
+    seed: int
+
+    @property
+    def title(self) -> str:
+        return f"evolve {self.name}"
+
+    @property
+    def name(self) -> str:
+        return ensemble_name(tuple(member.label for member in self.members), self.settings.aggregate)
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return tuple(cell for member in self.members for cell in member.needs)
+
+    def inputs(self) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "members": [member.inputs() for member in self.members],
+            "controller": controllers.identity(settings.controller),
+            "task": tasks.identity(settings.task),
+            "strategy": strategies.identity(settings.strategy),
+            "aggregate": aggregates.identity(settings.aggregate),
+            "generations": settings.generations,
+            "trials": settings.trials,
+            "runs": settings.runs,
+            "selection_trials": settings.selection_trials,
+            "estimator_delay": settings.estimator_delay,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        dynamics = {member.label: member.dynamics(work) for member in self.members}
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
+        system = next(iter(dynamics.values())).system
+        names = "+".join(member.registered for member in self.members)
+        seed = cell_seed(self.seed, f"evolve {names}")
+        return evolve_controller(self.name, runners, system, self.settings, seed=seed, progress=work.progress)
+
+    def save(self, value: Champion, path: Path) -> list[Path]:
+        return files_of(save_champion(value, path))
+
+    def load(self, path: Path) -> Champion:
+        return load_champion(path)
+
+    def named(self, value: Champion) -> Champion:
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+
+    def seconds(self) -> float:
+        settings = self.settings
+        rollouts = settings.runs * settings.generations * settings.trials * len(self.members) * 100
+        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+
+
+@dataclass(frozen=True, eq=False)
+class RunCell(Cell):
+    """Runs a controller on a column in ``trials`` fresh trials, of which ``traces`` are recorded.
+
+    The states are observed as late as they were in evolution.
+    """
+
+    kind = "run"
+
+    champion: Cell
+    column: Column
+    delay: float
+    trials: int
+    traces: int
+    seed: int
+
+    @property
+    def title(self) -> str:
+        return f"run {self.champion.name} on {self.column.label}"
+
+    @property
+    def name(self) -> str:
+        return f"{self.champion.name}@{self.column.label}"
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (self.champion, *self.column.needs)
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "column": self.column.inputs(),
+            "delay": self.delay,
+            "trials": self.trials,
+            "traces": self.traces,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> MatrixCell:
+        champion: Champion = work.result(self.champion)
+        champion.check_system(self.column.dynamics(work).system)
+        cell = run_on(
+            champion,
+            self.column.label,
+            self.column.runner(work, delay=self.delay),
+            transfer_seeds(self.seed, self.trials),
+            traces=self.traces,
+        )
+        if cell.failed:
+            raise InvalidData(cell.reason)
+        return cell
+
+    def save(self, value: MatrixCell, path: Path) -> list[Path]:
+        return write_json(value.to_dict(), path)
+
+    def load(self, path: Path) -> MatrixCell:
+        return MatrixCell.from_dict(read_json(path))
+
+    def named(self, value: MatrixCell) -> MatrixCell:
+        return replace(value, champion=self.champion.name, column=self.column.label)
+
+    def seconds(self) -> float:
+        return 0.05
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """The cells of a transfer matrix, from which it is put together: rows, columns, and every pair.
+
+    ``robot`` labels the column of the emulated robot, if there is one; ``measured`` are cells driven
+    on robots and by people.
+    """
+
+    champions: tuple[EvolveCell, ...]
+    columns: tuple[Column, ...]
+    runs: tuple[RunCell, ...]
+    robot: str | None
+    measured: tuple[Measured, ...] = ()
+
+    def of(self, outcome: Any) -> TransferMatrix | None:
+        """Return the matrix of what is there; ``outcome(cell)`` gives the `Outcome` of a cell."""
+        champions = [value for cell in self.champions if (value := outcome(cell).value) is not None]
+        known = {champion.name for champion in champions}
+        cells = []
+        for run in self.runs:
+            found: Outcome = outcome(run)
+            if run.champion.name in known:
+                failed = MatrixCell(run.champion.name, run.column.label, reason=found.reason or "")
+                cells.append(failed if found.value is None else found.value)
+        families = {column.label: column.family for column in self.columns}
+        labels = tuple(column.label for column in self.columns)
+        matrix = TransferMatrix.of(champions, labels, cells, families=families, robot=self.robot)
+        return with_measured(matrix if champions else None, self.measured)
+
+
+@dataclass(frozen=True, eq=False)
+class ExploitCell(Cell):
+    """Assesses how each model is exploited by the controllers that were evolved on it."""
+
+    kind = "exploit"
+    tolerant = True
+
+    matrix: Matrix
+    data: Cell
+
+    @property
+    def title(self) -> str:
+        return "assess exploitability"
+
+    @property
+    def name(self) -> str:
+        return "exploitability"
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (self.data, *self.matrix.champions, *self.matrix.runs)
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "columns": [[column.label, column.family] for column in self.matrix.columns],
+            "rows": [champion.name for champion in self.matrix.champions],
+            "robot": self.matrix.robot,
+            "measured": [measured.digest for measured in self.matrix.measured],
+        }
+
+    def compute(self, work: Work) -> tuple[ModelExploitability, ...]:
+        parts = work.result(self.data)
+
+        def outcome(cell: Cell) -> Outcome:
+            value = work.result(cell)
+            return Outcome(value, None if value is not None else f"{cell.title} failed", 0.0)
+
+        matrix = self.matrix.of(outcome)
+        return () if matrix is None else assess_exploitability(matrix, parts.training, parts.test)
+
+    def save(self, value: tuple[ModelExploitability, ...], path: Path) -> list[Path]:
+        return write_json([exploitability_to_json(model) for model in value], path)
+
+    def load(self, path: Path) -> tuple[ModelExploitability, ...]:
+        return tuple(exploitability_from_json(model) for model in read_json(path))

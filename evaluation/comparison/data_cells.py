@@ -1,0 +1,122 @@
+"""The data of a comparison as a cell: recorded on a robot, or given; split into training and test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid_evo.data import Dataset
+from sysid_evo.errors import LinkLost
+from sysid_evo.plan import Cell, Work
+from sysid_evo.registry import Spec, make_robot, robots
+
+TRAINING, TEST = "training", "test"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The two parts of a data set; without ``test`` all of it is for training."""
+
+    training: Dataset
+    test: Dataset | None
+
+
+@dataclass(frozen=True)
+class Split:
+    """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test."""
+
+    episodes: tuple[str, ...] | None = None
+    share: float = 0.25
+
+    def of(self, dataset: Dataset) -> Parts:
+        """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`."""
+        if self.episodes is None and self.share == 0.0:
+            return Parts(dataset, None)
+        return Parts(*dataset.split(self.share if self.episodes is None else self.episodes))
+
+    def inputs(self) -> dict[str, Any]:
+        """Return the split as strict JSON."""
+        return {"test": None if self.episodes is None else list(self.episodes), "share": self.share}
+
+
+class DataCell(Cell):
+    """A cell whose result is `Parts`, stored as two data sets."""
+
+    kind = "data"
+    place = "data"
+
+    def save(self, value: Parts, path: Path) -> list[Path]:
+        written = []
+        for name, part in ((TRAINING, value.training), (TEST, value.test)):
+            if part is not None:
+                folder = part.save(path / name)
+                written += sorted(file for file in folder.iterdir() if file.is_file())
+        return written
+
+    def load(self, path: Path) -> Parts:
+        test = path / TEST
+        return Parts(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenData(DataCell):
+    """Recordings that were read already."""
+
+    dataset: Dataset
+    split: Split
+
+    @property
+    def title(self) -> str:
+        return f"prepare {self.name}"
+
+    @property
+    def name(self) -> str:
+        return self.dataset.system.name or "data"
+
+    def inputs(self) -> dict[str, Any]:
+        return {"fingerprint": self.dataset.fingerprint, "split": self.split.inputs()}
+
+    def compute(self, work: Work) -> Parts:
+        return self.split.of(self.dataset)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedData(DataCell):
+    """Manoeuvres driven on a robot for ``minutes``; the journals of a physical one are kept beside the data."""
+
+    robot: Spec
+    seed: int
+    minutes: float
+    split: Split
+
+    @property
+    def title(self) -> str:
+        return f"record {self.robot.label}"
+
+    @property
+    def name(self) -> str:
+        return self.robot.label
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "robot": robots.identity(self.robot),
+            "seed": self.seed,
+            "minutes": self.minutes,
+            "split": self.split.inputs(),
+        }
+
+    def compute(self, work: Work) -> Parts:
+        robot = make_robot(self.robot)
+        recorded = robot.record(
+            seed=self.seed,
+            duration=60.0 * self.minutes,
+            folder=None if robot.dynamics is not None else work.place / "journal",
+            progress=work.progress,
+        )
+        if recorded.report.reason.is_fault:
+            raise LinkLost(f"{self.robot.label}: {recorded.report.sentence}")
+        return self.split.of(recorded.dataset)
+
+    def seconds(self) -> float:
+        return 0.5 * self.minutes if make_robot(self.robot).dynamics is not None else 60.0 * self.minutes

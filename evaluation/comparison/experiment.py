@@ -1,0 +1,146 @@
+"""What a comparison is asked to do: the content of ``experiment.toml``, validated."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.files import write_atomically
+from sysid_evo.registry import Spec
+
+FILE = "experiment.toml"
+DEFAULT_ROBOT = "emulated_car"
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+class Budget(BaseModel):
+    """How long controller evolution may think; see `ControllerEvolution`."""
+
+    model_config = ConfigDict(frozen=True)
+
+    generations: Positive
+    trials: Positive
+    runs: Positive
+
+
+BUDGETS: dict[str, Budget] = {
+    "quick": Budget(generations=150, trials=10, runs=1),
+    "standard": Budget(generations=300, trials=10, runs=3),
+    "paper": Budget(generations=300, trials=10, runs=2),
+}
+"""Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
+
+
+class Experiment(BaseModel):
+    """A comparison: which models on which data, which controllers on which robot, how long, from which seed.
+
+    Everything that has a name is a text in the grammar of `Spec`. Without ``data`` (logs, or a folder
+    that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
+    back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
+    ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
+    `plan_comparison`, as it does for ``models``. What is None of ``generations``, ``trials`` and
+    ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
+    robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
+    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    title: str | None = None
+    data: tuple[str, ...] | None = None
+    columns: str | None = None
+    test: tuple[str, ...] | None = None
+    held_back: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
+    robot: str | None = None
+    minutes: Annotated[float, Field(ge=0.1)] = 6.0
+    models: tuple[str, ...] | None = None
+    ensembles: tuple[str, ...] | None = None
+    preset: Literal["quick", "standard", "paper"] = "quick"
+    only: Literal["fit", "prediction"] | None = None
+    task: str = "point_to_point"
+    controller: str = "recurrent"
+    strategy: str = "mu_plus_lambda"
+    aggregate: str = "min"
+    generations: Positive | None = None
+    trials: Positive | None = None
+    runs: Positive | None = None
+    selection_trials: Positive = 50
+    estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
+    transfer_trials: Positive = 100
+    traces: Annotated[int, Field(ge=0)] = 10
+    yardstick: bool = False
+    seed: Annotated[int, Field(ge=0)] = 0
+    plugins: tuple[str, ...] = ()
+    data_digest: str | None = None
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Experiment:
+        """Return the experiment with these settings. Raises `InvalidArgument` that names the wrong one."""
+        try:
+            return cls.model_validate(dict(settings))
+        except ValidationError as error:
+            raise InvalidArgument("; ".join(map(_sentence, error.errors()))) from error
+
+    @classmethod
+    def read(cls, path: str | Path) -> dict[str, Any]:
+        """Return the settings in a TOML file (or in that of a run folder), checked. Raises `InvalidArgument`."""
+        path = Path(path)
+        file = path / FILE if path.is_dir() else path
+        try:
+            settings = tomllib.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InvalidArgument(f"{file}: expected an experiment, found no such file") from None
+        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InvalidArgument(f"{file}: expected an experiment in TOML: {error}") from error
+        try:
+            cls.of(settings)
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{file}: {error}") from error
+        return settings
+
+    def write(self, path: str | Path) -> Path:
+        """Write the experiment to a TOML file."""
+        text = tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        return write_atomically(Path(path), lambda file: file.write_text(text, encoding="utf-8"))
+
+    @property
+    def budget(self) -> Budget:
+        """The budget of the preset, where it is not overridden."""
+        if self.preset not in BUDGETS:
+            raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
+        given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
+        return BUDGETS[self.preset].model_copy(update=given)
+
+    @property
+    def evolution(self) -> ControllerEvolution:
+        """How controllers are evolved. Raises what the registries say about wrong names and parameters."""
+        return ControllerEvolution(
+            **self.budget.model_dump(),
+            aggregate=self.aggregate,
+            selection_trials=self.selection_trials,
+            estimator_delay=self.estimator_delay,
+            controller=Spec.parse(self.controller),
+            task=Spec.parse(self.task),
+            strategy=Spec.parse(self.strategy),
+        )
+
+
+def _sentence(error: Any) -> str:
+    """Return one finding of pydantic as: what, what is wrong, what came."""
+    where = ".".join(map(str, error["loc"]))
+    if error["type"] == "extra_forbidden":
+        import difflib
+
+        close = difflib.get_close_matches(where, Experiment.model_fields, n=1)
+        return f"{where} is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
+    message = error["msg"].replace("Input should be", "expected").replace("Value error, ", "")
+    return f"{where}: {message}, got {error['input']!r}"

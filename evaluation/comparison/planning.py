@@ -1,0 +1,340 @@
+"""From an experiment to its cells: everything that can be checked without computing is checked here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from evaluation.comparison.columns import Column, emulated
+from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matrix, RunCell
+from evaluation.comparison.data_cells import GivenData, RecordedData, Split
+from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
+from evaluation.prediction import PredictionProtocol, measured_cases
+from evaluation.transfer import Measured
+from sysid_evo.data import Dataset, check_usable
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import (
+    IncompatibleSystem,
+    IncompatibleTask,
+    InvalidArgument,
+    InvalidData,
+    MissingExtra,
+    SysidEvoError,
+)
+from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.plan import Cell, Plan
+from sysid_evo.registry import (
+    Registry,
+    Spec,
+    aggregates,
+    controllers,
+    distinct,
+    make_robot,
+    models,
+    robot_spec,
+    tasks,
+)
+from sysid_evo.system import System
+
+PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
+OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
+"""What is compared when no family is named; with the preset ``paper`` only the paper's own."""
+DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
+"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An experiment with everything settled, and the cells of which it is made.
+
+    ``experiment`` names all that was left open. Cells stand by the label of their model.
+    """
+
+    experiment: Experiment
+    plan: Plan
+    data: Cell
+    fits: dict[str, FitCell]
+    predictions: dict[str, PredictCell]
+    matrix: Matrix | None = None
+    exploitability: ExploitCell | None = None
+
+    @property
+    def title(self) -> str:
+        """What the report is called."""
+        return self.experiment.title or f"{self.data.name}: {', '.join(self.fits)}"
+
+
+def plan_comparison(
+    experiment: Experiment,
+    *,
+    dataset: Dataset | None = None,
+    stored: tuple[Cell, System] | None = None,
+    measured: Sequence[Measured] = (),
+) -> Comparison:
+    """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
+
+    ``stored`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
+
+    Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
+    and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
+    (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
+    """
+    remarks: list[str] = []
+    evolution = experiment.evolution
+    _constructible(evolution)
+    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    if stored is not None:
+        data, system = stored
+    else:
+        system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+        data = _data(experiment, robot, dataset)
+    specs = _models(experiment, system, remarks)
+    labels = tuple(spec.label for spec in specs)
+    ensembles = _ensembles(experiment, labels)
+    column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
+    if experiment.only is None:
+        _check_control(evolution, system)
+    fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
+    predictions: dict[str, PredictCell] = {}
+    if experiment.only != "fit":
+        still = PredictCell.persistence(data)
+        predictions = {
+            still.label: still,
+            **{label: PredictCell(label, fit.spec.name, data, fit) for label, fit in fits.items()},
+        }
+    settled = experiment.model_copy(
+        update={
+            **experiment.budget.model_dump(),
+            "models": tuple(map(str, specs)),
+            "ensembles": tuple("+".join(members) for members in ensembles),
+            "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
+            "data_digest": data.digest,
+        }
+    )
+    matrix, exploitability = None, None
+    if experiment.only is None:
+        columns = tuple(Column(label, fit.spec.name, model=fit) for label, fit in fits.items())
+        matrix = _matrix(experiment, evolution, columns, column, ensembles, tuple(measured))
+        exploitability = ExploitCell(matrix, data)
+    wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
+    if matrix is not None and exploitability is not None:
+        wanted += [*matrix.champions, *matrix.runs, exploitability]
+    plan = Plan.of(wanted, remarks=remarks)
+    return Comparison(settled, plan, data, fits, predictions, matrix, exploitability)
+
+
+def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return stored settings without what their preset brought, so that another preset brings its own.
+
+    Raises what the registry of models says about wrong names.
+    """
+    experiment = Experiment.of(settings)
+    budget = BUDGETS[experiment.preset].model_dump()
+    found = {name: value for name, value in settings.items() if name not in budget or value != budget[name]}
+    if experiment.models is not None and experiment.models != (ALL,):
+        specs = (without_preset(Spec.parse(text), experiment.preset) for text in experiment.models)
+        found["models"] = tuple(map(str, specs))
+    return found
+
+
+def _constructible(evolution: ControllerEvolution) -> None:
+    """Make what can be made without a system, so that wrong values are found now."""
+    for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
+        _made(registry, spec)
+    _made(aggregates, Spec.parse(evolution.aggregate))
+
+
+def _check_control(evolution: ControllerEvolution, system: System) -> None:
+    """Raise what keeps task, controller and strategy from ``system``, and say what can be done without them."""
+    try:
+        task = evolution.make_task(system)
+    except IncompatibleTask as error:
+        raise IncompatibleTask(f"{error}. Name a task that fits (--task), or compare --only prediction") from error
+    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def _made(registry: Registry[Any], spec: Spec) -> Any:
+    try:
+        return registry.make(spec)
+    except SysidEvoError:
+        raise
+    except Exception as error:  # a constructor may fail in any way when its values are wrong
+        raise InvalidArgument(f"{registry.kind} {spec}: {type(error).__name__}: {error}") from error
+
+
+def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
+    if experiment.yardstick and experiment.only is not None:
+        raise InvalidArgument(f"yardstick: no controller is evolved with only = {experiment.only!r}; leave one out")
+    if experiment.robot is None:
+        if experiment.yardstick and has_data:
+            raise InvalidArgument("yardstick: name the emulated robot that it is evolved on with --robot")
+        return None if has_data else robot_spec(DEFAULT_ROBOT)
+    return robot_spec(experiment.robot)
+
+
+def _system_of(robot: Spec) -> System:
+    system: System = make_robot(robot).system
+    return system
+
+
+def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Column | None:
+    """Return the column of the emulated robot; a physical one gets its column when it is driven."""
+    if robot is None:
+        return None
+    machine = make_robot(robot)
+    differences = system.differences(machine.system)
+    if differences:
+        raise IncompatibleSystem(
+            f"robot {robot.label!r} is not the one in the recordings: {'; '.join(differences)}. "
+            "Leave --robot out, or name the robot that was recorded"
+        )
+    if machine.dynamics is not None:
+        return Column(robot.label, robot.label, robot=robot)
+    if experiment.yardstick:
+        emulated(robot)
+    remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
+    return None
+
+
+def check_experiment(experiment: Experiment) -> None:
+    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
+    _constructible(experiment.evolution)
+    robot = _robot(experiment, has_data=experiment.data is not None)
+    if robot is not None:
+        make_robot(robot)
+    asked = _asked(experiment)
+    if asked is not None:
+        for spec in asked:
+            _made_model(spec, experiment.preset)
+        _ensembles(experiment, tuple(spec.label for spec in asked))
+
+
+def _asked(experiment: Experiment) -> tuple[Spec, ...] | None:
+    """Return the specs of the models that are asked for by name, None if the choice is left open."""
+    if experiment.models is None or experiment.models == (ALL,):
+        return None
+    if not experiment.models:
+        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
+    return distinct(tuple(Spec.parse(text) for text in experiment.models))
+
+
+def _models(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
+    """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
+    asked = _asked(experiment)
+    if asked is not None:
+        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
+    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    found = []
+    for name in models.names() if experiment.models == (ALL,) else usual:
+        try:
+            found.append(_usable(Spec(name), experiment.preset, system))
+        except (MissingExtra, IncompatibleSystem) as error:
+            remarks.append(f"{name} is left out: {error}")
+    if not found:
+        raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
+    return tuple(found)
+
+
+def _usable(spec: Spec, preset: str, system: System) -> Spec:
+    """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
+    whole, model = _made_model(spec, preset)
+    model.check_system(system)
+    return whole
+
+
+def _made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
+    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
+    models.check(spec)
+    lacking = models.lacking(spec.name)
+    if lacking is not None:
+        raise lacking
+    whole = with_preset(spec, preset)
+    model: DynamicsModel = _made(models, whole)
+    return whole, model
+
+
+def _ensembles(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    if experiment.only is not None:
+        return ()
+    if experiment.ensembles is None:
+        chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
+        return chosen or ((labels,) if len(labels) > 1 else ())
+    return tuple(_ensemble(text, labels) for text in dict.fromkeys(experiment.ensembles))
+
+
+def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
+    members = tuple(member.strip() for member in text.split("+"))
+    if len(members) < 2:
+        raise InvalidArgument(
+            f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
+            "every model alone is compared anyway"
+        )
+    unknown = [member for member in members if member not in labels]
+    if unknown:
+        raise InvalidArgument(f"ensemble {text!r} names {', '.join(unknown)}, but the models are {', '.join(labels)}")
+    if len(set(members)) < len(members):
+        raise InvalidArgument(f"ensemble {text!r} names a model twice")
+    return members
+
+
+def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
+    share = 0.0 if experiment.only == "fit" and experiment.test is None else experiment.held_back
+    split = Split(experiment.test, share)
+    if dataset is None:
+        if experiment.test is not None:
+            raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
+        if share == 0.0 and experiment.only != "fit":
+            raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
+        recorded = robot or robot_spec(DEFAULT_ROBOT)
+        make_robot(recorded).check()
+        return RecordedData(recorded, experiment.seed, experiment.minutes, split)
+    if share == 0.0 and experiment.test is None and experiment.only != "fit":
+        raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
+    parts = split.of(dataset)
+    check_usable(parts.training, name="the training data")
+    if parts.test is not None and experiment.only != "fit":
+        _check_predictable(parts.training, parts.test)
+    return GivenData(dataset, split)
+
+
+def _check_predictable(training: Dataset, test: Dataset) -> None:
+    """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
+    cases = measured_cases(training, test, PredictionProtocol())
+    if not cases.horizons:
+        raise InvalidData(
+            f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+            "Record more, or name a longer episode with --test"
+        )
+
+
+def _matrix(
+    experiment: Experiment,
+    evolution: ControllerEvolution,
+    models: tuple[Column, ...],
+    robot: Column | None,
+    ensembles: tuple[tuple[str, ...], ...],
+    measured: tuple[Measured, ...],
+) -> Matrix:
+    by_label = {column.label: column for column in models}
+    columns = models if robot is None else (*models, robot)
+    groups: list[tuple[Column, ...]] = [(column,) for column in models]
+    groups += [tuple(by_label[member] for member in members) for members in ensembles]
+    if experiment.yardstick and robot is not None:
+        groups.append((robot,))
+    champions = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
+    runs = tuple(
+        RunCell(
+            champion,
+            column,
+            delay=evolution.estimator_delay,
+            trials=experiment.transfer_trials,
+            traces=experiment.traces if column == robot or column in champion.members else 0,
+            seed=experiment.seed,
+        )
+        for champion in champions
+        for column in columns
+    )
+    return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)

@@ -1,0 +1,91 @@
+"""The scores of one model on disk: arrays in safetensors, the rest in strict JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from evaluation.prediction.bootstrap import Interval
+from evaluation.prediction.scores import Divergence, ErrorScore, ModelPrediction
+from sysid_evo.errors import ArtefactError
+from sysid_evo.files import write_atomically
+
+ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
+
+
+def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
+    """Write the scores of a model to ``path`` with two suffixes; return the files."""
+    tensors = {"curve": prediction.curve}
+    tensors.update({f"free_states.{i}": states for i, states in enumerate(prediction.free_states)})
+    scores = []
+    for i, score in enumerate(_all_scores(prediction)):
+        tensors.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
+        scores.append({"horizon": score.horizon, "samples": score.samples, "interval": _plain(score.interval)})
+    divergence = prediction.divergence
+    value = {
+        "name": prediction.name,
+        "family": prediction.family,
+        "scores": scores,
+        "free_runs": len(prediction.free_states),
+        "divergence": None
+        if divergence is None
+        else {
+            "share": divergence.share,
+            "median_time": divergence.median_time,
+            "free_run_times": list(divergence.free_run_times),
+        },
+        "notes": list(prediction.notes),
+    }
+    payload = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()})
+    text = json.dumps(value, allow_nan=False)
+    return [
+        write_atomically(_with(path, ".safetensors"), lambda file: file.write_bytes(payload)),
+        write_atomically(_with(path, ".json"), lambda file: file.write_text(text, encoding="utf-8")),
+    ]
+
+
+def load_prediction(path: Path) -> ModelPrediction:
+    """Read what `save_prediction` wrote. Raises `ArtefactError`."""
+    try:
+        value = json.loads(_with(path, ".json").read_text(encoding="utf-8"))
+        tensors = load_file(_with(path, ".safetensors"))
+        scores = [_score(i, found, tensors) for i, found in enumerate(value["scores"])]
+        divergence = value["divergence"]
+        return ModelPrediction(
+            name=value["name"],
+            family=value["family"],
+            at=tuple(score for score in scores if score.horizon is not None),
+            free_run=next((score for score in scores if score.horizon is None), None),
+            curve=tensors["curve"],
+            divergence=None
+            if divergence is None
+            else Divergence(divergence["share"], divergence["median_time"], tuple(divergence["free_run_times"])),
+            free_states=tuple(tensors[f"free_states.{i}"] for i in range(value["free_runs"])),
+            notes=tuple(value["notes"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+        raise ArtefactError(f"{path}: not stored scores of a prediction: {type(error).__name__}: {error}") from error
+
+
+def _all_scores(prediction: ModelPrediction) -> tuple[ErrorScore, ...]:
+    return prediction.at if prediction.free_run is None else (*prediction.at, prediction.free_run)
+
+
+def _score(number: int, value: dict[str, Any], tensors: dict[str, Any]) -> ErrorScore:
+    low, high = (float("nan") if limit is None else limit for limit in value["interval"])
+    arrays = {name: tensors[f"score.{number}.{name}"] for name in ARRAYS}
+    return ErrorScore(value["horizon"], value["samples"], interval=Interval(low, high), **arrays)
+
+
+def _plain(interval: Interval) -> list[float | None]:
+    return [limit if math.isfinite(limit) else None for limit in interval]
+
+
+def _with(path: Path, suffix: str) -> Path:
+    return path.with_name(path.name + suffix)

@@ -1,0 +1,158 @@
+"""Tables of controllers: what each claims and achieves, and how models are exploited."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evaluation.exploitability import ModelExploitability
+from evaluation.labels import folded, percent
+from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
+from evaluation.report.transferring import ONE_SEED
+from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, TransferMatrix, TransferSummary
+
+FAINTEST = 1e-3
+"""The share from which on a cell is painted."""
+
+
+def transfer_sheet(matrix: TransferMatrix) -> Sheet:
+    """Mean fitness (standard deviation over trials) of every controller on every system."""
+    columns = tuple(lines(folded(c), "(robot)" if c == matrix.robot else "") for c in matrix.columns)
+    rows = [
+        (champion.name, *(_fitness_cell(matrix.cell(champion.name, c), c in champion.against) for c in matrix.columns))
+        for champion in matrix.champions
+    ]
+    unit = matrix.unit or "fitness"
+    means = matrix.means()
+    known = means[np.isfinite(means)]
+    low, top = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
+    shades = tuple(
+        tuple((m - low) / (top - low) if np.isfinite(m) and top > low else None for m in row) for row in means
+    )
+    own = frozenset(
+        (i, j)
+        for i, champion in enumerate(matrix.champions)
+        for j, column in enumerate(matrix.columns)
+        if column in champion.against
+    )
+    robots = len(matrix.columns) - len(matrix.models)
+    return Sheet(
+        title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
+        columns=("controller", *columns),
+        rows=tuple(rows),
+        note=(
+            f"{_trials(matrix)} = evolved against this model. "
+            "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
+        ),
+        heat=Heat(shades, own, len(matrix.models) if robots and matrix.models else None),
+    )
+
+
+def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
+    """Claimed and achieved fitness, and the gaps between them."""
+    robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
+    rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    seeds = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
+    spread = f"below a claim: its range over {max(seeds)} evolution seeds. " if max(seeds, default=0) > 1 else ""
+    unknown = f" {ONE_SEED}" if min(seeds, default=2) < 2 else ""
+    return Sheet(
+        title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
+        columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
+        rows=tuple(rows),
+        note=(
+            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
+            "other families: median over the models of families it was not evolved against. "
+            "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
+            f"chosen: without the robot, the best on other families.{unknown}"
+        ),
+    )
+
+
+def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
+    """What is claimed on each model, and how much of it lies outside the data."""
+    rows = [
+        (
+            lines(model.model, "" if model.controllers == (model.model,) else f"({listed(model.controllers)})"),
+            plus_minus(model.claimed),
+            plus_minus(model.others),
+            plus_minus(model.achieved),
+            lines(percent(model.outside_visited), _on_robot(model.outside_robot)),
+            percent(model.outside_held_out),
+            percent(model.clipped_share),
+        )
+        for model in models
+    ]
+    return Sheet(
+        title="Exploitability: fitness of the controllers evolved on each model",
+        columns=("model", "here", "other\nmodels", "robot", "outside\ndata", "held-\nout", "clipped"),
+        rows=tuple(rows),
+        note=(
+            "outside data: share of visited (state, control) pairs farther from the training data than its own 99 % "
+            "nearest-neighbour distance (leave one out, channels in standard deviations); held-out: the same for the "
+            "test data. clipped: share of steps whose state was clipped to the model's envelope."
+        ),
+    )
+
+
+def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
+    """The limit of every probe, and the shares of steps beyond it, outside the data first."""
+    first = models[0].probes
+    limits = [f"> {probe.limit:.3g} {probe.unit}" if probe.limit is not None else "no data" for probe in first]
+    heads = [lines(folded(p.name).replace("_", " "), limit) for p, limit in zip(first, limits, strict=True)]
+    shares = [(model.outside_visited, *(probe.visited for probe in model.probes)) for model in models]
+    on_robot = [(model.outside_robot, *(probe.robot for probe in model.probes)) for model in models]
+    normal = (models[0].outside_held_out, *(probe.held_out for probe in first))
+    rows = [
+        (model.model, *(lines(percent(s), _on_robot(r)) for s, r in zip(seen, robot, strict=True)))
+        for model, seen, robot in zip(models, shares, on_robot, strict=True)
+    ]
+    return Sheet(
+        title="What controllers do that the data do not show: shares of visited steps",
+        columns=("model", "outside\nthe data", *heads),
+        rows=(*rows, ("held-out data", *(percent(share) for share in normal))),
+        note=(
+            "Beyond the 99.9 % quantile of each probe in the training data. Controllers evolved on each model, run on "
+            "it; below, the same controllers on the robot."
+        ),
+        heat=Heat(tuple(tuple(_depth(share) for share in row) for row in (*shares, normal)), alarm=True),
+    )
+
+
+def _trials(matrix: TransferMatrix) -> str:
+    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
+    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
+    if len(counts) > 1:
+        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
+    return f"{matrix.trials} fresh trials, the same in every cell."
+
+
+def _fitness_cell(cell: Cell, own: bool) -> str:
+    if cell.failed:
+        return "–" if cell.reason == NOT_RUN else "failed"
+    return lines(
+        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
+        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
+        f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
+        f"{len(cell.missing)} missing" if cell.missing else "",
+    )
+
+
+def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
+    row = [
+        lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
+        lines(plus_minus(controller.claimed), seed_range(controller)),
+        plus_minus(controller.others),
+        plus_minus(controller.exploitation_gap),
+        plus_minus(controller.other_families),
+    ]
+    if robot:
+        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
+    return tuple(row)
+
+
+def _on_robot(share: float | None) -> str:
+    return f"robot {percent(share)}" if share else ""
+
+
+def _depth(share: float | None) -> float | None:
+    """Return the shade of a share, from 0 at 0.1 % to 1 at all; the scale is logarithmic."""
+    return None if share is None or share <= FAINTEST else 1.0 - float(np.log10(share) / np.log10(FAINTEST))

@@ -1,0 +1,85 @@
+"""Tables of prediction errors."""
+
+from __future__ import annotations
+
+from evaluation.labels import percent
+from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
+from evaluation.report.predicting import N_IN_WORDS, horizon_name
+from evaluation.report.sheets import Sheet, lines, number, three_digits
+
+
+def prediction_sheet(prediction: Prediction) -> Sheet:
+    """N of every model at every horizon and in free run, with intervals."""
+    horizons = prediction.horizons
+    leaders: dict[int | None, set[str]] = {}
+    for horizon in horizons:
+        ranking = prediction.ranking(horizon)
+        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
+        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
+    rows = [
+        (
+            lines(model.name, _divergence(model)),
+            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
+        )
+        for model in prediction.models
+    ]
+    protocol = prediction.cases.protocol
+    return Sheet(
+        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
+        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
+        rows=tuple(rows),
+        note=(
+            "N: RMSE / standard deviation of the truth, mean over channels. "
+            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
+            f"free run: each whole episode from sample {protocol.first}. "
+            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
+            "clip: windows in which the simulation reached its clip, and the median time until then."
+        ),
+    )
+
+
+def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
+    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
+    system = prediction.cases.system
+    heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
+    rows = []
+    for model in prediction.models:
+        score = model.score(horizon)
+        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
+        rows.append((model.name, *cells))
+    start = "from sample" if horizon is None else "from measured states,"
+    protocol = prediction.cases.protocol
+    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
+    return Sheet(
+        title=f"Error per channel, {horizon_name(prediction, horizon)}",
+        columns=("model", *heads),
+        rows=tuple(rows),
+        note=(
+            f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
+            f"truth). Simulated {start} {begin}; moving samples only."
+        ),
+        details=horizon is not None,
+    )
+
+
+def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
+    if model.failed:
+        return "failed"
+    if score is None:
+        return "–"
+    low, high = score.interval
+    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+
+
+def _divergence(model: ModelPrediction) -> str:
+    found = model.divergence
+    if found is None or found.share == 0:
+        return ""
+    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
+
+
+def _channel_cells(score: ErrorScore) -> list[str]:
+    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
+    return [
+        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
+    ]

@@ -1,0 +1,106 @@
+"""What the verdict says on controllers: which transfer, which to use, and what is not known of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evaluation.labels import percent
+from evaluation.transfer import ControllerSummary, TransferMatrix, TransferSummary
+
+KEPT = 0.9
+"""A claim is kept from this share of it on."""
+LOST = 0.5
+"""A claim is lost below this share of it."""
+ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
+
+
+def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
+    """Answer which controllers transfer."""
+    if summary is None:
+        return ("No controller was evolved.",)
+    if all(cell.failed for cell in matrix.cells.values()):
+        return ("No controller could be run anywhere.",)
+    unit = f" {matrix.unit}" if matrix.unit else ""
+    return _on_models(summary, unit) if matrix.robot is None else _on_robot(summary, unit)
+
+
+def recommended(matrix: TransferMatrix, summary: TransferSummary) -> tuple[str, ...]:
+    """Answer what to use."""
+    answers = []
+    if summary.pick is None:
+        answers.append("No controller can be judged by models of other families; add a family to choose by.")
+    else:
+        pick = summary.controller(summary.pick)
+        assert pick.other_families is not None
+        judges = f"{len(pick.judges)} {'model' if len(pick.judges) == 1 else 'models'}"
+        answers.append(
+            f"Chosen without the robot: {pick.name}, the highest median on models of other families "
+            f"({pick.other_families.value:.1f} on {judges})"
+            + (f"; it achieves {pick.achieved.value:.1f} on the robot." if pick.achieved is not None else ".")
+        )
+    if matrix.robot is not None:
+        best = summary.best_on.get(matrix.robot)
+        if best is not None and best != summary.pick:
+            answers.append(f"Chosen with the robot: {best}, {matrix.cell(best, matrix.robot).mean:.1f} on it.")
+        answers += [
+            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
+            f"({correlation.controllers} controllers)."
+            for correlation in summary.correlations
+            if correlation.value is not None
+        ]
+    return tuple(answers)
+
+
+def unknown(summary: TransferSummary) -> tuple[str, ...]:
+    """Say what the claims leave open."""
+    claiming = [c for c in summary.controllers if c.claimed is not None]
+    answers = [ONE_SEED] if any(len(c.seed_fitness) < 2 for c in claiming) else []
+    single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
+    if single:
+        answers.append(f"A single trial on the robot has no error and judges no claim: {', '.join(single)}.")
+    return tuple(answers)
+
+
+def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
+    tested = sorted(
+        (c for c in summary.controllers if c.achieved is not None),
+        key=lambda c: -(c.achieved.value if c.achieved else 0.0),
+    )
+    if not tested:
+        return ("No controller could be run on the robot.",)
+    answers = [f"Most on the robot: {_achieved(tested[0], unit)}."]
+    shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
+    if shares:
+        holding = [name for name, kept in shares if kept >= KEPT]
+        answers.append(
+            f"At least nine tenths of their claim is kept on the robot by {', '.join(holding)}."
+            if holding
+            else "No controller keeps nine tenths of its claim on the robot."
+        )
+        failing = [f"{name} ({percent(kept)})" for name, kept in shares if kept < LOST]
+        if failing:
+            answers.append(f"Less than half of it: {', '.join(failing)}.")
+    return tuple(answers)
+
+
+def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
+    pairs = [(c.name, c.claimed.value, c.others.value) for c in summary.controllers if c.claimed and c.others]
+    if not pairs:
+        return ("There is no robot and no other model to transfer to.",)
+    holding = [name for name, claimed, others in pairs if others >= KEPT * claimed]
+    falling = [f"{name} ({claimed:.1f} to {others:.1f})" for name, claimed, others in pairs if others < LOST * claimed]
+    keeping = f"{', '.join(holding)} keep" if holding else "no controller keeps"
+    answers = [
+        "Nothing was run on the robot. On the other models (mean fitness), "
+        f"{keeping} at least nine tenths of the claim."
+    ]
+    if falling:
+        answers.append(f"Less than half of it, in mean fitness{unit and f' ({unit.strip()})'}: {', '.join(falling)}.")
+    return tuple(answers)
+
+
+def _achieved(controller: ControllerSummary, unit: str) -> str:
+    assert controller.achieved is not None
+    error = controller.achieved.standard_error
+    size = f"{controller.name}, {controller.achieved.value:.1f}"
+    return f"{size} ± {2 * error:.1f}{unit} (two standard errors)" if error > 0 else f"{size}{unit}"

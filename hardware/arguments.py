@@ -1,0 +1,68 @@
+"""Checks of what a robot's file or a caller gives: each returns the value, or says what was expected."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from sysid_evo.errors import InvalidArgument
+
+LARGEST_SEED = 2**64 - 1
+
+
+def text(what: str, value: object) -> str:
+    """Return ``value`` if it is a text with something in it."""
+    if not isinstance(value, str) or not value.strip():
+        raise InvalidArgument(f"{what}: expected a text in quotes, got {value!r}")
+    return value
+
+
+def number(what: str, value: object, *, least: float = -math.inf, above: float = -math.inf) -> float:
+    """Return ``value`` as a finite number that is ``least`` or more and greater than ``above``."""
+    given = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    if math.isfinite(given) and least <= given and above < given:
+        return given
+    limits = f" above {above:g}" if above > -math.inf else f" of {least:g} or more" if least > -math.inf else ""
+    raise InvalidArgument(f"{what}: expected a number{limits}, got {value!r}")
+
+
+def whole(what: str, value: object, *, least: int, most: int) -> int:
+    """Return ``value`` if it is a whole number from ``least`` to ``most``."""
+    if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
+        return value
+    raise InvalidArgument(f"{what}: expected a whole number from {least} to {most}, got {value!r}")
+
+
+def seed(what: str, value: object) -> int | None:
+    """Return ``value`` if it is a seed, or None for none."""
+    return None if value is None else whole(f"{what}: seed", value, least=0, most=LARGEST_SEED)
+
+
+def choice(what: str, value: object, among: Iterable[str]) -> str:
+    """Return ``value`` if it is one of the words ``among``."""
+    words = tuple(among)
+    if isinstance(value, str) and value in words:
+        return value
+    raise InvalidArgument(f"{what}: expected one of {', '.join(map(repr, words))}, got {value!r}")
+
+
+def table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
+    """Return ``value`` if it is a table that has none but these ``keys``."""
+    known = tuple(keys)
+    if not isinstance(value, Mapping):
+        raise InvalidArgument(f"{what}: expected a table with some of {', '.join(known)}, got {value!r}")
+    for key in value:
+        if key not in known:
+            close = difflib.get_close_matches(str(key), known, n=1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise InvalidArgument(f"{what}: no key is called {key!r}.{hint} Known: {', '.join(known)}.")
+    return dict(value)
+
+
+def flag(what: str, value: object) -> bool:
+    """Return ``value`` if it is true or false."""
+    if isinstance(value, bool):
+        return value
+    raise InvalidArgument(f"{what}: expected true or false, got {value!r}")

@@ -1,0 +1,1 @@
+"""The physics of a car on a plane: which channels play its roles, and its equation."""

@@ -1,0 +1,67 @@
+"""Centre and size of every channel, from the samples where the body moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model_zoo.channels.mirror import Mirror
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.lags import CarryLayout
+
+CONSTANT = 1e-12
+"""Share of its size below which the deviation of a channel is rounding."""
+
+
+@dataclass(frozen=True)
+class Standard:
+    """Centre and deviation of states and controls, and the RMS ``change`` of each state in one step."""
+
+    state_centre: Array
+    state_scale: Array
+    control_centre: Array
+    control_scale: Array
+    change: Array
+
+    @classmethod
+    def of(cls, dataset: Dataset, mirror: Mirror | None = None) -> Standard:
+        """Measure ``dataset``; with ``mirror``, what changes sign there is centred at zero."""
+        windows = dataset.windows(1, moving=True)
+        if not len(windows):
+            windows = dataset.windows(1)
+        states, controls = windows.start_states, windows.controls[:, 0]
+        change = dataset.system.acceleration(states, windows.states[:, 0]) * dataset.system.dt
+        state_centre, control_centre = states.mean(axis=0), controls.mean(axis=0)
+        if mirror is not None:
+            state_centre = np.where(mirror.states < 0, 0.0, state_centre)
+            control_centre = np.where(mirror.controls < 0, 0.0, control_centre)
+        return cls(
+            state_centre,
+            deviation(states),
+            control_centre,
+            deviation(controls),
+            positive(np.sqrt(np.mean(change**2, axis=0))),
+        )
+
+    def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:
+        """Return centre and scale of (carry, control)."""
+        return (
+            np.array(layout.each_input(self.state_centre, self.control_centre)),
+            np.array(layout.each_input(self.state_scale, self.control_scale)),
+        )
+
+
+def positive(values: Array) -> Array:
+    """Return ``values`` with 1 in place of 0, to divide by."""
+    return np.where(values > 0, values, 1.0)
+
+
+def deviation(values: Array) -> Array:
+    """Return the standard deviation of each column of (N, n), 1 for a column that never changes.
+
+    The deviation of a constant such as 0.3 is 1e-17 by rounding, which must not become a gain.
+    """
+    spread, size = values.std(axis=0), np.abs(values).max(axis=0)
+    return np.where(spread > CONSTANT * size, spread, 1.0)

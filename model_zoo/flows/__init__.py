@@ -1,0 +1,1 @@
+"""Differential equations with a network in them: stepped in NumPy, trained with torch."""

@@ -1,0 +1,1 @@
+"""Polynomials of few terms: their regression, their equations with units, their integration."""

@@ -1,0 +1,59 @@
+"""Polynomials of several variables as a list of exponents: evaluated in batches, printed with units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from model_zoo.sparse.units import quotient
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.system import System
+
+
+def monomials(n_inputs: int, degree: int) -> IntArray:
+    """Return the exponents (T, n_inputs) of all monomials up to ``degree``, constant first, by rising degree."""
+    rows = [
+        np.bincount(np.array(chosen, dtype=np.int64), minlength=n_inputs)
+        for order in range(degree + 1)
+        for chosen in combinations_with_replacement(range(n_inputs), order)
+    ]
+    return np.array(rows, dtype=np.int64)
+
+
+def evaluate(inputs: Array, exponents: IntArray) -> Array:
+    """Return the monomials (B, T) of ``inputs`` (B, n)."""
+    terms = np.ones((len(inputs), len(exponents)))
+    for power in range(1, int(exponents.max(initial=0)) + 1):
+        for column in range(exponents.shape[1]):
+            rows = np.flatnonzero(exponents[:, column] >= power)
+            if len(rows):
+                terms[:, rows] *= inputs[:, column, None]
+    return terms
+
+
+def term_name(exponents: IntArray, names: Sequence[str]) -> str:
+    """Return one monomial in words, such as ``forward_speed^2 steer``; ``1`` for the constant."""
+    parts = [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
+    return " ".join(parts) or "1"
+
+
+def equation(
+    left: str, unit: str, coefficients: Array, exponents: IntArray, names: Sequence[str], units: Sequence[str]
+) -> str:
+    """Return one equation; every coefficient (T,) that is not zero is followed by its unit in brackets."""
+    parts = []
+    for value, powers in zip(coefficients, exponents, strict=True):
+        if value:
+            dimension = quotient(unit, zip(units, (int(power) for power in powers), strict=True))
+            name = term_name(powers, names)
+            factor = f"{abs(value):.4g}" + (f" [{dimension}]" if dimension else "")
+            parts.append(("- " if value < 0 else "+ ") + factor + ("" if name == "1" else f" {name}"))
+    right = " ".join(parts) if parts else "0"
+    return f"{left} = {right.removeprefix('+ ')}"
+
+
+def left_sides(system: System) -> list[tuple[str, str]]:
+    """Return what a map from step to step says of each state, the change of a periodic one, and its unit."""
+    return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in system.states]

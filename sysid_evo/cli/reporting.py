@@ -1,0 +1,77 @@
+"""`sysid-evo report`: the report of a run, made again of what the run holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sysid_evo.cli.console import session, tell
+from sysid_evo.cli.options import Json, load_plugins
+
+if TYPE_CHECKING:
+    from evaluation.comparison import Comparison
+    from evaluation.report import Report
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
+) -> None:
+    """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
+    from sysid_evo.cli.comparing import print_report
+    from sysid_evo.errors import InvalidData
+
+    made = report_again(run)
+    if made is None:
+        raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
+    print_report(made, run, json=json, verbose=verbose)
+
+
+def report_again(run: Path) -> Report | None:
+    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+
+    Raises `InvalidArgument` if ``run`` is no comparison's run.
+    """
+    from evaluation.comparison import finished
+    from sysid_evo.plan import Plan, Store, execute
+    from sysid_evo.plan.store import WAITING
+
+    comparison, remarks = comparison_of(run)
+    session.run = run
+    store = Store(run)
+    for remark in remarks:
+        tell(remark, label="note: ", style="dim")
+    if not any(store.done(fit) for fit in comparison.fits.values()):
+        return None
+    assess = comparison.exploitability
+    if assess is not None:
+        tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
+        if all(needed.digest in tried for needed in assess.needs):
+            execute(Plan.of([assess]), store, only=[assess])
+    return finished(comparison, store)
+
+
+def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
+    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
+
+    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
+    """
+    from evaluation.comparison import Experiment, GivenData, plan_comparison
+    from evaluation.transfer import load_measured
+    from sysid_evo.errors import ArtefactError
+    from sysid_evo.plan import Store, StoredCell
+
+    experiment = Experiment.of(Experiment.read(run))
+    load_plugins([Path(plugin) for plugin in experiment.plugins])
+    store = Store(run)
+    record = store.find(experiment.data_digest or "")
+    data = None if record is None else StoredCell(record, GivenData)
+    if data is None or not store.done(data):
+        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
+    measured, damaged = load_measured(run)
+    system = store.load(data).training.system
+    comparison = plan_comparison(experiment, stored=(data, system), measured=measured)
+    return comparison, (*comparison.plan.remarks, *damaged)

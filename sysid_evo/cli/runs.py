@@ -1,0 +1,175 @@
+"""`sysid-evo runs`: which there are, what is in one, in what two differ, and what can go."""
+
+from __future__ import annotations
+
+import json as json_format
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sysid_evo.cli.console import out, tell
+from sysid_evo.cli.options import Json
+
+if TYPE_CHECKING:
+    from sysid_evo.plan import Record, Store
+
+app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
+
+RUNS = Path("runs")
+
+
+@app.command("list")
+def list_runs(
+    folder: Annotated[Path, typer.Argument(help="Folder of run folders.")] = RUNS, as_json: Json = False
+) -> None:
+    """List the runs in a folder, the oldest first."""
+    from rich.table import Table
+
+    rows = [_summary(run) for run in _runs_in(folder)]
+    if as_json:
+        out.print_json(json_format.dumps(rows))
+        return
+    if not rows:
+        tell(f"no runs in {folder}")
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("run", "done", "failed", "s", "models"):
+        table.add_column(heading, justify="right" if heading in ("done", "failed", "s") else "left", overflow="fold")
+    for row in rows:
+        seconds = f"{row['seconds']:.0f}"
+        table.add_row(row["run"], str(row["done"]), str(row["failed"]), seconds, ", ".join(row["models"]))
+    out.print(table)
+
+
+@app.command("show")
+def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json = False) -> None:
+    """Show the cells of a run: how each ended, how long it took, where its result is."""
+    from rich.table import Table
+    from rich.text import Text
+
+    store = _store(run)
+    records = store.records()
+    if as_json:
+        out.print_json(json_format.dumps([record.model_dump(mode="json") for record in records]))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("cell", "s", "result"):
+        table.add_column(heading, justify="right" if heading == "s" else "left", overflow="fold")
+    for record in records:
+        where = Text(record.artefact) if record.status == "done" else Text(f"failed: {record.reason}", style="red")
+        table.add_row(record.title, f"{record.seconds:.1f}", where)
+    out.print(table)
+    for remark in store.remarks:
+        tell(remark, label="note: ", style="dim")
+
+
+@app.command("diff")
+def diff(
+    first: Annotated[Path, typer.Argument(help="Run folder.")],
+    second: Annotated[Path, typer.Argument(help="Run folder.")],
+    as_json: Json = False,
+) -> None:
+    """Say in what two runs differ: their settings, and the cells that only one of them has."""
+    from rich.table import Table
+
+    settings = [_settings(run) for run in (first, second)]
+    changed = {
+        key: [side.get(key) for side in settings]
+        for key in sorted({*settings[0], *settings[1]})
+        if settings[0].get(key) != settings[1].get(key)
+    }
+    sides = [{record.digest: record for record in _store(run).records()} for run in (first, second)]
+    alone = [[record.title for digest, record in here.items() if digest not in there] for here, there in _both(sides)]
+    document = {"settings": changed, "only_first": alone[0], "only_second": alone[1]}
+    if as_json:
+        out.print_json(json_format.dumps(document))
+        return
+    if not changed and not any(alone):
+        out.print("no difference")
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", str(first), str(second)):
+        table.add_column(heading, overflow="fold")
+    for key, values in changed.items():
+        table.add_row(key, *("-" if value is None else str(value) for value in values))
+    table.add_row("cells that the other lacks", *("\n".join(titles) or "-" for titles in alone))
+    out.print(table)
+
+
+@app.command("clean")
+def clean(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
+) -> None:
+    """Remove what no finished cell needs: failed cells, damaged records, files that nobody names any more."""
+    from sysid_evo.errors import InvalidArgument
+
+    store = _store(run)
+    if store.busy():
+        raise InvalidArgument(f"{run}: a process is computing in this run; wait for its end")
+    kept = {name for record in store.records() if record.status == "done" for name in record.files}
+    unneeded = [
+        file
+        for place in ("cells", "data", "models", "controllers", "results")
+        for file in sorted((run / place).rglob("*"))
+        if file.is_file() and ".locks" not in file.parts and _is_litter(file, run, kept, store)
+    ]
+    size = sum(file.stat().st_size for file in unneeded)
+    for file in unneeded:
+        if dry_run:
+            out.print(str(file.relative_to(run)), highlight=False, markup=False, soft_wrap=True)
+        else:
+            file.unlink(missing_ok=True)
+    verb = "would go" if dry_run else "removed"
+    out.print(f"{len(unneeded)} files {verb}, {size / 2**20:.1f} MiB", highlight=False)
+
+
+def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
+    name = file.relative_to(run)
+    if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
+        return False
+    if name.parts[0] != "cells":
+        return name.as_posix() not in kept
+    record = store.find(file.stem) if file.suffix == ".json" else None
+    return record is None or record.status == "failed"
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    from evaluation.comparison import is_run
+
+    found = [path for path in folder.glob("*") if path.is_dir() and is_run(path)]
+    return sorted(found, key=lambda path: path.stat().st_mtime)
+
+
+def _summary(run: Path) -> dict[str, Any]:
+    records = _store(run).records()
+    return {
+        "run": str(run),
+        "done": sum(record.status == "done" for record in records),
+        "failed": sum(record.status == "failed" for record in records),
+        "seconds": round(sum(record.seconds for record in records), 1),
+        "models": sorted({record.name for record in records if record.kind == "fit"}),
+        "report": (run / "report.html").is_file(),
+    }
+
+
+def _store(run: Path) -> Store:
+    from evaluation.comparison import is_run
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.plan import Store
+
+    if not is_run(run):
+        raise InvalidArgument(f"expected a run folder, found none at {run}")
+    return Store(run)
+
+
+def _settings(run: Path) -> dict[str, Any]:
+    from evaluation.comparison import FILE, Experiment
+
+    _store(run)
+    return Experiment.read(run) if (run / FILE).is_file() else {}
+
+
+def _both(sides: list[dict[str, Record]]) -> list[tuple[dict[str, Record], dict[str, Record]]]:
+    return [(sides[0], sides[1]), (sides[1], sides[0])]

@@ -1,0 +1,59 @@
+"""Cross-validation by recordings: scikit-learn's searches over a data set of episodes.
+
+    search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
+    search.fit(dataset)
+
+A `Dataset` counts as its episodes there: ``dataset[i]`` is the data set of episode i, and a model's `fit` and
+`score` join the list of them that scikit-learn cuts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.arrays import IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.fitting import as_dataset
+
+
+@dataclass(frozen=True)
+class EpisodeFold:
+    """Holds out whole recordings in turn, in ``n_splits`` groups, in their order.
+
+    Pieces of one recording, such as ``log[0:400]`` and ``log[400:800]``, stay together: they share battery,
+    tyres and floor, so that a piece is no fair test of what was learned from another.
+    """
+
+    n_splits: int = 5
+
+    def __post_init__(self) -> None:
+        if self.n_splits < 2:
+            raise InvalidArgument(f"EpisodeFold: expected n_splits >= 2, got {self.n_splits}")
+
+    def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
+        """Return the number of groups, as scikit-learn asks for it."""
+        return self.n_splits
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` if they are too few."""
+        recordings = [recording(name) for name in as_dataset(X, "EpisodeFold").names]
+        different = list(dict.fromkeys(recordings))
+        if len(different) < self.n_splits:
+            raise InvalidData(
+                f"EpisodeFold: expected at least {self.n_splits} recordings, got {len(different)}; "
+                "give a smaller n_splits, or hold out time with Dataset.split(0.2)"
+            )
+        for group in np.array_split(np.array(different, dtype=object), self.n_splits):
+            held = np.isin(recordings, list(group))
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
+def recording(name: str) -> str:
+    """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
+    return name.split("[")[0]

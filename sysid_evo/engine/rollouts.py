@@ -1,0 +1,152 @@
+"""Closed loop: controllers in a dynamics at a task, many candidates in many trials at once."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+from sysid_evo.arrays import Array, IntArray, Seeds, check_shape
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import reference
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.tasks.task import Task, TaskState
+
+Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """What P candidates did in E trials.
+
+    ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
+    horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
+    steps whose state was clipped to the model's envelope. ``trajectories`` (only when recorded)
+    stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
+    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
+    """
+
+    fitness: Array
+    survived: IntArray
+    clipped: IntArray
+    task_state: TaskState
+    engine: str
+    trajectories: tuple[Trajectory, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+class Runner(Protocol):
+    """How a controller is run on something: a column of the transfer matrix, a member of an ensemble.
+
+    `DynamicsRunner` runs a model or an emulated robot, all trials at once; a physical robot is run by its
+    control loop, one trial at a time. Anything else with this one method can be evolved on and compared.
+    """
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
+
+        ``controller`` and ``task`` are bound here, to what is run on. The fitness (P, E) is never nan. With
+        ``record`` the trajectories are kept. Only a robot leaves trials out, and says why in ``missing``.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class DynamicsRunner:
+    """Runs controllers on a `Dynamics`: a model or an emulated robot.
+
+    ``engine`` and ``threads`` as for `rollout`.
+    """
+
+    dynamics: Dynamics
+    engine: Engine = "auto"
+    threads: int | None = None
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
+        return rollout(
+            self.dynamics,
+            controller,
+            parameters,
+            task,
+            seeds,
+            record=record,
+            engine=self.engine,
+            threads=self.threads,
+        )
+
+
+def rollout(
+    dynamics: Dynamics,
+    controller: Controller,
+    parameters: Array,
+    task: Task,
+    seeds: Seeds,
+    *,
+    record: bool = False,
+    engine: Engine = "auto",
+    threads: int | None = None,
+) -> Rollouts:
+    """Run every candidate ``parameters`` (P, n_parameters) in a trial of every seed (E,).
+
+    Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
+
+    ``engine`` is "float32" or "float64" (all three kernels compiled), "mixed" (controller and task
+    compiled, the dynamics' own NumPy step) or "reference" (NumPy, any object); "auto" takes the first
+    of float32, mixed, reference for which there are kernels. `Rollouts.engine` says which ran.
+    Scores do not depend on ``threads`` (default: all processors this process may use).
+    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
+    """
+    task = task.bind(dynamics.system)
+    controller = controller.bind(len(task.observations), dynamics.system.nu)
+    parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
+    if len(seeds) < 1:
+        raise InvalidArgument("rollout: expected at least one trial seed, got none")
+    if engine not in ("auto", "reference", "mixed", "float32", "float64"):
+        raise InvalidArgument(f"rollout: engine is auto, reference, mixed, float32 or float64, not {engine!r}")
+    if threads is not None and threads < 1:
+        raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
+    if engine == "reference":
+        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+    of_dynamics, of_task = dynamics.kernel(), task.kernel()
+    of_controller = None if controller.n_noise else controller.kernel()
+    if of_controller is not None and of_task is not None:
+        if of_dynamics is not None and engine != "mixed":
+            from sysid_evo.engine.compiled import run
+
+            return Rollouts(
+                **run.run(
+                    run.Kernels(of_dynamics, of_controller, of_task),
+                    dynamics,
+                    controller,
+                    parameters,
+                    task,
+                    seeds,
+                    record=record,
+                    precision=of_dynamics.precision if engine == "auto" else engine,
+                    threads=threads or available_processors(),
+                )
+            )
+        if engine in ("auto", "mixed") and not record:
+            from sysid_evo.engine.compiled import mixed
+
+            return Rollouts(**mixed.run(of_controller, of_task, dynamics, controller, parameters, task, seeds))
+    if engine == "auto":
+        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+    kernels = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+    missing = [role for role, kernel in kernels.items() if kernel is None and (engine, role) != ("mixed", "dynamics")]
+    raise InvalidArgument(
+        f"rollout: engine {engine!r} cannot run this: "
+        + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
+    )
+
+
+def available_processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,120 @@
+"""What a family's hyper-parameters may be: types from its constructor, limits from the class."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import numbers
+import types
+import typing
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Union
+
+import numpy as np
+
+from sysid_evo.errors import InvalidArgument, UnknownParameter
+
+NAMES: dict[Any, str] = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+
+
+@dataclass(frozen=True)
+class Limit:
+    """From ``low`` (left out with ``open_below``) to ``high``; for a list, what each of its numbers may be."""
+
+    low: float = -np.inf
+    high: float = np.inf
+    open_below: bool = False
+
+    def allows(self, value: Any) -> bool:
+        """Whether a number, all numbers of a list, or None lie within."""
+        if isinstance(value, (list, tuple)):
+            return all(self.allows(item) for item in value)
+        if not isinstance(value, (int, float, np.number)):
+            return True
+        return bool((value > self.low if self.open_below else value >= self.low) and value <= self.high)
+
+    def __str__(self) -> str:
+        above = f"{'>' if self.open_below else '>='} {self.low:g}"
+        below = f"<= {self.high:g}"
+        return " and ".join(text for text, limit in ((above, self.low), (below, self.high)) if np.isfinite(limit))
+
+
+def at_least(low: float, *, at_most: float = np.inf) -> Limit:
+    """Return the limit ``low`` <= value <= ``at_most``."""
+    return Limit(low, at_most)
+
+
+def above(low: float, *, at_most: float = np.inf) -> Limit:
+    """Return the limit ``low`` < value <= ``at_most``."""
+    return Limit(low, at_most, open_below=True)
+
+
+def limits_of(family: type) -> dict[str, Limit]:
+    """Return the ``limits`` of a class, those of its bases included; the class nearest to it wins."""
+    merged: dict[str, Limit] = {}
+    for base in reversed(family.__mro__):
+        merged.update(base.__dict__.get("limits", {}))
+    return merged
+
+
+def check_values(family: type, values: Mapping[str, Any]) -> None:
+    """Raise `InvalidArgument` with the first of ``values`` that has the wrong type or is out of its limits."""
+    annotations, limits = _annotations(family), limits_of(family)
+    for name, value in values.items():
+        expected, limit = annotations.get(name, Any), limits.get(name, Limit())
+        if not (fits(value, expected) and limit.allows(value)):
+            kind = f"{described(expected)} {limit}".strip()
+            raise InvalidArgument(f"{family.__name__}: {name}: expected {kind}, got {value!r}")
+
+
+def check_names(family: type, names: Collection[str]) -> None:
+    """Raise `UnknownParameter` if one of ``names`` is no parameter of the constructor of ``family``."""
+    known = [name for name in inspect.signature(family.__init__).parameters if name != "self"]  # type: ignore[misc]  # only read
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise UnknownParameter(
+                f"{family.__name__}: there is no parameter {name!r}.{hint} It has: {', '.join(known) or 'none'}."
+            )
+
+
+def fits(value: Any, expected: Any) -> bool:
+    """Whether ``value`` is of the annotated type; a whole number is a number, a truth value is none."""
+    origin, arguments = typing.get_origin(expected), typing.get_args(expected)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, one) for one in arguments)
+    if origin is Literal:
+        return value in arguments
+    if origin in (list, tuple, Sequence):
+        items = [one for one in arguments if one is not Ellipsis]
+        return isinstance(value, (list, tuple)) and all(any(fits(item, one) for one in items) for item in value)
+    if isinstance(origin, type):
+        return isinstance(value, origin)
+    if expected in (int, float):
+        kind = numbers.Integral if expected is int else numbers.Real
+        return isinstance(value, kind) and not isinstance(value, (bool, np.bool_))
+    if expected is bool:
+        return isinstance(value, (bool, np.bool_))
+    return expected is Any or not isinstance(expected, type) or isinstance(value, expected)
+
+
+def described(expected: Any) -> str:
+    """Return an annotated type in words."""
+    origin, arguments = typing.get_origin(expected), typing.get_args(expected)
+    if origin in (Union, types.UnionType):
+        first = [described(one) for one in arguments if one is not types.NoneType]
+        return " or ".join(["None"] * (types.NoneType in arguments) + first)
+    if origin is Literal:
+        return "one of " + ", ".join(map(repr, arguments))
+    if origin in (list, tuple, Sequence):
+        return f"a list of {described(arguments[0]).removeprefix('a ')}s"
+    return NAMES.get(expected, getattr(expected, "__name__", "a value"))
+
+
+def _annotations(family: type) -> dict[str, Any]:
+    try:
+        return typing.get_type_hints(family.__init__)  # type: ignore[misc]  # only read
+    except NameError:  # a name that only the type checker knows: nothing to check against
+        return {}

@@ -1,0 +1,73 @@
+"""A body on a plane, over lanes."""
+
+from __future__ import annotations
+
+import math
+
+from sysid_evo.engine.compiled.elementary import nearest
+from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.motion import planar_body
+from sysid_evo.motion.compiled_form import MotionKernel, integrate_straight
+
+ROLES = Layout("forward", "lateral", "yaw_rate")
+TURN = 2.0 * math.pi
+PER_TURN = 1.0 / TURN
+
+
+def planar_body_kernel(forward: int, lateral: int | None, yaw_rate: int) -> MotionKernel:
+    """Return the compiled form of `PlanarBody` with its roles in these rows of the state."""
+    roles = ROLES.pack(forward=forward, lateral=-1 if lateral is None else lateral, yaw_rate=yaw_rate)
+    return MotionKernel(integrate, turn, move, roles)
+
+
+def integrate(state, after, nx, dt, p):
+    """R(-r dt) (x + dt acceleration), see `PlanarBody`."""
+    integrate_straight(state, after, nx, dt, p)
+    lateral = int(p[ROLES.lateral])
+    if lateral >= 0:
+        along, across = view(after, int(p[ROLES.forward]) * LANES), view(after, lateral * LANES)
+        yaw_rate = view(state, int(p[ROLES.yaw_rate]) * LANES)
+        for lane in range(LANES):
+            angle = yaw_rate[lane] * dt
+            forward, sideways = planar_body.turn(along[lane], across[lane], math.cos(angle), -math.sin(angle))
+            along[lane] = forward
+            across[lane] = sideways
+
+
+def turn(state, rate, p):
+    """Add (r v, -r u) to the rates of u and v."""
+    lateral = int(p[ROLES.lateral])
+    if lateral >= 0:
+        forward = int(p[ROLES.forward]) * LANES
+        along, across = view(state, forward), view(state, lateral * LANES)
+        yaw_rate = view(state, int(p[ROLES.yaw_rate]) * LANES)
+        along_rate, across_rate = view(rate, forward), view(rate, lateral * LANES)
+        for lane in range(LANES):
+            forward_change, lateral_change = planar_body.frame_change(along[lane], across[lane], yaw_rate[lane])
+            along_rate[lane] += forward_change
+            across_rate[lane] += lateral_change
+
+
+def move(pose, before, after, dt, p):
+    """Move x, y and heading as `PlanarBody.move` does; the heading stays in (-pi, pi]."""
+    forward, yaw_rate = int(p[ROLES.forward]) * LANES, int(p[ROLES.yaw_rate]) * LANES
+    lateral = int(p[ROLES.lateral]) * LANES
+    sideways = 0.5 * dt if lateral >= 0 else 0.0
+    u0, u1, r0, r1 = view(before, forward), view(after, forward), view(before, yaw_rate), view(after, yaw_rate)
+    v0, v1 = view(before, max(lateral, 0)), view(after, max(lateral, 0))
+    y, heading = view(pose, LANES), view(pose, 2 * LANES)
+    for lane in range(LANES):
+        turned = 0.5 * dt * (r0[lane] + r1[lane])
+        along, across = 0.5 * dt * (u0[lane] + u1[lane]), sideways * (v0[lane] + v1[lane])
+        middle = heading[lane] + 0.5 * turned
+        dx, dy = planar_body.turn(along, across, math.cos(middle), math.sin(middle))
+        pose[lane] += dx
+        y[lane] += dy
+        heading[lane] = wrap(heading[lane] + turned)
+
+
+def wrap(angle):
+    """Return any angle as the same one in (-pi, pi], as `sysid_evo.angles.wrap` does."""
+    angle = angle - TURN * nearest(angle * PER_TURN)
+    return angle + TURN if angle <= -math.pi else angle

@@ -1,0 +1,22 @@
+"""Work as cells: what each needs, what its result depends on, and who computes it."""
+
+from sysid_evo.plan.cell import CONTRACT, Cell, Work
+from sysid_evo.plan.execution import Observer, Silent, execute
+from sysid_evo.plan.plan import Plan
+from sysid_evo.plan.seeds import cell_seed
+from sysid_evo.plan.store import Outcome, Record, Store, StoredCell
+
+__all__ = [
+    "CONTRACT",
+    "Cell",
+    "Observer",
+    "Outcome",
+    "Plan",
+    "Record",
+    "Silent",
+    "Store",
+    "StoredCell",
+    "Work",
+    "cell_seed",
+    "execute",
+]

@@ -1,0 +1,320 @@
+"""A run folder as a store: results are found by the digest of everything that they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock, Timeout
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from sysid_evo.errors import ArtefactError, SysidEvoError
+from sysid_evo.files import write_atomically
+from sysid_evo.plan.cell import Cell, Work
+from sysid_evo.store.manifest import versions
+
+CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
+SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
+MAX_BYTES = 2**22
+NAME_LENGTH = 60
+WAITING = "not computed yet"
+
+
+class Record(BaseModel):
+    """What stands in ``cells/<digest>.json``: a cell that was tried, and where its result is.
+
+    ``files`` maps each file of the result, relative to the run folder, to its SHA-256; ``artefact`` is
+    the path that they begin with. ``without`` lists the needed cells that a tolerant cell did without.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    schema_: Literal["sysid-evo/cell/1"] = SCHEMA
+    digest: str
+    kind: str
+    title: str
+    name: str
+    status: Literal["done", "failed"]
+    reason: str | None = None
+    traceback: str | None = None
+    inputs: dict[str, Any]
+    needs: list[str]
+    without: list[str] = []
+    artefact: str
+    files: dict[str, str] = {}
+    versions: dict[str, str]
+    timings: dict[str, float]
+
+    @property
+    def seconds(self) -> float:
+        """How long the computation took."""
+        return self.timings.get("seconds", 0.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a cell gave: a value, or None and the reason; and the seconds it took when it was computed.
+
+    ``error`` is what was raised, if that was now.
+    """
+
+    value: Any
+    reason: str | None
+    seconds: float
+    error: Exception | None = None
+
+    @property
+    def failed(self) -> bool:
+        return self.reason is not None
+
+
+@dataclass
+class Store:
+    """The results in the run folder ``path``; several processes may use one folder at the same time.
+
+    Values that were computed or loaded are kept in memory. ``remarks`` say what was damaged.
+    """
+
+    path: Path
+    remarks: list[str] = field(default_factory=list)
+    _values: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        self.path = Path(self.path)
+
+    def records(self) -> list[Record]:
+        """Return every readable record, the oldest first; each unreadable one is a remark."""
+        files = sorted((self.path / CELLS).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
+        found = (self._read(file) for file in files)
+        return [record for record in found if record is not None]
+
+    def find(self, digest: str) -> Record | None:
+        """Return the record of the cell with this digest, None if it was never tried or its record is damaged."""
+        file = self._record(digest)
+        return self._read(file) if file.is_file() else None
+
+    def done(self, cell: Cell) -> bool:
+        """Whether the result of ``cell`` is here, whole; what is missing or damaged is a remark."""
+        if cell.digest in self._values:
+            return True
+        record = self.find(cell.digest)
+        if record is None or record.status != "done":
+            return False
+        for name, digest in record.files.items():
+            if _digest(self.path / name) != digest:
+                self._remark(f"{name} is missing or damaged: {cell.title} is computed again")
+                return False
+        return True
+
+    def load(self, cell: Cell) -> Any:
+        """Return the result of a cell that is done. Raises `ArtefactError`."""
+        if cell.digest not in self._values:
+            record = self.find(cell.digest)
+            if record is None or record.status != "done":
+                raise ArtefactError(f"{self.path}: {cell.title}: {WAITING}")
+            try:
+                self._values[cell.digest] = cell.load(self.path / record.artefact)
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
+                raise ArtefactError(f"{self.path / record.artefact}: cannot be read: {error}") from error
+        return cell.named(self._values[cell.digest])
+
+    def outcome(self, cell: Cell) -> Outcome:
+        """Return what is known of ``cell``: its value, or why there is none."""
+        record = self.find(cell.digest)
+        seconds = 0.0 if record is None else record.seconds
+        if record is None and cell.digest not in self._values:
+            return Outcome(None, self._why_not(cell), 0.0)
+        if record is not None and record.status == "failed":
+            return Outcome(None, record.reason, seconds)
+        try:
+            return Outcome(self.load(cell), None, seconds)
+        except ArtefactError as error:
+            return Outcome(None, str(error), seconds)
+
+    def _why_not(self, cell: Cell) -> str:
+        """Return why a cell was never tried: one that it needs failed, or nobody has come to it."""
+        for needed in () if cell.tolerant else cell.needs:
+            record = self.find(needed.digest)
+            if record is not None and record.status == "failed":
+                return blocked_by(needed)
+            if record is None and needed.digest not in self._values and self._why_not(needed) != WAITING:
+                return blocked_by(needed)
+        return WAITING
+
+    def place(self, cell: Cell) -> Path:
+        """Return where the result of ``cell`` stands, without suffix: a readable name and a piece of the digest."""
+        name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
+        return self.path / cell.place / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
+
+    def where(self, cell: Cell) -> Path:
+        """Return where the result of ``cell`` stands, or would: one found again may have had another name."""
+        record = self.find(cell.digest)
+        return self.place(cell) if record is None or record.status != "done" else self.path / record.artefact
+
+    def keep(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[Cell] = ()) -> Record:
+        """Write the result of ``cell``, then its record; ``without`` are needed cells that had failed.
+
+        Raises OSError if the disk is full.
+        """
+        place = self.place(cell)
+        files = cell.save(value, place)
+        record = self._of(
+            cell,
+            status="done",
+            seconds=seconds,
+            files={file.relative_to(self.path).as_posix(): _digest(file) or "" for file in files},
+            without=sorted(needed.digest for needed in without),
+        )
+        self._write(record)
+        self._values[cell.digest] = value
+        return record
+
+    def fail(self, cell: Cell, *, reason: str, traceback: str, seconds: float) -> Record:
+        """Record that ``cell`` failed, and why; it is tried again the next time."""
+        record = self._of(cell, status="failed", seconds=seconds, reason=reason, traceback=traceback)
+        self._write(record)
+        return record
+
+    def log(self, **event: Any) -> None:
+        """Append one line to ``log.jsonl``, in one write, so that lines of two processes never mix."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        line = json.dumps({"time": time.time(), **event}) + "\n"
+        with (self.path / LOG).open("ab", buffering=0) as file:
+            file.write(line.encode())
+
+    @contextmanager
+    def claim(self, cell: Cell) -> Iterator[bool]:
+        """Claim ``cell`` for this process; yields False if another one is at it. A dead process claims nothing."""
+        folder = self.path / CELLS / LOCKS
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / f"{cell.digest}.lock")
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            yield False
+            return
+        try:
+            yield True
+        finally:
+            lock.release()
+
+    def busy(self) -> bool:
+        """Whether a process has a claim on a cell here."""
+        for file in (self.path / CELLS / LOCKS).glob("*.lock"):
+            lock = FileLock(file)
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                return True
+            lock.release()
+        return False
+
+    def _of(self, cell: Cell, *, status: Literal["done", "failed"], seconds: float, **fields: Any) -> Record:
+        return Record(
+            digest=cell.digest,
+            kind=cell.kind,
+            title=cell.title,
+            name=cell.name,
+            status=status,
+            inputs=cell.inputs(),
+            needs=[needed.digest for needed in cell.needs],
+            artefact=self.place(cell).relative_to(self.path).as_posix(),
+            versions=versions(),
+            timings={"seconds": seconds},
+            **fields,
+        )
+
+    def _record(self, digest: str) -> Path:
+        return self.path / CELLS / f"{digest}.json"
+
+    def _read(self, file: Path) -> Record | None:
+        try:
+            if file.stat().st_size > MAX_BYTES:
+                raise ValueError(f"a record has at most {MAX_BYTES} bytes")
+            record = Record.model_validate_json(file.read_bytes())
+            if record.digest != file.stem:
+                raise ValueError("it is the record of another cell")
+            outside = [name for name in (*record.files, record.artefact) if not _inside(name)]
+            if outside:
+                raise ValueError(f"{outside[0]} lies outside the run folder")
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError, ValueError) as error:
+            first = str(error).splitlines()[0]
+            self._remark(f"{file} is damaged ({first}): its cell is computed again")
+            return None
+        return record
+
+    def _write(self, record: Record) -> None:
+        text = record.model_dump_json(indent=1)
+        write_atomically(self._record(record.digest), lambda file: file.write_text(text, encoding="utf-8"))
+        self.log(**record.model_dump(include={"digest", "title", "status", "reason", "traceback", "timings"}))
+
+    def _remark(self, sentence: str) -> None:
+        if sentence not in self.remarks:
+            self.remarks.append(sentence)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredCell(Cell):
+    """A cell of a run that can be loaded but not computed: all that is known of it is its record.
+
+    ``of`` is a cell of the right kind, or its class, whose `load` reads the result.
+    """
+
+    record: Record
+    of: type[Cell]
+
+    @property
+    def kind(self) -> str:  # type: ignore[override]  # that of the record
+        return self.record.kind
+
+    @property
+    def title(self) -> str:
+        return self.record.title
+
+    @property
+    def name(self) -> str:
+        return self.record.name
+
+    @property
+    def digest(self) -> str:
+        """That of the record: known, not derived."""
+        return self.record.digest
+
+    def inputs(self) -> dict[str, Any]:
+        return self.record.inputs
+
+    def compute(self, work: Work) -> Any:
+        raise ArtefactError(f"{self.record.artefact} is missing or damaged, and how it was made is not known here")
+
+    def save(self, value: Any, path: Path) -> list[Path]:
+        raise ArtefactError(f"{self.record.artefact} is stored already")
+
+    def load(self, path: Path) -> Any:
+        return self.of.load(self, path)
+
+
+def blocked_by(needed: Cell) -> str:
+    """Return the reason of a cell that is not computed because ``needed`` failed."""
+    return f"needs {needed.title}, which failed"
+
+
+def _inside(name: str) -> bool:
+    path = Path(name)
+    return not path.is_absolute() and ".." not in path.parts
+
+
+def _digest(file: Path) -> str | None:
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return None

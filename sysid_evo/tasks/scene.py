@@ -1,0 +1,29 @@
+"""What can be drawn of a trial, whatever the task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Places in a trial, in m from the task's origin; a task without any has an empty scene.
+
+    ``markers`` (k, 2) are places to be reached, in order: the first ``reached`` of them were, the others
+    lie ahead. ``radius`` is that of each marker, 0 for a point. What happens stays within ``extent`` of
+    the origin, None where that is not known.
+    """
+
+    markers: Array = field(default_factory=lambda: np.empty((0, 2)))
+    reached: int = 0
+    radius: float = 0.0
+    extent: float | None = None
+
+    @property
+    def next_marker(self) -> Array | None:
+        """The first marker that lies ahead, (2,) m; None if there is none."""
+        return self.markers[self.reached] if self.reached < len(self.markers) else None

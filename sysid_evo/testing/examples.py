@@ -1,0 +1,98 @@
+"""What the kits run things on when they are given nothing else: a made-up car, a pendulum, dynamics for any system."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+DECAY = 0.9
+"""Of the distance of a state of `ExampleDynamics` from neutral, per step."""
+PUSH = 0.3
+"""Of a control on every state of `ExampleDynamics`, per step, at most."""
+
+
+def example_systems() -> tuple[System, ...]:
+    """Return a made-up car with switches, one with continuous controls, a pendulum, and a bare system."""
+    return switched_car(), continuous_car(), pendulum(), bare_system()
+
+
+def switched_car() -> System:
+    """Return a planar body with two three-way switches, at 20 Hz."""
+    return _car(Channel("drive", levels=(-1.0, 0.0, 1.0)), Channel("steer", levels=(-1.0, 0.0, 1.0)))
+
+
+def continuous_car() -> System:
+    """Return a planar body with two continuous controls, at 20 Hz."""
+    return _car(Channel("drive", low=-1.0, high=1.0), Channel("steer", low=-1.0, high=1.0))
+
+
+def pendulum() -> System:
+    """Return an angle that comes round again, its rate and a torque, without a motion, at 50 Hz."""
+    states = (Channel("angle", "rad", period=2.0 * np.pi), Channel("angular_speed", "rad/s"))
+    return System(states, (Channel("torque", "N m", -2.0, 2.0),), dt=0.02, name="made-up pendulum")
+
+
+def bare_system() -> System:
+    """Return one state and one control that mean nothing: a system that has no role."""
+    return System((Channel("some_state"),), (Channel("some_control", low=0.0, high=1.0),), dt=0.1, name="bare system")
+
+
+def example_dataset(seed: int = 0, episodes: int = 3, steps: int = 200) -> Dataset:
+    """Return a small recording of a made-up car with drag, thrust and steering, and a little noise."""
+    system = switched_car()
+    rng = np.random.default_rng(seed)
+    states = np.zeros((episodes, steps + 1, system.nx))
+    controls = np.repeat(rng.integers(-1, 2, (episodes, steps // 5 + 1, 2)), 5, axis=1)[:, :steps].astype(float)
+    for k in range(steps):
+        u, v, r = states[:, k].T
+        drive, steer = controls[:, k].T
+        acceleration = np.stack([3.0 * drive - 1.5 * u, -5.0 * v + 0.2 * u * r, 4.0 * u * steer - 3.0 * r], axis=1)
+        noise = 0.01 * rng.standard_normal((episodes, system.nx))
+        states[:, k + 1] = system.integrate(states[:, k], acceleration) + noise
+    return Dataset.from_arrays(system, list(states), list(controls))
+
+
+class ExampleDynamics(Dynamics):
+    """A stable linear system for any states and controls: x' = x_n + 0.9 (x - x_n) + B (u - u_n).
+
+    The subscript n is neutral. B (nx, nu) is made of cosines, so that every control acts on every state.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.n_carry = system.nx
+        places = np.arange(system.nx)[:, None] + 2.0 * np.arange(system.nu)
+        self.push = PUSH * np.cos(places)
+        self.offset = (1.0 - DECAY) * system.neutral_state - self.push @ system.neutral_control
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return states[:, -1].copy()
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = DECAY * carry + self.offset
+        for j in range(self.system.nu):
+            after = after + control[:, j : j + 1] * self.push[:, j]
+        return after
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.compiled.dialect import KernelSource
+        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+        from sysid_evo.testing.kernels.example_step import HEAD, decay_and_push
+
+        parameters = HEAD.pack(self.offset, self.push, nx=self.system.nx, nu=self.system.nu, decay=DECAY)
+        return DynamicsKernel(KernelSource(decay_and_push), parameters)
+
+
+def _car(drive: Channel, steer: Channel) -> System:
+    states = (Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s"))
+    return System(states, (drive, steer), dt=0.05, motion=PlanarBody(), name="made-up car")

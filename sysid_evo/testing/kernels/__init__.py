@@ -1,0 +1,1 @@
+"""Compiled functions of the kits: read by Numba, which infers their types."""

@@ -1,0 +1,257 @@
+"""The contract of a model family, sentence by sentence.
+
+Each check is a function of a fitted model and the data it was fitted to.
+"""
+
+from __future__ import annotations
+
+import copy
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from sklearn.base import clone
+
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import ContractViolation, NotFitted
+from sysid_evo.progress import Progress
+from sysid_evo.registry import make_model, models
+from sysid_evo.store import load_model, save_model
+from sysid_evo.testing.arrays import normal
+from sysid_evo.testing.examples import example_dataset
+from sysid_evo.testing.stepping import (
+    CHAINED_STEPS,
+    Inputs,
+    expect_compiled_alike,
+    expect_independent_rows,
+    expect_pure,
+    expect_shape_and_type,
+    step,
+)
+from sysid_evo.testing.verdicts import CheckResult, raise_broken, verdict
+
+
+def check_model(name: str, dataset: Dataset | None = None, **parameters: object) -> None:
+    """Fit the registered family ``name`` and raise `ContractViolation` listing every broken sentence."""
+    raise_broken("model", name, run_checks(name, dataset, **parameters))
+
+
+def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered family ``name``, fitted to ``dataset``.
+
+    Without a data set the checks use `example_dataset`. ``parameters`` go to the constructor; the
+    family's ``quick`` preset holds for the others. If it cannot be fitted, that is the last result.
+    Raises `IncompatibleSystem` if the family refuses the system of ``dataset``.
+    """
+    dataset = example_dataset() if dataset is None else dataset
+    quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
+    model = make_model(name, **{**quick, **parameters})
+    model.check_system(dataset.system)
+    yield verdict(an_unfitted_model_says_so, model, dataset)
+    fitted = verdict(fit_returns_the_model_itself, model, dataset)
+    yield fitted
+    for check in CHECKS if fitted.failure is None else ():
+        yield verdict(check, model, dataset)
+
+
+def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
+    """A model that is not fitted says so instead of failing somewhere inside"""
+    try:
+        model.simulate(
+            np.zeros((1, 1, dataset.system.nx)),
+            np.zeros((1, 0, dataset.system.nu)),
+            np.zeros((1, 1, dataset.system.nu)),
+        )
+    except NotFitted:
+        return
+    raise ContractViolation("simulate before fit should raise NotFitted")
+
+
+def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit learns from a recording, leaves it as it is, and returns the model itself"""
+    fingerprint = dataset.fingerprint
+    if model.fit(dataset, rng=np.random.default_rng(1)) is not model:
+        raise ContractViolation("fit must return self")
+    if dataset.with_episodes(dataset.episodes).fingerprint != fingerprint:
+        raise ContractViolation("fit overwrites the recording")
+
+
+def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit says how far it is, and what progress raises stops it and leaves the model as it was"""
+    told: list[tuple[int, int]] = []
+    rng = np.random.default_rng
+
+    def stopping(after: int) -> Progress:
+        calls = iter(range(after + 1))
+
+        def progress(*_: int, **__: int) -> None:
+            if next(calls, None) == after:
+                raise _Stopped
+
+        return progress
+
+    clone(model).fit(dataset, rng=rng(1), progress=lambda done, total: told.append((done, total)))
+    if len(told) < 2 or told[-1][0] != told[-1][1] or any(not 0 <= done <= total for done, total in told):
+        raise ContractViolation(f"expected progress from 0 to all of the steps, got {told[:3]} ... {told[-3:]}")
+    unfitted, fitted = clone(model), copy.copy(model)
+    inputs = _some_inputs(model, dataset)
+    expected = step(model, inputs)
+    for start, after in ((unfitted, 0), (unfitted, len(told) // 2), (fitted, len(told) // 2)):
+        before = set(vars(start))
+        try:
+            start.fit(dataset, rng=rng(1), progress=stopping(after))
+        except _Stopped:
+            if set(vars(start)) != before:
+                raise ContractViolation(f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind") from None
+        else:
+            raise ContractViolation("an exception from progress does not stop the fit")
+    if not np.array_equal(step(fitted, inputs), expected):
+        raise ContractViolation("a fitted model steps differently after a second fit was stopped")
+
+
+class _Stopped(Exception):
+    """What the check of interruption raises from progress."""
+
+
+def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) -> None:
+    """A step turns a carry (B, n_carry) into a carry of the same shape, in float64"""
+    expect_shape_and_type(model, _some_inputs(model, dataset))
+
+
+def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> None:
+    """The carry begins with the state"""
+    windows = dataset.windows(1, history=model.n_lags)
+    carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows)))
+    if not np.array_equal(carry[:, : dataset.system.nx], windows.start_states):
+        raise ContractViolation("carry[:, :nx] after start is not the last measured state")
+
+
+def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
+    """Every row of a batch is computed for itself"""
+    expect_independent_rows(model, _some_inputs(model, dataset))
+
+
+def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
+    """A step changes neither its arguments nor its own later results"""
+    expect_pure(model, _some_inputs(model, dataset))
+
+
+def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
+    """A free run equals its steps one after the other"""
+    windows = dataset.windows(5, stride=20, history=model.n_lags)
+    simulated = model.simulate(
+        windows.past_states, windows.past_controls, windows.controls, rng=np.random.default_rng(2)
+    )
+    rng = np.random.default_rng(2)
+    carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows), rng))
+    for k in range(5):
+        carry = model.step(carry, windows.controls[:, k], normal(model.n_noise, len(windows), rng))
+        if model.envelope is not None:
+            state = np.clip(carry[:, : dataset.system.nx], *model.envelope)
+            carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
+        if not np.allclose(carry[:, : dataset.system.nx], simulated[:, k]):
+            raise ContractViolation(f"they differ at step {k + 1}")
+
+
+def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) -> None:
+    """The same data and seed give the same model"""
+    again = clone(model).fit(dataset, rng=np.random.default_rng(1))
+    inputs = _some_inputs(model, dataset)
+    if not np.array_equal(step(model, inputs), step(again, inputs)):
+        raise ContractViolation("two fits with the same seed step differently")
+
+
+def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
+    """get_params and clone give back the constructor's arguments, unfitted"""
+    copy = clone(model)
+    if copy.get_params() != model.get_params():
+        raise ContractViolation(f"expected {model.get_params()}, got {copy.get_params()}")
+    if hasattr(copy, "system_"):
+        raise ContractViolation("a clone must not be fitted")
+
+
+def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) -> None:
+    """A stored model steps bit for bit as before"""
+    inputs = _some_inputs(model, dataset)
+    with tempfile.TemporaryDirectory() as folder:
+        save_model(model, Path(folder) / "model")
+        loaded = load_model(Path(folder) / "model")
+    if not np.array_equal(step(loaded, inputs), step(model, inputs)):
+        raise ContractViolation("it steps differently after loading")
+    if loaded.get_params() != model.get_params():
+        raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
+
+
+def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset) -> None:
+    """The compiled form steps as step does"""
+    resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
+    idle = np.tile(dataset.system.neutral_control, (2, 1))
+    expect_compiled_alike(model, _some_inputs(model, dataset).followed_by(resting, idle))
+
+
+def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> None:
+    """A model at rest with neutral control stays at rest, where rest_hold is on"""
+    band = model.rest_band
+    if band is None:
+        return
+    system = dataset.system
+    carry = _at_rest(model, 2)
+    carry[1, : system.nx] += 0.9 * band
+    idle = np.tile(system.neutral_control, (2, 1))
+    for _ in range(CHAINED_STEPS):
+        carry = model.step(carry, idle, normal(model.n_noise, 2))
+        if not np.array_equal(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))):
+            raise ContractViolation("it moves off by itself")
+
+
+def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: Dataset) -> None:
+    """A body at rest answers to a pulse that ended before it acts, where rest_hold is on"""
+    carry, noise = _after_a_pulse(model), normal(model.n_noise, 1)
+    if not model.rest_hold or np.array_equal(carry, _at_rest(model, 1)):
+        return
+    idle = dataset.system.neutral_control[None]
+    free = copy.copy(model).set_params(rest_hold=False)
+    if not np.array_equal(model.step(carry, idle, noise), free.step(carry, idle, noise)):
+        raise ContractViolation("it is held although an earlier control in its carry is not neutral")
+
+
+CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
+    fit_tells_and_can_be_stopped,
+    a_step_has_the_right_shape_and_type,
+    the_carry_begins_with_the_state,
+    rows_are_independent,
+    a_step_is_pure,
+    free_run_equals_chained_steps,
+    the_compiled_form_steps_as_step_does,
+    a_model_at_rest_stays_at_rest,
+    a_pulse_that_has_yet_to_act_is_not_swallowed,
+    the_same_seed_fits_the_same_model,
+    parameters_survive_clone,
+    saving_and_loading_keeps_every_step,
+)
+
+
+def _some_inputs(model: DynamicsModel, dataset: Dataset) -> Inputs:
+    windows = dataset.windows(1, stride=7, history=model.n_lags)
+    carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows)))
+    return Inputs(carry, windows.controls[:, 0], normal(model.n_noise, len(windows)))
+
+
+def _at_rest(model: DynamicsModel, rows: int) -> Array:
+    """Return the carry (rows, n_carry) of a body that has always rested."""
+    system, lags = model.system, model.n_lags
+    states, controls = (
+        np.tile(system.neutral_state, (rows, lags + 1, 1)),
+        np.tile(system.neutral_control, (rows, lags, 1)),
+    )
+    return model.start(states, controls, normal(model.n_draws, rows))
+
+
+def _after_a_pulse(model: DynamicsModel) -> Array:
+    """Return the carry (1, n_carry) of a body at rest whose commands until now were not neutral."""
+    system, lags = model.system, model.n_lags
+    controls = np.tile(system.neutral_control + 1.0, (1, lags, 1))
+    return model.start(np.tile(system.neutral_state, (1, lags + 1, 1)), controls, normal(model.n_draws, 1))

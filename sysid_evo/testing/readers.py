@@ -1,0 +1,160 @@
+"""The contract of a reader of log files, sentence by sentence."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.data.tables import Reader, Table
+from sysid_evo.errors import ContractViolation, InvalidArgument, InvalidData
+from sysid_evo.registry import readers
+from sysid_evo.testing.arrays import expect_numbers, same
+from sysid_evo.testing.verdicts import Check, CheckResult, expect, raise_broken, verdicts
+
+NO_COLUMN = "a column that no file has"
+
+
+@dataclass(frozen=True)
+class Given:
+    """A reader called ``name``, and a file that it reads, which held ``content`` before."""
+
+    name: str
+    reader: Reader
+    path: Path
+    content: bytes
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the file that hold numbers."""
+        found = []
+        for column in self.reader.header(self.path):
+            try:
+                self.reader.read(self.path, [column])
+            except InvalidData:
+                continue
+            found.append(column)
+        return tuple(found)
+
+    def whole(self) -> Table:
+        """Return all columns that hold numbers."""
+        return self.reader.read(self.path, self.columns)
+
+
+def check_reader(name: str, path: Path, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered reader ``name`` breaks.
+
+    ``path`` is a file of its kind with two rows or more, and at least one column of finite numbers.
+    """
+    raise_broken("reader", name, run_reader_checks(name, path, **parameters))
+
+
+def run_reader_checks(name: str, path: Path, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered reader ``name`` on the file ``path``."""
+    if not path.is_file():
+        raise InvalidArgument(f"reader {name!r}: expected a file of its kind to read, found none at {path}")
+    content = path.read_bytes()
+    return verdicts(lambda: Given(name, readers.make(name, **parameters), path, content), CHECKS)
+
+
+def it_names_its_suffixes(given: Given) -> None:
+    """It names the suffixes of its files, in lower case and with the point; the example has one of them"""
+    suffixes = given.reader.suffixes
+    sound = isinstance(suffixes, tuple) and suffixes and all(s.startswith(".") and s == s.lower() for s in suffixes)
+    expect(sound, f"expected suffixes such as ('.log',), got {suffixes!r}")
+    expect(given.path.suffix.lower() in suffixes, f"{given.path.name} has none of {', '.join(suffixes)}")
+
+
+def no_other_reader_has_its_suffixes(given: Given) -> None:
+    """No other reader has one of its suffixes"""
+    for other, make in readers.load_all():
+        shared = sorted(set(given.reader.suffixes) & set(make().suffixes)) if other != given.name else []
+        expect(not shared, f"{' and '.join(shared)} belong to reader {other!r} too")
+
+
+def the_header_names_the_columns(given: Given) -> None:
+    """header gives the names of the columns, each once"""
+    header = given.reader.header(given.path)
+    expect(
+        isinstance(header, tuple) and header and all(isinstance(name, str) and name for name in header),
+        f"expected a tuple of names, got {header!r}",
+    )
+    expect(len(set(header)) == len(header), f"a name stands there twice: {', '.join(header)}")
+    expect(given.reader.header(given.path) == header, "a second look gives another header")
+
+
+def read_gives_finite_numbers(given: Given) -> None:
+    """read gives the columns asked for, in that order, as finite float64 numbers of one length"""
+    columns = given.columns
+    expect(columns, "no column of the example holds numbers")
+    asked = columns[::-1]
+    table = given.reader.read(given.path, asked)
+    expect(tuple(table.columns) == asked, f"asked for {', '.join(asked)}, got {', '.join(table.columns)}")
+    expect(len(table) >= 2, f"expected two rows or more, got {len(table)}")
+    for name, values in table.columns.items():
+        expect_numbers(f"column {name!r}", values, (len(table),))
+
+
+def rows_are_numbered(given: Given) -> None:
+    """Every row has its number in the file, rising from row to row"""
+    table = given.whole()
+    rows = np.asarray(table.rows)
+    expect(rows.dtype.kind == "i" and rows.min() >= 0, f"expected whole numbers from 0 on, got {rows[:3]}")
+    expect((np.diff(rows) > 0).all(), "the numbers of the rows do not rise")
+    expect(table.path == given.path, f"the table says it is of {table.path}")
+
+
+def a_column_does_not_depend_on_the_others(given: Given) -> None:
+    """A column is the same, whichever others are read with it, and each time"""
+    whole = given.whole()
+    for name in given.columns:
+        alone = given.reader.read(given.path, [name])
+        expect(same(alone.columns[name], whole.columns[name]), f"column {name!r} alone differs")
+
+
+def a_missing_column_is_named(given: Given) -> None:
+    """A column that is missing is an InvalidData that names the file and the column"""
+    _expect_refused(given, given.path, [NO_COLUMN], NO_COLUMN)
+
+
+def a_damaged_file_is_told(given: Given) -> None:
+    """A file that is empty, or of other bytes, is an InvalidData that names the file"""
+    columns = list(given.columns)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in (("empty", b""), ("garbage", np.random.default_rng(0).bytes(400))):
+            path = Path(folder) / f"{name}{given.path.suffix}"
+            path.write_bytes(content)
+            _expect_refused(given, path, columns)
+
+
+def the_file_is_left_alone(given: Given) -> None:
+    """Reading leaves the file as it is"""
+    given.whole()
+    expect(given.path.read_bytes() == given.content, "the file has changed")
+
+
+CHECKS: tuple[Check[Given], ...] = (
+    it_names_its_suffixes,
+    no_other_reader_has_its_suffixes,
+    the_header_names_the_columns,
+    read_gives_finite_numbers,
+    rows_are_numbered,
+    a_column_does_not_depend_on_the_others,
+    a_missing_column_is_named,
+    a_damaged_file_is_told,
+    the_file_is_left_alone,
+)
+
+
+def _expect_refused(given: Given, path: Path, columns: list[str], *named: str) -> None:
+    try:
+        given.reader.read(path, columns)
+    except InvalidData as error:
+        for word in (path.name, *named):
+            expect(word in str(error), f"expected {word!r} in: {error}")
+    else:
+        raise ContractViolation(f"{path.name}: expected InvalidData, got no error")

@@ -1,0 +1,67 @@
+"""How long a user waits for the error after a mistake: ``python -m tests.benchmarks.mistakes``.
+
+Each command runs in a process of its own, ``--times`` times (3); the table shows the mistake, the exit
+code, the median of the seconds from typing to the end, and that of the processor time in it, which on a
+busy machine is the fairer number. Exit code 1 if one takes 3 s or more, or ends with another code than 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.sysid_evo.cli.calling import run
+from tests.sysid_evo.cli.mistakes import MISTAKES, Mistake, prepare
+
+LIMIT = 3.0  # s
+EXPECTED = 2
+
+
+def measured(mistake: Mistake, folder: Path, times: int) -> tuple[int, float, float]:
+    """Return the exit code, and the medians of seconds and of processor seconds.
+
+    Raises `RuntimeError` if another error is told.
+    """
+    seconds, busy = [], []
+    for _ in range(times):
+        began, before = time.perf_counter(), processor_seconds()
+        done = run(*mistake.arguments, cwd=folder)
+        seconds.append(time.perf_counter() - began)
+        busy.append(processor_seconds() - before)
+        if "".join(mistake.said.split()) not in "".join(done.stderr.split()):
+            raise RuntimeError(f"{mistake.what}: expected {mistake.said!r}, got {done.stderr}")
+    return done.returncode, statistics.median(seconds), statistics.median(busy)
+
+
+def processor_seconds() -> float:
+    """Return the processor time of all commands that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def main() -> int:
+    """Print the table; return 1 if one of the mistakes is not told as it should be."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--times", type=int, default=3, help="runs of each command (3)")
+    parser.add_argument("--first", type=int, default=len(MISTAKES), help="only the first so many mistakes")
+    arguments = parser.parse_args()
+    write, wrong = sys.stdout.write, 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepare(folder)
+        write(f"{'mistake':42} {'code':>4} {'s':>5} {'cpu':>5}   command\n")
+        for mistake in MISTAKES[: arguments.first]:
+            code, seconds, busy = measured(mistake, folder, arguments.times)
+            wrong += code != EXPECTED or seconds >= LIMIT
+            write(f"{mistake.what:42} {code:4d} {seconds:5.2f} {busy:5.2f}   sysid-evo {' '.join(mistake.arguments)}\n")
+            sys.stdout.flush()
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,16 @@
+"""The short version of the command that kills a comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks.kill_and_go_on import rows
+
+
+@pytest.mark.slow
+def test_a_comparison_that_is_killed_twice_goes_on_to_the_same_report(tmp_path: Path) -> None:
+    table = rows(tmp_path, times=2, seed=0)
+    assert [row.same for row in table] == [True, True, True]
+    assert sum(row.kills for row in table) > 0

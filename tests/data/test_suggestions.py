@@ -1,0 +1,235 @@
+"""Advice for robots that are no cars: pendulums, tanks, recordings that are too short, still or noisy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy
+
+from sysid_evo.data import Dataset, advise, check_usable, find_delays
+from sysid_evo.data.delays import _first_peak
+from sysid_evo.data.linear_fit import fit_linear
+from sysid_evo.data.suggestions import named, spell
+from sysid_evo.errors import InvalidData
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+
+PENDULUM = System(
+    (Channel("theta", "rad"), Channel("theta_dot", "rad/s")), (Channel("torque", "N m", -1.0, 1.0),), 0.02
+)
+TANK = System((Channel("level", "m", low=0.0),), (Channel("valve", low=0.0, high=1.0),), 1.0)
+
+
+def held(rng, values, n, shortest, longest):
+    """Values drawn at random, each held for ``shortest`` to ``longest`` samples, (n,)."""
+    return np.repeat(rng.choice(values, n), rng.integers(shortest, longest + 1, n))[:n]
+
+
+def pendulum(rng, *, seconds=100.0, noise=0.0, hold=(3, 25)) -> Dataset:
+    """A swinging pendulum (time scale 0.22 s), exactly solved for small angles."""
+    n = round(seconds / PENDULUM.dt)
+    torque = held(rng, (-1.0, 0.0, 1.0), n, *hold)
+    x = np.zeros((n + 1, 2))
+    for k in range(n):
+        theta, rate = x[k]
+        for _ in range(10):
+            rate += 0.002 * (-20.0 * theta - 0.5 * rate + 6.0 * torque[k])
+            theta += 0.002 * rate
+        x[k + 1] = theta, rate
+    return Dataset.from_arrays(PENDULUM, x + noise * rng.normal(size=x.shape), torque)
+
+
+def tank(rng, *, hours=3.0, hold=(60, 400), dead_time=0) -> Dataset:
+    """A tank whose level follows the valve with a time constant of 100 s, ``dead_time`` samples late."""
+    n = round(3600.0 * hours)
+    valve = held(rng, (0.0, 0.3, 0.7, 1.0), n, *hold)
+    level = np.full(n + 1, 0.5)
+    for k in range(n):
+        level[k + 1] = level[k] + (valve[max(k - dead_time, 0)] - level[k]) / 100.0 + 1e-4 * rng.normal()
+    return Dataset.from_arrays(TANK, level, valve)
+
+
+def told(dataset: Dataset) -> str:
+    return "\n".join(advise(dataset).suggestions)
+
+
+def test_time_scales_are_those_of_the_system(rng):
+    (scale,) = fit_linear(tank(rng), 10).scales
+    assert scale == pytest.approx(100.0, rel=0.1)
+    np.testing.assert_allclose(fit_linear(pendulum(rng), 10).scales, np.sqrt(1 / 20), rtol=0.05)
+
+
+def test_a_good_recording_of_a_pendulum_or_a_tank_needs_no_advice(rng):
+    assert told(pendulum(rng)) == ""
+    assert told(tank(rng)) == ""
+
+
+def test_the_length_asked_for_follows_from_the_time_scale_and_the_number_of_channels(rng):
+    sentence = told(tank(rng, hours=0.5))
+    assert "30 min are 18 times the slowest time scale of the states, 100 s" in sentence
+    assert "30 times for each of the 2 states and controls are a good rule: record 100 min in all." in sentence
+    assert "record 20 s in all" in told(pendulum(rng, seconds=10.0))
+
+
+def test_a_pendulum_that_goes_round_has_the_time_scale_of_its_swing(rng):
+    system = System((Channel("theta", "rad", period=2 * np.pi), PENDULUM.states[1]), PENDULUM.controls, 0.02)
+    torque = held(rng, (-1.0, 0.0, 1.0), 6000, 3, 25)
+    x = np.zeros((6001, 2))
+    for k in range(6000):
+        theta, rate = x[k]
+        for _ in range(10):
+            rate += 0.002 * (-20.0 * np.sin(theta) - 0.5 * rate + 15.0 * torque[k])
+            theta += 0.002 * rate
+        x[k + 1] = theta, rate
+    assert np.ptp(x[:, 0]) > 4.0 * np.pi
+    data = Dataset.from_arrays(system, x, torque)
+    np.testing.assert_allclose(fit_linear(data, 10).scales, np.sqrt(1 / 20), rtol=0.1)
+    assert told(data) == ""
+
+
+def test_a_battery_that_runs_down_asks_for_no_hours(rng):
+    swinging = pendulum(rng)
+    battery = np.linspace(8.4, 7.9, 5001)[:, None] + 1e-3 * rng.normal(size=(5001, 1))
+    system = System((*PENDULUM.states, Channel("battery", "V", low=6.0)), PENDULUM.controls, PENDULUM.dt)
+    (episode,) = swinging.episodes
+    drained = Dataset.from_arrays(system, np.concatenate([episode.states, battery], axis=1), episode.controls)
+    advice = advise(drained)
+    assert advice.scales[-1] < 1.0
+    assert not any("in all" in sentence for sentence in advice.suggestions)
+
+
+def test_a_tank_may_hold_its_valve_for_minutes_and_a_pendulum_may_not_hold_its_torque(rng):
+    assert told(tank(rng, hold=(100, 400))) == ""
+    sentence = told(pendulum(rng, hold=(200, 400)))
+    assert "torque stays near a level for" in sentence
+    assert "but the states settle within 1.1 s: change it more often" in sentence
+
+
+def test_noise_free_states_that_change_within_a_sample_are_not_called_noisy(rng):
+    n = 2000
+    push = rng.uniform(-1.0, 1.0, n)
+    place = np.zeros(n + 1)
+    for k in range(n):
+        place[k + 1] = 0.1 * place[k] + push[k]
+    system = System(("place",), (Channel("push", low=-1.0, high=1.0),), 0.05)
+    sentence = told(Dataset.from_arrays(system, place, push))
+    assert "95 % of place lies below" in sentence
+    assert "changes within few samples, so a shorter dt" in sentence
+    assert "noisy" not in sentence
+    noise = rng.normal(size=n + 1)
+    assert "it is noisy, or dt is too long" in told(Dataset.from_arrays(system, noise, push))
+
+
+def test_episodes_in_which_nothing_moves_are_named(rng):
+    moving = tank(rng, hours=0.4)
+    still = [np.full((200, 1), 0.5)] * 6
+    data = Dataset.from_arrays(TANK, [moving.episodes[0].states, *still], [moving.episodes[0].controls, *still])
+    sentence = "Nothing moves in 6 of 7 episodes: episode-1, episode-2, episode-3, episode-4 and 2 more."
+    assert sentence in told(data)
+    pieces = moving.with_episodes([moving.episodes[0], moving.episodes[0][5:8]])
+    assert "Nothing moves" not in told(pieces)
+
+
+def test_a_car_that_stands_in_some_manoeuvres_is_told_which(car, rng):
+    driven = np.cumsum(rng.normal(size=(400, 3)), axis=0)
+    controls = rng.choice([-1.0, 0.0, 1.0], (400, 2))
+    noise = 1e-3 * rng.normal(size=(400, 3))
+    data = Dataset.from_arrays(car, [driven, noise], [controls, controls], names=["drive", "rest"])
+    assert "Nothing moves in 1 of 2 episodes: rest. Leave them out" in told(data)
+
+
+def test_a_backswing_is_no_delay_however_large(rng):
+    n = 4000
+    push = held(rng, (-1.0, 0.0, 1.0), n, 1, 6)
+    answer = np.convolve(push, [0.0, 0.8, 0.3, -1.0, -0.4, 0.15])[:n]
+    speed = np.zeros(n + 1)
+    for k in range(n):
+        speed[k + 1] = speed[k] + 0.05 * (2.0 * answer[k] - 0.8 * speed[k]) + 0.01 * rng.normal()
+    (delay,) = find_delays(Dataset.from_arrays(System(("speed",), ("push",), 0.05), speed, push))
+    assert (delay.steps, delay.clear) == (1, True)
+    assert delay.strength > 0.0
+
+
+def test_a_control_that_does_nothing_is_shown_with_its_largest_correlation(rng):
+    free = Dataset.from_arrays(System(("speed",), ("push",), 0.05), rng.normal(size=4001), rng.normal(size=4000))
+    (delay,) = find_delays(free)
+    assert not delay.clear
+    assert 0.01 < abs(delay.strength) < 0.1
+    assert _first_peak(np.array([0.01, 0.02, -0.05, 0.03]), 0.1) == 2
+    assert _first_peak(np.array([0.01, 0.2, 0.3, -0.9, 0.5]), 0.1) == 3
+    assert _first_peak(np.array([0.01, 0.5, 0.6, -0.9, 0.5]), 0.1) == 2
+
+
+def test_a_position_that_follows_its_speed_is_not_late(rng):
+    found = {delay.state: delay for delay in find_delays(pendulum(rng))}
+    assert (found["theta"].steps, found["theta"].clear) == (0, True)
+    assert (found["theta_dot"].steps, found["theta_dot"].clear) == (0, True)
+
+
+@pytest.mark.parametrize("late, seconds", [((0.6, 0.4), 2.25), ((0.8, 0.2), 2.07), ((1.0, 0.0), 2.0)])
+def test_a_delay_between_two_samples_is_told_between_them(rng, late, seconds):
+    """The vertex of the parabola through 0, a, b lies at 0.5 b / (2 a - b)."""
+    n = 8000
+    push = rng.choice([-1.0, 1.0], n)
+    answer = np.convolve(push, [0.0, 0.0, *late])[:n]
+    speed = np.concatenate([[0.0], np.cumsum(answer)]) * 0.1
+    (delay,) = find_delays(Dataset.from_arrays(System(("speed",), ("push",), 0.1), speed, push))
+    assert delay.steps == 2
+    assert delay.seconds == pytest.approx(0.1 * seconds, abs=0.004)
+
+
+def test_the_past_of_a_smooth_control_does_not_move_its_delay(rng):
+    """Without whitening the parabola would lie over 0.6 r^|k| + 0.4 r^|k - 1| with r = 0.9."""
+    n = 8000
+    push = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=n))
+    answer = np.convolve(push, [0.0, 0.0, 0.6, 0.4])[:n]
+    speed = np.concatenate([[0.0], np.cumsum(answer)]) * 0.1
+    (delay,) = find_delays(Dataset.from_arrays(System(("speed",), ("push",), 0.1), speed, push))
+    assert delay.steps == 2
+    assert delay.seconds == pytest.approx(0.225, abs=0.003)
+
+
+def test_the_dead_time_of_a_slow_system_is_found_in_its_own_steps(rng):
+    (delay,) = find_delays(tank(rng, hold=(5, 40), dead_time=6))
+    assert (delay.steps, delay.clear) == (6, True)
+
+
+def test_six_minutes_of_a_car_are_long_enough(rng):
+    n = 7080
+    system = System(
+        (Channel("forward_speed", "m/s"), Channel("yaw_rate", "rad/s")),
+        (Channel("drive", levels=(-1.0, 0.0, 1.0)), Channel("steer", levels=(-1.0, 0.0, 1.0))),
+        0.05,
+        PlanarBody(lateral=None),
+    )
+    u = np.stack([held(rng, (-1.0, 0.0, 1.0), n, 5, 30) for _ in range(2)], axis=1)
+    x = np.zeros((n + 1, 2))
+    for k in range(n):
+        x[k + 1] = x[k] + 0.05 * (u[k] * [2.0, 5.0 * x[k, 0]] - 1.5 * x[k])
+    assert "record" not in told(Dataset.from_arrays(system, x, u))
+
+
+def test_a_log_of_ten_rows_is_refused_before_any_work(rng):
+    whole = pendulum(rng, seconds=10.0)
+    short = whole.with_episodes([whole.episodes[0][:9]])
+    with pytest.raises(InvalidData, match=r"expected an episode of 15 steps or more.*40 steps in all.*got 9 steps"):
+        check_usable(short)
+    assert "expected an episode of 15 steps or more" in told(short)
+    pieces = whole.with_episodes([whole.episodes[0][20 * i : 20 * i + 14] for i in range(10)])
+    with pytest.raises(InvalidData, match="test set: expected an episode of 15 steps"):
+        check_usable(pieces, name="test set")
+    check_usable(pieces, horizon=9)
+    with pytest.raises(InvalidData, match="40 steps in all for 3 states and controls; got 39 steps"):
+        check_usable(whole.with_episodes([whole.episodes[0][:39]]))
+    check_usable(whole)
+
+
+def test_a_recording_that_stands_still_throughout_is_refused(car):
+    with pytest.raises(InvalidData, match="data set: the robot stands still throughout"):
+        check_usable(Dataset.from_arrays(car, np.zeros((200, 3)), np.zeros((200, 2))))
+
+
+def test_lengths_of_time_and_long_lists_read_well():
+    spelt = [spell(seconds) for seconds in (0.047, 0.9996, 2.14, 45.0, 119.0, 288.0, 5400.0, 10_000.0, 1e6)]
+    assert spelt == ["47 ms", "1 s", "2.1 s", "45 s", "119 s", "4.8 min", "90 min", "2.8 h", "278 h"]
+    assert (named(["a", "b"]), named(list("abcdef"))) == ("a, b", "a, b, c, d and 2 more")

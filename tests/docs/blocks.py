@@ -1,0 +1,35 @@
+"""The blocks of code of a page."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = {path.name: path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block of code: its ``language`` (may be empty), its text, and the line of the page on which that begins."""
+
+    page: str
+    language: str
+    text: str
+    line: int
+
+
+def blocks(page: str, language: str) -> list[Block]:
+    """Return the blocks of ``page`` in this language, in order."""
+    text = PAGES[page].read_text()
+    found = [Block(page, m[1], m[2], text.count("\n", 0, m.start(2)) + 1) for m in FENCE.finditer(text)]
+    return [block for block in found if block.language == language]
+
+
+def commands(page: str) -> list[str]:
+    """Return the lines of the blocks in sh, without remarks; lines that end in a backslash are joined."""
+    text = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")
+    lines = [re.sub(r"(^|\s)#.*", "", line).strip() for line in text.splitlines()]
+    return [line for line in lines if line]

@@ -1,0 +1,125 @@
+"""What the command prints: the verdict and one short table, and nothing that does not fit the screen."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rich.console import Console, RenderableType
+
+from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
+from evaluation.report.overview import overview_sheet
+from tests.evaluation.made_up import matrix, prediction, report
+
+LONG = "backprop27+nearest_neighbour+parametrised"
+
+
+def printed(parts: Sequence[RenderableType], width: int = 80) -> list[str]:
+    console = Console(width=width, file=io.StringIO())
+    for part in parts:
+        console.print(part)
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
+
+
+def compared(*, seeds: Sequence[float] = ()) -> Report:
+    """Two models, a controller each and one of both, on a robot."""
+    fitness = {
+        "linear": {"linear": 12.0, "sindy": 11.0, "car": 4.0},
+        "sindy": {"linear": 9.0, "sindy": 10.0, "car": 9.8},
+        LONG: {"linear": 9.0, "sindy": 9.5, "car": 9.1},
+    }
+    return report(
+        prediction({"persistence": 0.9, "linear": 0.3, "sindy": 0.06}),
+        matrix(fitness, against={LONG: ("linear", "sindy")}, robot="car", seeds=seeds),
+    )
+
+
+def row(made: Report, name: str) -> tuple[str, ...]:
+    sheet = overview_sheet(made)
+    assert sheet is not None
+    return next(cells for cells in sheet.rows if cells[0] == name)
+
+
+def test_each_row_says_how_a_model_predicts_and_whether_its_controller_is_exploited() -> None:
+    assert row(compared(), "persistence") == ("persistence", "0.900", "–", "–", "–")
+    assert row(compared(), "linear") == ("linear", "0.300", "12.0 ±0.0", "4.0 ±0.0", "yes")
+    assert row(compared(), "sindy") == ("sindy", "0.060", "10.0 ±0.0", "9.8 ±0.0", "no")
+    assert row(compared(), LONG) == (LONG, "–", "9.0 ±0.0", "9.1 ±0.0", "no")
+
+
+def test_claims_stand_with_their_range_over_evolution_seeds() -> None:
+    made = compared(seeds=(10.8, 12.06, 11.0))
+    assert row(made, "linear")[2] == "12.0 ±0.0\n10.8 to 12.1"
+    assert "range over 3 evolution seeds" in " ".join(" ".join(printed(brief(made))).split())
+    assert "evolution seeds" not in " ".join(printed(brief(compared())))
+
+
+def test_the_brief_is_a_screenful_and_nothing_in_its_table_wraps() -> None:
+    made = compared()
+    lines = printed(brief(made))
+    assert len(lines) < 45
+    assert max(map(len, lines)) <= 80
+    (linear,) = [line for line in lines if line.startswith(" linear ")]
+    assert linear.split() == ["linear", "0.300", "12.0", "±0.0", "4.0", "±0.0", "yes"]
+    assert any(line.startswith(" N: the mean error in standard deviations") for line in lines)
+
+
+def test_the_brief_begins_with_the_verdict_and_leaves_the_long_tables_out() -> None:
+    made = compared()
+    lines = printed(brief(made), width=200)
+    for finding in verdict(made):
+        assert finding.question in lines
+        for answer in finding.answers:
+            assert f"  {answer}" in lines
+    assert lines.index("In short") > lines.index("What to use?")
+    assert not any("Transfer matrix" in line for line in lines)
+    assert any("Transfer matrix" in line for line in printed(tables(made)))
+
+
+def test_a_controller_evolved_against_another_model_has_a_row_of_its_own() -> None:
+    made = report(
+        prediction({"persistence": 0.9, "linear": 0.3}),
+        matrix({"linear": {"linear": 3.0, "other": 8.0}}, against={"linear": ("other",)}),
+    )
+    assert row(made, "linear") == ("linear", "0.300", "–", "–", "–")
+    assert row(made, "linear (controller)")[2] == "8.0 ±0.0"
+
+
+def test_without_controllers_the_table_holds_predictions_alone() -> None:
+    sheet = overview_sheet(report(prediction({"persistence": 0.9, "linear": 0.3}, failed=["sindy"])))
+    assert sheet is not None
+    assert sheet.columns == ("model", "N, 20 steps\n(1 s)")
+    assert sheet.rows == (("persistence", "0.900"), ("linear", "0.300"), ("sindy", "failed"))
+    assert overview_sheet(report()) is None
+
+
+def test_without_a_robot_achieved_means_on_other_models() -> None:
+    made = report(transfer=matrix({"a": {"a": 10.0, "b": 2.0}}))
+    sheet = overview_sheet(made)
+    assert sheet is not None
+    assert sheet.columns == ("model or\ncontroller", "claimed", "on other\nmodels", "exploited")
+    assert sheet.rows == (("a", "10.0 ±0.0", "2.0 ±0.0", "yes"),)
+
+
+def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reasons() -> None:
+    failures = tuple(Failure(f"fit model{i}", f"reason {i}\na traceback") for i in range(7))
+    text = "\n".join(printed(brief(replace(compared(), failures=failures))))
+    assert "  fit model4: reason 4\n" in text
+    assert "  and 2 more, in the report\n" in text
+    assert "fit model5" not in text
+    assert "traceback" not in text
+    assert "more, in the report" not in "\n".join(printed(brief(replace(compared(), failures=failures[:5]))))
+
+
+def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
+    made = replace(compared(), controllers={"sindy": "controllers/my sindy.json"}, settings={"robot": "car:3"})
+    assert drive_command(made, "sindy", folder="runs/x") == (
+        "sysid-evo drive --controller 'runs/x/controllers/my sindy.json' --robot car:3"
+    )
+    assert drive_command(made, "linear") is None
+    assert made.transfer is not None
+    assert made.transfer.pick == "linear"
+    assert "sysid-evo drive" not in " ".join(printed(brief(made)))
+    chosen = replace(made, controllers={"linear": "controllers/linear.json"}, settings={})
+    assert "sysid-evo drive --controller controllers/linear.json --robot ROBOT" in printed(brief(chosen), width=120)[-1]

@@ -1,0 +1,111 @@
+"""Claims: one statistic wherever they are made, and the rule for "exploited" to the digit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evaluation.exploitability import assess_exploitability
+from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, seed_spread, summarise
+from tests.evaluation.known_models import recording
+from tests.evaluation.test_transfer import champion
+
+
+def matrix_of(*cells: Cell, against: tuple[str, ...] = ("a",), aggregate: str = "min") -> TransferMatrix:
+    columns = tuple(cell.column for cell in cells)
+    return TransferMatrix.of(
+        [champion("c", against, aggregate=aggregate)], columns, cells, robot="car" if "car" in columns else None
+    )
+
+
+def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng: np.random.Generator) -> None:
+    cells = [Cell("c", name, mean + rng.normal(size=30)) for name, mean in (("a", 9.0), ("b", 6.0), ("car", 5.0))]
+    matrix = matrix_of(*cells)
+    controller = summarise(matrix).controller("c")
+    model = assess_exploitability(matrix, recording(), recording(1, seed=2))[0]
+    assert (model.claimed, model.others, model.achieved) == (
+        controller.claimed,
+        controller.others,
+        controller.achieved,
+    )
+    assert model.gap == controller.reality_gap
+    assert model.exploited is controller.exploited is True
+
+
+@pytest.mark.parametrize("trials", [2, 5, 100])
+def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng: np.random.Generator, trials: int) -> None:
+    cell = Cell("c", "a", rng.normal(size=trials))
+    claimed = summarise(matrix_of(cell)).controller("c").claimed
+    assert claimed is not None
+    assert claimed.value == cell.mean
+    assert claimed.standard_error == pytest.approx(cell.standard_error, rel=0.08)
+
+
+def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution() -> None:
+    here, there = np.array([0.0, 4.0, 1.0, 5.0]), np.array([4.0, 0.0, 5.0, 1.0])
+    cells = (Cell("c", "a", here), Cell("c", "b", there))
+    least = fitness_on(champion("c", ("a", "b")), ("a", "b"), matrix_of(*cells, against=("a", "b")))
+    mean = fitness_on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"), matrix_of(*cells, against=("a", "b")))
+    assert least is not None
+    assert mean is not None
+    assert least[0] == mean[0] == 2.5
+    # the mean of both models hardly changes with the trials that are drawn; the lower of the two does
+    assert least[1:].mean() < 2.0
+    assert mean[1:].mean() == pytest.approx(2.5, abs=0.05)
+
+
+def test_a_claim_needs_every_model_that_it_is_about() -> None:
+    ran, failed = Cell("c", "a", np.ones(3)), Cell("c", "b", reason="no answer")
+    assert fitness_on(champion("c", ("a",)), ("a", "b"), matrix_of(ran, failed)) is None
+    assert fitness_on(champion("c", ("a",)), ("a", "gone"), matrix_of(ran)) is None
+    assert fitness_on(champion("c", ()), (), matrix_of(ran)) is None
+
+
+def test_models_with_different_trials_are_joined_over_the_trials_of_both() -> None:
+    cells = (Cell("c", "a", np.array([1.0, 3.0, 50.0])), Cell("c", "b", np.array([4.0, 6.0])))
+    drawn = fitness_on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"), matrix_of(*cells))
+    assert drawn is not None
+    assert drawn[0] == 3.5
+
+
+@pytest.mark.parametrize(
+    "claimed, gap, error, exploited",
+    [
+        (10.0, 0.99, 0.0, False),
+        (10.0, 1.01, 0.0, True),
+        (10.0, 3.99, 2.0, False),
+        (10.0, 4.01, 2.0, True),
+        (-10.0, 0.99, 0.0, False),
+        (-10.0, 1.01, 0.0, True),
+        (10.0, 9.0, float("nan"), None),
+    ],
+)
+def test_a_claim_is_exploited_beyond_a_tenth_of_it_and_two_standard_errors(
+    claimed: float, gap: float, error: float, exploited: bool | None
+) -> None:
+    assert is_exploited(Estimate(claimed, 0.1), Estimate(gap, error)) is exploited
+
+
+def test_nothing_is_exploited_where_nothing_is_claimed_or_nowhere_else_is_tested() -> None:
+    assert is_exploited(None, Estimate(1.0, 0.1)) is None
+    assert is_exploited(Estimate(1.0, 0.1), None) is None
+
+
+def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models() -> None:
+    own, other, robot = (Cell("c", name, np.full(4, v)) for name, v in (("a", 9.0), ("b", 1.0), ("car", 9.0)))
+    on_robot = summarise(matrix_of(own, other, robot)).controller("c")
+    on_models = summarise(matrix_of(own, other)).controller("c")
+    assert (on_robot.exploited, on_models.exploited) == (False, True)
+    assert on_robot.elsewhere == on_robot.achieved
+    assert on_models.elsewhere == on_models.others
+
+
+def test_a_controller_evolved_on_the_robot_itself_exploits_nothing() -> None:
+    cells = (Cell("c", "a", np.full(4, 9.0)), Cell("c", "car", np.full(4, 9.0)))
+    assert summarise(matrix_of(*cells, against=("car",))).controller("c").exploited is None
+
+
+def test_the_spread_over_evolution_seeds_is_said_in_words() -> None:
+    assert seed_spread((10.8, 12.06, 11.0)) == "three evolution seeds: 10.8 to 12.1"
+    assert seed_spread(range(12)) == "12 evolution seeds: 0.0 to 11.0"
+    assert seed_spread((10.8,)) == seed_spread(()) == ""

@@ -1,0 +1,60 @@
+"""The history that a model is given when fewer samples were measured than it wants."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+
+from evaluation.prediction.cases import measured_cases
+from evaluation.prediction.forecasts import forecast
+from evaluation.prediction.protocol import PredictionProtocol
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.system import Channel, System
+
+SYSTEM = System((Channel("place"),), (Channel("push", low=0.25, high=5000.0),), 0.1)
+STEPS = 60
+
+
+class Echo(DynamicsModel):
+    """The next state is the state ``reach`` samples ago plus 10,000 times the control as long ago."""
+
+    def __init__(self, *, state_lags: int = 4, control_lags: int = 4, reach: int = 4) -> None:
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+        self.reach = reach
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: object = None) -> Self:
+        return self
+
+    @property
+    def envelope(self) -> None:
+        """No limits."""
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return carry[:, [self.reach]] + 1e4 * carry[:, [self.state_lags + self.reach]]
+
+
+def reached_back_to(*, history: int, lags: int, reach: int) -> tuple[float, float]:
+    """Return the state and the control that the first step from sample 20 used; both are the number of their sample."""
+    numbers = np.arange(STEPS + 1.0)
+    data = Dataset.from_arrays(SYSTEM, numbers, np.maximum(numbers, 0.25))
+    protocol = PredictionProtocol(horizons=(1,), history=history, first=20, stride=1, guard_multiple=1e9)
+    model = Echo(state_lags=lags, control_lags=lags, reach=reach).fit(data, rng=np.random.default_rng(0))
+    found = float(forecast(model, measured_cases(data, data, protocol)).windows[0, 0, 0])
+    state = found % 100.0
+    return state, (found - state) / 1e4
+
+
+def test_a_history_that_is_long_enough_is_the_measured_one() -> None:
+    assert reached_back_to(history=6, lags=6, reach=6) == (14.0, 14.0)
+    assert reached_back_to(history=6, lags=4, reach=1) == (19.0, 19.0)
+
+
+def test_a_short_history_is_padded_with_the_first_state_and_neutral_controls() -> None:
+    assert reached_back_to(history=3, lags=6, reach=6) == (17.0, 0.25)
+    assert reached_back_to(history=3, lags=6, reach=4) == (17.0, 0.25)
+    assert reached_back_to(history=3, lags=6, reach=3) == (17.0, 17.0)
+    assert reached_back_to(history=3, lags=6, reach=1) == (19.0, 19.0)

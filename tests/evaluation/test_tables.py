@@ -1,0 +1,201 @@
+"""The tables and pictures of a report: what is painted, framed, marked and left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evaluation.exploitability import ModelExploitability, ProbeResult
+from evaluation.report import Report
+from evaluation.report.pictures import (
+    SHOWN_MODELS,
+    Picture,
+    claims_picture,
+    fitness_picture,
+    free_run_picture,
+    traces_picture,
+)
+from evaluation.report.sheets import number, three_digits
+from evaluation.report.tables import controller_sheet, prediction_sheet, probe_sheet, transfer_sheet
+from evaluation.report.transferring import ONE_SEED
+from evaluation.transfer import Estimate, TransferMatrix, summarise
+from tests.evaluation.known_models import Known, Sliding, fitted
+from tests.evaluation.made_up import matrix, prediction
+from tests.evaluation.test_report import make_report
+
+FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
+AGAINST = {"ab": ("a", "b")}
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
+
+
+def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **changes: object) -> ModelExploitability:
+    """A model whose controllers claim 10 ± 0.1 and reach 4 on the robot, turning on the spot in half of their steps."""
+    probe = ProbeResult("spinning", "rad/s", "turn on the spot", 1.0, visited, 0.01, 0.0)
+    made = ModelExploitability(
+        model="linear",
+        family="linear",
+        controllers=("linear",),
+        claimed=Estimate(10.0, 0.1),
+        others=Estimate(8.0, 0.1),
+        achieved=Estimate(4.0, 0.1),
+        gap=Estimate(6.0, 0.1),
+        outside_visited=outside,
+        outside_held_out=0.01,
+        outside_robot=0.02,
+        clipped_share=0.0,
+        diverged_share=0.0,
+        probes=(probe,),
+        unit="waypoints",
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "model, said",
+    [
+        (exploited(), "linear: exploited: its controllers claim 10.0 waypoints and achieve 4.0 on the robot."),
+        (exploited(), "They turn on the spot in 50 % of steps (held-out driving 1.0 %, the same on the robot 0 %)."),
+        (exploited(), "10 % of what they visit lies outside the data (held-out driving 1.0 %, the same on the robot"),
+        (exploited(visited=0.0), "No probe says how."),
+        (exploited(gap=Estimate(0.5, 0.1)), "the claim holds: its controllers claim 10.0 waypoints and achieve 4.0"),
+        (exploited(achieved=None, gap=Estimate(2.0, 0.1)), "claim 10.0 waypoints and achieve 8.0 on the other models."),
+        (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),
+        (exploited(gap=Estimate(6.0, float("nan"))), "One trial cannot show whether the claim holds."),
+        (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
+        (
+            exploited(seed_fitness=(9.0, 10.04, 8.0)),
+            "claim 10.0 waypoints (three evolution seeds: 8.0 to 10.0) and achieve 4.0",
+        ),
+    ],
+)
+def test_the_sentence_on_a_model_says_what_was_found(model: ModelExploitability, said: str) -> None:
+    assert said in model.sentence
+
+
+@pytest.mark.parametrize(
+    "model, unsaid",
+    [
+        (exploited(), "No probe says how."),
+        (exploited(), "the claim holds"),
+        (exploited(), "seeds"),
+        (exploited(), "One trial"),
+        (exploited(visited=0.0), "They"),
+        (exploited(outside=None), "outside the data"),
+        (exploited(gap=Estimate(0.5, 0.1)), "exploited"),
+        (exploited(gap=Estimate(0.5, 0.1), visited=0.0), "No probe says how."),
+    ],
+)
+def test_the_sentence_on_a_model_says_nothing_else(model: ModelExploitability, unsaid: str) -> None:
+    assert unsaid not in model.sentence
+
+
+def test_the_matrix_is_painted_from_nothing_to_the_best_and_framed_where_evolved() -> None:
+    heat = transfer_sheet(matrix(FITNESS, against=AGAINST, robot="car")).heat
+    assert heat is not None
+    assert heat.shades == ((1.0, 0.5, 0.0), (0.8, 0.8, None))
+    assert heat.framed == {(0, 0), (1, 0), (1, 1)}
+    assert heat.divided == 2
+
+
+def test_a_matrix_without_a_robot_has_no_line_and_one_of_zeros_no_paint() -> None:
+    heat = transfer_sheet(matrix({"a": {"a": 0.0, "b": 0.0}}, trials=1)).heat
+    assert heat is not None
+    assert heat.divided is None
+    assert heat.shades == ((None, None),)
+
+
+def test_a_negative_fitness_is_the_bottom_of_the_scale() -> None:
+    heat = transfer_sheet(matrix({"a": {"a": 1.0, "b": -1.0, "c": 0.0}}, trials=1)).heat
+    assert heat is not None
+    assert heat.shades == ((1.0, 0.0, 0.5),)
+
+
+def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale() -> None:
+    sheet = probe_sheet((exploited(visited=1.0, outside=0.0005), exploited(visited=0.01, outside=None)))
+    assert sheet.heat is not None
+    assert sheet.heat.alarm
+    (none, all_of_it), (unknown, hundredth), held_out = sheet.heat.shades
+    assert (none, unknown) == (None, None)
+    assert all_of_it == 1.0
+    assert hundredth == pytest.approx(1.0 / 3.0)
+    assert held_out == pytest.approx((1.0 / 3.0, 1.0 / 3.0))
+    assert sheet.rows[-1] == ("held-out data", "1.0 %", "1.0 %")
+
+
+def claims_note(transfer: TransferMatrix) -> str:
+    return controller_sheet(transfer, summarise(transfer)).note
+
+
+def test_claims_stand_with_the_range_over_evolution_seeds_or_with_a_word_that_it_is_unknown() -> None:
+    one, three = (matrix(FITNESS, against=AGAINST, robot="car", seeds=seeds) for seeds in ((9.0,), (9.0, 8.0, 9.96)))
+    assert ONE_SEED in claims_note(one)
+    assert "evolution seeds" not in claims_note(one)
+    assert ONE_SEED not in claims_note(three)
+    assert "its range over 3 evolution seeds" in claims_note(three)
+    assert controller_sheet(three, summarise(three)).rows[0][1].split("\n")[1] == "8.0 to 10.0"
+    people = matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")
+    assert ONE_SEED not in claims_note(people)
+
+
+def test_a_star_marks_the_best_model_and_those_that_do_not_differ_from_it() -> None:
+    sheet = prediction_sheet(prediction({"persistence": 0.9, "linear": 0.300, "sindy": 0.301, "narx": 0.5}))
+    starred = {row[0] for row in sheet.rows if row[1].startswith("* ")}
+    assert starred == {"linear", "sindy"}
+    assert sheet.title.startswith("Prediction error N, the mean error in standard deviations")
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [(0.0461, "0.046"), (0.9994, "0.999"), (0.9996, "1.00"), (1.234, "1.23"), (12.34, "12.3"), (123.4, "123")],
+)
+def test_numbers_have_three_digits_and_keep_their_leading_zero(value: float, text: str) -> None:
+    assert three_digits(value) == text
+    assert three_digits(-value) == f"-{text}"
+    assert three_digits(float("nan")) == number(None) == "–"
+
+
+def ticks(picture: Picture) -> int:
+    """Return how many seeds are marked in the first drawing, behind its axes and legend."""
+    return picture.panels[0].svg.count("<use")
+
+
+def test_the_picture_of_claims_marks_the_champion_of_every_evolution_seed() -> None:
+    one, three = (matrix(FITNESS, against=AGAINST, robot="car", seeds=seeds) for seeds in ((9.0,), (9.0, 8.0, 7.0)))
+    without, marked = claims_picture(one, summarise(one)), claims_picture(three, summarise(three))
+    assert ticks(marked) - ticks(without) == 2 * 3
+    assert "Ticks" in marked.caption
+    assert "Ticks" not in without.caption
+
+
+def test_each_controller_is_traced_in_its_model_and_on_the_robot(report: Report) -> None:
+    assert report.matrix is not None
+    picture = traces_picture(report.matrix)
+    assert picture is not None
+    titles = [panel.title for panel in picture.panels]
+    assert titles[:2] == ["known_c on known", "known_c on car"]
+    assert len(titles) == 2 * len(report.matrix.rows)
+    assert all(panel.note.endswith("waypoints") for panel in picture.panels)
+
+
+def test_pictures_of_nothing_are_left_out() -> None:
+    made = matrix(FITNESS, against=AGAINST)
+    assert traces_picture(made) is None
+    without = tuple(replace(champion, history=np.empty((0, 3))) for champion in made.champions)
+    assert fitness_picture(replace(made, champions=without)) is None
+
+
+def test_the_free_run_shows_the_best_models_and_says_how_many_are_left_out() -> None:
+    whole = make_report({f"model{i}": fitted(Known()) for i in range(SHOWN_MODELS + 1)}, robot=False).prediction
+    assert whole is not None
+    picture = free_run_picture(whole)
+    assert [key.label for key in picture.legend] == ["measured", *(f"model{i}" for i in range(SHOWN_MODELS))]
+    assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models" in picture.caption
+    for channel in ("forward_speed (m/s)", "lateral_speed (m/s)", "yaw_rate (rad/s)", "time (s)"):
+        assert channel in picture.panels[0].svg
+        assert channel in picture.panels[0].narrow

@@ -1,0 +1,208 @@
+"""The contract of robots: all that are listed keep it, each broken one is caught with its sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hardware import testing as kit
+from hardware.measurement import Measurement
+from hardware.robot import Connection, Robot
+from hardware.testing import check_robot, run_robot_checks
+from sysid_evo.arrays import Array
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.errors import ContractViolation
+from sysid_evo.registry import make_robot, robots
+from sysid_evo.system import System
+from tests.broken import broken, sentence
+
+
+class Around(Dynamics):
+    """Dynamics that do as those inside them."""
+
+    def __init__(self, inner: Dynamics) -> None:
+        self.inner, self.system, self.n_carry = inner, inner.system, inner.n_carry
+        self.n_lags, self.n_noise, self.n_draws = inner.n_lags, inner.n_noise, inner.n_draws
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return self.inner.start(states, controls, draws)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return self.inner.step(carry, control, noise)
+
+
+class StartsElsewhere(Around):
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return super().start(states, controls, draws) + 0.01
+
+
+class Miscounting(Around):
+    def __init__(self, inner: Dynamics) -> None:
+        super().__init__(inner)
+        self.n_carry += 1
+
+
+class Comparing(Around):
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = super().step(carry, control, noise)
+        return after + 1e-3 * carry.mean(axis=0)
+
+
+class Overwriting(Around):
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = super().step(carry, control, noise)
+        control[:] = 0.0
+        return after
+
+
+class OtherKernel(Around):
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return 1.001 * super().step(carry, control, noise)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self.inner.kernel()
+
+
+class Car(Robot):
+    """A sound one: the emulated car under another name, with other dynamics or other sessions."""
+
+    wrapping: type[Around] = Around
+
+    def __init__(self) -> None:
+        self.inner = make_robot("emulated_car")
+        self.name, self.system = "car", self.inner.system
+        self.dynamics: Dynamics = self.wrapping(self.inner.dynamics)
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        return self.altered(self.inner.connect(seed=seed))
+
+    def altered(self, connection: Connection) -> Connection:
+        return connection
+
+
+class Nameless(Car):
+    def __init__(self) -> None:
+        super().__init__()
+        self.name = ""
+
+
+class Numbered(Car):
+    made = 0
+
+    def __init__(self) -> None:
+        super().__init__()
+        Numbered.made += 1
+        self.name = f"car number {Numbered.made}"
+
+
+class OtherSystem(Car):
+    def __init__(self) -> None:
+        super().__init__()
+        system: System = self.system
+        self.system = system.with_dt(2.0 * system.dt)
+
+
+class CountingDown(Car):
+    def altered(self, connection: Connection) -> Connection:
+        measure = connection.measure
+
+        def counted(timeout: float) -> Measurement | None:
+            frame = measure(timeout)
+            return None if frame is None else replace(frame, frame=-frame.frame)
+
+        connection.measure = counted  # type: ignore[method-assign]  # one session that is broken
+        return connection
+
+
+class Unseeded(Car):
+    def connect(self, *, seed: int | None = None) -> Connection:
+        return super().connect()
+
+
+class Tireless(Car):
+    def altered(self, connection: Connection) -> Connection:
+        send = connection.send
+
+        def lasting(control: Array, *, valid_for: float) -> None:
+            send(control, valid_for=100.0 * valid_for)
+
+        connection.send = lasting  # type: ignore[method-assign]  # one session that is broken
+        return connection
+
+
+class Lenient(Car):
+    def altered(self, connection: Connection) -> Connection:
+        send = connection.send
+
+        def clipped(control: Array, *, valid_for: float) -> None:
+            send(np.clip(control[: self.system.nu], -1.0, 1.0), valid_for=valid_for)
+
+        connection.send = clipped  # type: ignore[method-assign]  # one session that is broken
+        return connection
+
+
+class Open(Car):
+    def altered(self, connection: Connection) -> Connection:
+        connection.close = lambda: None  # type: ignore[method-assign]  # one session that is broken
+        return connection
+
+
+def with_dynamics(wrapping: type[Around]) -> type[Car]:
+    return type(wrapping.__name__, (Car,), {"wrapping": wrapping})
+
+
+BROKEN: list[tuple[type[Car], Callable[..., None], str]] = [
+    (Nameless, kit.it_says_what_it_is, "expected a name, got ''"),
+    (Numbered, kit.another_is_the_same, "a second one has another"),
+    (OtherSystem, kit.its_dynamics_are_of_its_system, "the dynamics are those of"),
+    (with_dynamics(StartsElsewhere), kit.the_carry_begins_with_the_state, "after start is not the last state"),
+    (
+        with_dynamics(Miscounting),
+        kit.a_step_has_the_right_shape_and_type,
+        r"start gives a carry of \d+ numbers, n_carry",
+    ),
+    (with_dynamics(Comparing), kit.rows_are_independent, "changes with the other rows"),
+    (with_dynamics(Overwriting), kit.a_step_is_pure, "step overwrites its arguments"),
+    (with_dynamics(OtherKernel), kit.the_compiled_form_steps_as_step_does, "rows differ after one step in float64"),
+    (CountingDown, kit.a_session_shows_frames, "frame -1 comes after 0"),
+    (Unseeded, kit.the_seed_decides, "the same seed gives other poses"),
+    (Tireless, kit.a_command_moves_it, "a command goes on after the time it is valid for"),
+    (Lenient, kit.a_command_that_is_not_legal_is_refused, "expected ShapeError for"),
+    (Open, kit.a_closed_session_is_over, "expected LinkLost after close, got no error"),
+]
+
+
+@pytest.mark.parametrize("name", robots.names())
+def test_every_robot_keeps_every_sentence_and_a_physical_one_is_not_connected(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if make_robot(name).dynamics is None:
+        monkeypatch.setattr(robots.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
+    check_robot(name)
+
+
+def test_a_sound_robot_keeps_every_sentence_but_that_of_kernels(register: Callable[..., Any]) -> None:
+    register(robots, "car", Car)
+    results = list(run_robot_checks("car"))
+    assert broken(results) == {}
+    assert len(results) == len(kit.CHECKS)
+
+
+@pytest.mark.parametrize(("made", "check", "reason"), BROKEN)
+def test_a_broken_robot_is_caught_with_the_one_sentence_it_breaks(
+    made: type[Car], check: Callable[..., None], reason: str, register: Callable[..., Any]
+) -> None:
+    register(robots, "broken", made)
+    found = broken(run_robot_checks("broken"))
+    assert list(found) == [sentence(check)]
+    with pytest.raises(ContractViolation, match=f"robot 'broken' breaks 1 of .*\n- .*{reason}"):
+        check_robot("broken")
+
+
+def test_every_sentence_has_something_that_breaks_it() -> None:
+    assert {check for _, check, _ in BROKEN} == set(kit.CHECKS)

@@ -1,0 +1,14 @@
+"""The changes, by what they break."""
+
+from tests.mutation.change import Change
+from tests.mutation.changes import data, evolution, families, plans, robots, statistics, worlds
+
+ALL: tuple[Change, ...] = (
+    *statistics.CHANGES,
+    *families.CHANGES,
+    *evolution.CHANGES,
+    *worlds.CHANGES,
+    *plans.CHANGES,
+    *data.CHANGES,
+    *robots.CHANGES,
+)

@@ -1,0 +1,86 @@
+"""Model families: how they are fitted and judged."""
+
+from tests.mutation.change import Change
+
+VERDICTS = "tests/model_zoo/test_verdicts.py"
+VALIDATION = "tests/model_zoo/test_validation.py"
+
+CHANGES = (
+    Change(
+        "the conformal correction is left out",
+        "model_zoo/validation/spread.py",
+        "level = min(1.0, share * (len(errors) + 1) / len(errors))",
+        "level = share",
+        (VERDICTS,),
+    ),
+    Change(
+        "earlier samples count as much as the present one",
+        "model_zoo/k_neighbours.py",
+        "weight = np.full(len(scale), 0.5)",
+        "weight = np.full(len(scale), 1.0)",
+        (VERDICTS,),
+    ),
+    Change(
+        "hyper-parameters may be chosen with which a narx diverges",
+        "model_zoo/validation/held_out.py",
+        "total += DIVERGED if self.diverges(model, simulated) else 0.0",
+        "total += 0.0",
+        (VERDICTS,),
+    ),
+    Change(
+        "evolved3 looks one step ahead",
+        "model_zoo/evolved3.py",
+        "windows=self.windows, horizon=self.horizon,",
+        "windows=self.windows, horizon=1,",
+        (VERDICTS,),
+    ),
+    Change(
+        "all steps of a free run weigh alike",
+        "model_zoo/networks/multistep.py",
+        "** -SHARPNESS",
+        "** -0.0",
+        (VERDICTS,),
+    ),
+    Change(
+        "an evolved fit looks one step ahead, whatever it is told",
+        "sysid_evo/evolution/identification.py",
+        "every = dataset.windows(self.horizon, history=history)",
+        "every = dataset.windows(1, history=history)",
+        ("tests/sysid_evo/test_model_evolution.py",),
+    ),
+    Change(
+        "states of small numbers hardly count in an evolved fit",
+        "sysid_evo/evolution/identification.py",
+        'if weights == "paper":',
+        'if weights != "paper":',
+        ("tests/sysid_evo/test_model_evolution.py",),
+    ),
+    Change(
+        "blocks held out are also learned from",
+        "model_zoo/validation/held_out.py",
+        "(held if out[begin] else learned).append(",
+        "(held if out[begin] else learned).append(episode) or learned.append(",
+        (VALIDATION,),
+    ),
+    Change(
+        "the error of a free run is not relative to the spread of the truth",
+        "sysid_evo/free_run.py",
+        "np.mean(np.sqrt(np.mean(off**2, axis=0)) / spread)",
+        "np.mean(np.sqrt(np.mean(off**2, axis=0)))",
+        ("tests/sysid_evo/test_fit_and_score.py",),
+    ),
+    Change(
+        "the history of one run is padded with its last state",
+        "sysid_evo/free_run.py",
+        "np.repeat(history[:1], missing, axis=0)",
+        "np.repeat(history[-1:], missing, axis=0)",
+        ("tests/sysid_evo/test_fit_and_score.py",),
+    ),
+    Change(
+        "neighbours may be left behind: the plane is not clipped to what they did",
+        "model_zoo/k_neighbours.py",
+        "np.clip(plane, targets.min(axis=1), targets.max(axis=1))",
+        "plane",
+        (VALIDATION,),
+    ),
+)

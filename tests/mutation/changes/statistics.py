@@ -1,0 +1,211 @@
+"""Verdicts and the statistics behind them."""
+
+from tests.mutation.change import Change
+
+CLAIMS = "evaluation/transfer/claims.py"
+SUMMARY = "evaluation/transfer/summary.py"
+TEST_CLAIMS = "tests/evaluation/test_claims.py"
+TEST_TRANSFER = "tests/evaluation/test_transfer.py"
+TEST_PREDICTION = "tests/evaluation/test_prediction.py"
+TEST_VERDICT = "tests/evaluation/test_verdict.py"
+TEST_EXPLOITABILITY = "tests/evaluation/test_exploitability.py"
+
+CHANGES = (
+    Change(
+        "a claim is exploited when one of the two rules says so",
+        CLAIMS,
+        "gap.value > max(LEAST_GAP",
+        "gap.value > min(LEAST_GAP",
+        (TEST_CLAIMS,),
+    ),
+    Change("one standard error is enough for an exploited claim", CLAIMS, "SURE = 2.0", "SURE = 1.0", (TEST_CLAIMS,)),
+    Change(
+        "the error of a claim is that of n instead of n - 1",
+        CLAIMS,
+        "(RESAMPLES, trials - 1)",
+        "(RESAMPLES, trials)",
+        (TEST_CLAIMS,),
+    ),
+    Change(
+        "differences between systems are not paired",
+        CLAIMS,
+        "np.random.default_rng(seed).integers(0, trials",
+        "np.random.default_rng().integers(0, trials",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "the claim is the mean, whatever rule the controller was evolved by",
+        CLAIMS,
+        "rule = make_aggregate(champion.aggregate)",
+        'rule = make_aggregate("mean")',
+        (TEST_CLAIMS, TEST_TRANSFER),
+    ),
+    Change(
+        "a controller that was driven on the robot is judged by the other models",
+        SUMMARY,
+        "gap = self.exploitation_gap if self.achieved is None else self.reality_gap",
+        "gap = self.exploitation_gap",
+        (TEST_CLAIMS,),
+    ),
+    Change(
+        "the controller to use is picked by a mean of other families",
+        SUMMARY,
+        "np.median(judged, axis=0)",
+        "np.mean(judged, axis=0)",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "a model of the same family is a judge",
+        SUMMARY,
+        "[column for column in others if matrix.families[column] not in families]",
+        "list(others)",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "a controller evolved on the robot is picked without it",
+        SUMMARY,
+        "if c.against and not c.on_robot]",
+        "if c.against]",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "a correlation of numbers is told as one of ranks",
+        SUMMARY,
+        "from scipy.stats import spearmanr",
+        "from scipy.stats import pearsonr as spearmanr",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "a person who drives is chosen as the best controller",
+        "evaluation/transfer/matrix.py",
+        "evolved = [champion.name for champion in self.champions if champion.against]",
+        "evolved = [champion.name for champion in self.champions]",
+        ("tests/evaluation/test_measured.py",),
+    ),
+    Change(
+        "an emulated robot that is driven counts before the physical one",
+        "evaluation/transfer/measured.py",
+        "if item.physical or (not physical and (matrix is None or matrix.robot is None)):",
+        "if True:",
+        ("tests/evaluation/test_measured.py",),
+    ),
+    Change(
+        "a column of measured cells is taken for a model",
+        "evaluation/transfer/measured.py",
+        "other_robots=tuple(name for name in robots if name != robot),",
+        "other_robots=(),",
+        ("tests/evaluation/test_measured.py",),
+    ),
+    Change(
+        "the trials of the matrix are those on which champions were chosen",
+        "evaluation/transfer/cell.py",
+        "TRANSFER = 2**31 + 1",
+        "TRANSFER = 2**31",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "Ctrl-C while a controller runs is a failed cell",
+        "evaluation/transfer/cell.py",
+        "except Exception as error:  # a plugin or a robot",
+        "except BaseException as error:  # a plugin or a robot",
+        (TEST_TRANSFER,),
+    ),
+    Change(
+        "Ctrl-C while a model predicts is a failed row",
+        "evaluation/prediction/assess.py",
+        "except Exception as error:  # a plugin may fail",
+        "except BaseException as error:  # a plugin may fail",
+        (TEST_PREDICTION,),
+    ),
+    Change(
+        "a probe finds something in one step of a thousand",
+        "evaluation/exploitability/results.py",
+        "LEAST_SHARE = 0.01",
+        "LEAST_SHARE = 0.001",
+        (TEST_EXPLOITABILITY,),
+    ),
+    Change(
+        "a probe finds something at the normal share",
+        "evaluation/exploitability/results.py",
+        "TIMES_NORMAL = 3.0",
+        "TIMES_NORMAL = 1.0",
+        (TEST_EXPLOITABILITY,),
+    ),
+    Change(
+        "the limit of a probe is passed by one training step in a hundred",
+        "evaluation/exploitability/probes.py",
+        "QUANTILE = 0.999",
+        "QUANTILE = 0.99",
+        (TEST_EXPLOITABILITY,),
+    ),
+    Change(
+        "an interval of 95 % is one of 90 %",
+        "evaluation/prediction/protocol.py",
+        "confidence: float = 0.95",
+        "confidence: float = 0.90",
+        ("tests/evaluation/test_bootstrap.py",),
+    ),
+    Change(
+        "the tails of an interval are twice as large",
+        "evaluation/prediction/bootstrap.py",
+        "tail = 50.0 *",
+        "tail = 100.0 *",
+        ("tests/evaluation/test_bootstrap.py",),
+    ),
+    Change(
+        "two models meet different draws of blocks",
+        "evaluation/prediction/bootstrap.py",
+        "rng = np.random.default_rng(seed)",
+        "rng = np.random.default_rng()",
+        ("tests/evaluation/test_bootstrap.py",),
+    ),
+    Change(
+        "overlapping windows are drawn one by one instead of in blocks",
+        "evaluation/prediction/cases.py",
+        "np.arange(len(rows)) // size",
+        "np.arange(len(rows)) // 1",
+        ("tests/evaluation/test_bootstrap.py", TEST_PREDICTION),
+    ),
+    Change(
+        "samples of a free run are drawn one by one instead of in blocks",
+        "evaluation/prediction/assess.py",
+        "// cases.protocol.block_samples",
+        "// 1",
+        ("tests/evaluation/test_bootstrap.py", TEST_PREDICTION),
+    ),
+    Change(
+        "a history is padded with the last state",
+        "evaluation/prediction/forecasts.py",
+        "np.repeat(past_states[:, :1], missing, axis=1)",
+        "np.repeat(past_states[:, -1:], missing, axis=1)",
+        ("tests/evaluation/test_forecasts.py",),
+    ),
+    Change(
+        "a history is padded with controls of zero",
+        "evaluation/prediction/forecasts.py",
+        "np.tile(model.system.neutral_control, (len(past_controls), missing, 1))",
+        "np.zeros((len(past_controls), missing, model.system.nu))",
+        ("tests/evaluation/test_forecasts.py",),
+    ),
+    Change(
+        "the verdict stands at a horizon below one second",
+        "evaluation/report/predicting.py",
+        "<= SECOND + 1e-9",
+        "< SECOND - 1e-9",
+        (TEST_VERDICT,),
+    ),
+    Change(
+        "a model no better than a constant is called best",
+        "evaluation/report/predicting.py",
+        "USELESS = 1.0",
+        "USELESS = 1.5",
+        (TEST_VERDICT,),
+    ),
+    Change(
+        "a claim is kept from four fifths of it on",
+        "evaluation/report/transferring.py",
+        "KEPT = 0.9",
+        "KEPT = 0.8",
+        (TEST_VERDICT,),
+    ),
+)

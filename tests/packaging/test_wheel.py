@@ -1,0 +1,121 @@
+"""A wheel in an empty environment, outside the checkout, is the whole program."""
+
+from __future__ import annotations
+
+import email
+import json
+import re
+import tarfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.packaging.conftest import ROOT, Environment, build
+
+pytestmark = pytest.mark.slow
+
+PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
+OPTIONAL = ("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax")
+LEFT_OUT = {"sindy": "sindy", "mlp_ensemble": "neural"}
+"""Families of a comparison with no options that cannot run without extras, and the extra of each."""
+
+
+def of_the_tree(*folders: str) -> set[str]:
+    """Return the files of ``folders``, without what Python keeps beside them."""
+    files = (file for folder in folders for file in (ROOT / folder).rglob("*") if file.is_file())
+    return {file.relative_to(ROOT).as_posix() for file in files if "__pycache__" not in file.parts}
+
+
+def in_wheel(wheel: Path) -> set[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return {name for name in archive.namelist() if ".dist-info/" not in name}
+
+
+def metadata_of(wheel: Path) -> email.message.Message:
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        return email.message_from_bytes(archive.read(name))
+
+
+def test_the_wheel_holds_templates_pages_firmware_and_types(distribution: dict[str, Path]) -> None:
+    held = in_wheel(distribution["wheel"])
+    assert held == of_the_tree(*PACKAGES)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= held
+    assert {Path(name).suffix for name in held} >= {".txt", ".j2", ".html", ".css", ".js", ".c", ".h", ".toml", ".pyi"}
+
+
+def test_the_source_distribution_builds_the_same_wheel(
+    distribution: dict[str, Path], builder: Environment, tmp_path: Path
+) -> None:
+    with tarfile.open(distribution["sdist"]) as archive:
+        archive.extractall(tmp_path, filter="data")
+    source = next(path for path in tmp_path.iterdir() if path.is_dir())
+    again = build(builder, source, tmp_path / "out")["wheel"]
+    assert in_wheel(again) == in_wheel(distribution["wheel"])
+    assert (source / "tests" / "conftest.py").is_file()
+    assert (source / "docs" / "models.md").is_file()
+
+
+def test_what_a_package_index_shows_is_complete(distribution: dict[str, Path], project: dict[str, Any]) -> None:
+    metadata = metadata_of(distribution["wheel"])
+    assert {metadata[field] for field in ("Author", "Keywords", "Summary", "License-Expression")}.isdisjoint({None, ""})
+    for version in ("3.11", "3.12", "3.13"):
+        assert f"Programming Language :: Python :: {version}" in metadata.get_all("Classifier", [])
+    text = str(metadata.get_payload())
+    assert text.startswith("# sysid-evo")
+    links = re.findall(r"\]\(([^)]+)\)", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    assert [link for link in links if not link.startswith("https://")] == []
+
+
+def test_all_is_every_extra_but_those_of_developers(distribution: dict[str, Path], project: dict[str, Any]) -> None:
+    brought: dict[str, set[str]] = {}
+    for line in metadata_of(distribution["wheel"]).get_all("Requires-Dist", []):
+        extra = re.search(r"(.*);.*extra == '(\w+)'", line)
+        if extra:
+            brought.setdefault(extra[2], set()).add(extra[1].strip())
+    assert set(brought) == {*project["project"]["optional-dependencies"]}
+    jobs = set(brought) - {"all", "bench", "dev"}
+    assert brought["all"] == set().union(*(brought[job] for job in jobs))
+    assert not brought["all"] & brought["bench"]
+
+
+def test_nothing_optional_is_installed_by_default(bare: Environment) -> None:
+    asked = f"import importlib.util as u, json; print(json.dumps([n for n in {OPTIONAL} if u.find_spec(n)]))"
+    assert json.loads(bare.python("-c", asked).stdout) == []
+    where = bare.python("-c", "import sysid_evo; print(sysid_evo.__file__)").stdout
+    assert Path(where.strip()).is_relative_to(bare.folder)
+
+
+def test_compare_runs_without_extras_and_names_what_installs_the_rest(bare: Environment) -> None:
+    done = bare.python("-m", "sysid_evo", "compare", "--generations", "2", "--minutes", "1", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    told = " ".join(done.stderr.split())
+    for family, extra in LEFT_OUT.items():
+        assert re.search(rf'{family} is left out:[^"]* pip install "sysid-evo\[{extra}\]"', told), told
+    report = json.loads((bare.work / "run" / "report.json").read_text(encoding="utf-8"))
+    assert (bare.work / "run" / "report.html").is_file()
+    families = {model["family"] for model in report["models"]}
+    assert families == {"backprop27", "evolved3", "nearest_neighbour", "parametrised"}
+    assert report["failures"] == []
+
+
+@pytest.mark.parametrize(("family", "extra"), [("sindy", "sindy"), ("neural_ode", "neural")])
+def test_a_family_asked_for_by_name_is_refused_before_any_work(bare: Environment, family: str, extra: str) -> None:
+    done = bare.python("-m", "sysid_evo", "compare", "--models", family, "--out", f"with_{family}")
+    assert done.returncode == 2, done.stderr
+    assert f'pip install "sysid-evo[{extra}]"' in " ".join(done.stderr.split())
+    assert not (bare.work / f"with_{family}").exists()
+
+
+def test_commands_that_need_no_extra_work_and_the_others_say_which(bare: Environment) -> None:
+    listed = bare.python("-m", "sysid_evo", "models", "list")
+    assert listed.returncode == 0, listed.stderr
+    assert "neural_ode" in listed.stdout
+    written = bare.python("-m", "sysid_evo", "plugin", "new", "my_model")
+    assert written.returncode == 0, written.stderr
+    assert (bare.work / "my_model" / "pyproject.toml").is_file()
+    driven = bare.python("-m", "sysid_evo", "drive")
+    assert driven.returncode == 2
+    assert 'pip install "sysid-evo[drive]"' in " ".join(driven.stderr.split())

@@ -1,0 +1,38 @@
+"""A mistake is one message and exit code 2, before any work; nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.sysid_evo.cli.calling import Caller, run
+from tests.sysid_evo.cli.mistakes import MISTAKES, Mistake, prepare
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mistakes")
+    prepare(folder)
+    return folder
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.what)
+def test_a_mistake_is_told_before_any_work_and_nothing_is_written(
+    mistake: Mistake, prepared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(prepared.rglob("*"))
+    ended = Caller(prepared, monkeypatch, capsys)(*mistake.arguments)
+    assert ended.says(mistake.said), ended.stderr
+    assert ended.code == 2
+    assert "Traceback" not in ended.stderr
+    assert not ended.stdout
+    assert sorted(prepared.rglob("*")) == before
+
+
+def test_in_a_process_of_its_own_the_error_stands_on_standard_error_and_nothing_else(tmp_path: Path) -> None:
+    done = run("compare", "--models", "linaer", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,304 @@
+"""Executions: failures are outcomes, finished cells are kept, what is damaged is computed again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_evo.errors import ArtefactError, InvalidData
+from sysid_evo.plan import Cell, Plan, Store, execute
+from tests.sysid_evo.plan.made_up_cells import Named, Number, Tolerant, Watching
+
+
+def run(folder: Path, *wanted: Cell, only: tuple[Cell, ...] | None = None) -> tuple[Watching, Store]:
+    """Execute the plan of ``wanted`` in a new store in ``folder``."""
+    watching, store = Watching(), Store(folder)
+    execute(Plan.of(wanted), store, observer=watching, only=only)
+    return watching, store
+
+
+def fails(error: BaseException) -> Any:
+    def then() -> None:
+        raise error
+
+    return then
+
+
+def record_of(folder: Path, cell: Cell) -> Path:
+    return folder / "cells" / f"{cell.digest}.json"
+
+
+BASE = Number(1, label="base")
+LEFT, RIGHT = Number(2, (BASE,), "left"), Number(3, (BASE,), "right")
+TOP = Number(4, (LEFT, RIGHT), "top")
+
+
+def test_results_are_handed_on_and_survive_the_process(tmp_path: Path) -> None:
+    watching, _ = run(tmp_path, TOP)
+    assert watching.computed == ["base", "left", "right", "top"]
+    again, store = run(tmp_path, TOP)
+    assert (again.computed, again.kept) == ([], ["base", "left", "right", "top"])
+    assert store.load(TOP) == 4 + 2 + 1 + 3 + 1
+    assert store.outcome(LEFT).value == 3
+    assert [record.title for record in store.records()] == ["count base", "count left", "count right", "count top"]
+
+
+def test_a_result_is_found_under_another_label_and_carries_it(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    execute(Plan.of([Named(5, label="old")]), store)
+    for some in (store, Store(tmp_path)):
+        assert some.load(Named(5, label="new")) == ("new", 5)
+        assert some.load(Named(5, label="old")) == ("old", 5)
+    assert store.where(Named(5, label="new")) == store.where(Named(5, label="old"))
+    assert store.where(Named(5, label="new")).with_suffix(".txt").is_file()
+
+
+def test_a_cell_that_needs_a_renamed_one_is_handed_its_present_label(tmp_path: Path) -> None:
+    class Asking(Number):
+        def compute(self, work: Any) -> Any:
+            return work.result(self.required[0])
+
+    run(tmp_path, Named(5, label="old"))
+    asking = Asking(1, (Named(5, label="new"),))
+    _, store = run(tmp_path, asking)
+    assert store.load(asking) == ("new", 5)
+
+
+@pytest.mark.parametrize("error", [InvalidData("too little"), ValueError("too little"), MemoryError("too little")])
+def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs_it(
+    tmp_path: Path, error: Exception
+) -> None:
+    broken = Number(2, (BASE,), "broken", then=fails(error))
+    after = Number(3, (broken,), "after")
+    later = Number(4, (after,), "later")
+    aside = Number(5, (BASE,), "aside")
+    watching, store = run(tmp_path, later, aside)
+    reason = "too little" if isinstance(error, InvalidData) else f"{type(error).__name__}: too little"
+    assert watching.failed == {
+        "broken": reason,
+        "after": "needs count broken, which failed",
+        "later": "needs count after, which failed",
+    }
+    assert store.load(aside) == 6
+    record = store.find(broken.digest)
+    assert record is not None
+    assert (record.status, record.reason) == ("failed", reason)
+    assert "in then" in (record.traceback or "")
+    assert record.seconds >= 0.0
+    assert store.find(after.digest) is None  # it was never tried
+    assert store.outcome(later).reason == "needs count after, which failed"
+    log = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [line["title"] for line in log if line["status"] == "failed"] == ["count broken"]
+    assert all("in then" in line["traceback"] for line in log if line["status"] == "failed")
+
+
+def test_a_failed_cell_is_tried_again_the_next_time(tmp_path: Path) -> None:
+    run(tmp_path, Number(2, label="broken", then=fails(ValueError("for a while"))))
+    watching, store = run(tmp_path, Number(2, label="mended"))
+    assert watching.computed == ["mended"]
+    assert store.load(Number(2)) == 2
+
+
+def test_a_result_that_cannot_be_written_as_it_is_is_a_failure_of_its_cell_alone(tmp_path: Path) -> None:
+    class Odd(Number):
+        def compute(self, work: Any) -> Any:
+            return np.zeros(2)
+
+    odd, plain = Odd(7, label="odd"), Number(8, label="plain")
+    watching, store = run(tmp_path, odd, plain)
+    assert "TypeError" in watching.failed["odd"]
+    assert store.load(plain) == 8
+
+
+def test_a_tolerant_cell_is_computed_although_something_it_needs_failed(tmp_path: Path) -> None:
+    broken = Number(2, label="broken", then=fails(ValueError("no")))
+    tolerant = Tolerant(1, (BASE, broken), "tolerant")
+    _, store = run(tmp_path, tolerant)
+    assert store.load(tolerant) == 1 + 1 + 1000
+
+
+def test_a_tolerant_cell_is_computed_again_when_what_had_failed_is_there(tmp_path: Path) -> None:
+    def tolerant(then: Any) -> Tolerant:
+        return Tolerant(1, (BASE, Number(2, label="shaky", then=then)), "tolerant")
+
+    run(tmp_path, tolerant(fails(ValueError("for a while"))))
+    still, _ = run(tmp_path, tolerant(fails(ValueError("for a while"))))
+    assert "tolerant" in still.kept
+    mended, store = run(tmp_path, tolerant(None))
+    assert set(mended.computed) == {"shaky", "tolerant"}
+    assert store.load(tolerant(None)) == 1 + 1 + 2
+    after, _ = run(tmp_path, tolerant(None))
+    assert not after.computed
+
+
+def test_only_the_asked_cells_are_computed_and_the_others_are_what_is_known(tmp_path: Path) -> None:
+    broken = Number(2, label="broken", then=fails(ValueError("no")))
+    run(tmp_path, broken, BASE)
+    tolerant = Tolerant(1, (BASE, Number(2, label="broken"), Number(9, label="never")), "tolerant")
+    watching, store = run(tmp_path, tolerant, only=(tolerant,))
+    assert watching.computed == ["tolerant"]
+    assert store.load(tolerant) == 1 + 1 + 1000 + 1000
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: file.unlink(),
+        lambda file: file.write_text(""),
+        lambda file: file.write_bytes(file.read_bytes()[:-20]),
+        lambda file: file.write_text("[]"),
+        lambda file: file.write_text(file.read_text().replace('"done"', '"finished"')),
+        lambda file: file.write_bytes(b"\xff\xfe"),
+        lambda file: file.write_text(file.read_text()[:-1] + ', "extra": 1}'),
+        lambda file: file.write_text(file.read_text() + " " * 2**22),
+    ],
+    ids=["missing", "empty", "truncated", "a list", "another status", "no text", "an unknown key", "huge"],
+)
+def test_a_damaged_or_missing_record_is_computed_again_with_a_remark(tmp_path: Path, damage: Any) -> None:
+    run(tmp_path, TOP)
+    file = record_of(tmp_path, LEFT)
+    damage(file)
+    missing = not file.exists()
+    watching, store = run(tmp_path, TOP)
+    assert watching.computed == ["left"]
+    assert [f"{file} is damaged" in remark for remark in watching.remarks] == ([] if missing else [True])
+    assert store.load(TOP) == 11
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda file: file.unlink(), lambda file: file.write_text(""), lambda file: file.write_text("4")],
+    ids=["missing", "truncated", "foreign"],
+)
+def test_a_damaged_or_missing_result_is_computed_again_with_a_remark(tmp_path: Path, damage: Any) -> None:
+    run(tmp_path, TOP)
+    (file,) = (tmp_path / "results").glob("left-*.txt")
+    damage(file)
+    watching, store = run(tmp_path, TOP)
+    assert watching.computed == ["left"]
+    assert watching.remarks == [f"results/{file.name} is missing or damaged: count left is computed again"]
+    assert store.load(LEFT) == 3
+
+
+def test_a_result_whole_on_disk_that_cannot_be_read_any_more_is_computed_again(tmp_path: Path) -> None:
+    class Unreadable(Number):
+        def load(self, path: Path) -> int:
+            if readable:
+                return super().load(path)
+            raise ArtefactError("of an older version")
+
+    readable = True
+    base = Unreadable(1, label="base")
+    run(tmp_path, base)
+    readable = False
+    watching, store = run(tmp_path, Number(2, (base,), "after"))
+    assert watching.computed == ["base", "after"]
+    assert len(watching.remarks) == 1
+    assert "of an older version: count base is computed again" in watching.remarks[0]
+    assert store.load(Number(2, (base,))) == 3
+
+
+def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path: Path) -> None:
+    run(tmp_path, LEFT, RIGHT)
+    record_of(tmp_path, LEFT).write_bytes(record_of(tmp_path, RIGHT).read_bytes())
+    watching, store = run(tmp_path, LEFT)
+    assert watching.computed == ["left"]
+    assert "it is the record of another cell" in watching.remarks[0]
+    assert store.load(LEFT) == 3
+
+
+@pytest.mark.parametrize("name", ["../outside.txt", "/etc/hostname", "results/../../outside.txt"])
+@pytest.mark.parametrize("key", ["artefact", "files"])
+def test_a_record_that_leads_out_of_the_folder_is_damaged(tmp_path: Path, name: str, key: str) -> None:
+    folder = tmp_path / "run"
+    (tmp_path / "outside.txt").write_text("77")
+    run(folder, BASE)
+    file = record_of(folder, BASE)
+    record = json.loads(file.read_text())
+    record[key] = name.removesuffix(".txt") if key == "artefact" else {name: "0" * 64}
+    file.write_text(json.dumps(record))
+    watching, store = run(folder, BASE)
+    assert watching.computed == ["base"]
+    assert "lies outside the run folder" in watching.remarks[0]
+    assert store.load(BASE) == 1
+
+
+@pytest.mark.parametrize("title", ["a/b", "../../etc", "..", "", "é mit ß", "a" * 300, "x@y (1, 2)", ".hidden", "a\nb"])
+def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path: Path, title: str) -> None:
+    folder = tmp_path / "run"
+    cell = Number(1, label=title)
+    _, store = run(folder, cell)
+    place = store.place(cell)
+    assert place.parent == folder / "results"
+    assert not place.name.startswith((".", "-"))
+    assert len(place.name) < 80
+    assert [file.parent.parent for file in tmp_path.rglob("*.txt")] == [folder]
+    again, store = run(folder, cell)
+    assert again.kept == [title]
+    assert store.load(cell) == 1
+
+
+def test_two_cells_of_one_name_do_not_share_files(tmp_path: Path) -> None:
+    one, two = Number(1, label="same"), Number(2, label="same")
+    _, store = run(tmp_path, one, two)
+    assert store.place(one) != store.place(two)
+    assert (Store(tmp_path).load(one), Store(tmp_path).load(two)) == (1, 2)
+
+
+def test_a_full_disk_stops_the_run_and_what_was_finished_goes_on_from_there(tmp_path: Path) -> None:
+    class Full(Number):
+        def save(self, value: int, path: Path) -> list[Path]:
+            raise OSError(28, "No space left on device", str(path))
+
+    full = Full(2, (BASE,), "right in the middle")
+    with pytest.raises(OSError, match="No space left"):
+        run(tmp_path, full, Number(3, (full,), "after"))
+    assert Store(tmp_path).load(BASE) == 1
+    assert Store(tmp_path).find(full.digest) is None
+    watching, store = run(tmp_path, Number(3, (Number(2, (BASE,), "right in the middle"),), "after"))
+    assert watching.kept == ["base"]
+    assert store.load(Number(2, (BASE,))) == 3
+
+
+def test_an_interruption_stops_the_run_and_leaves_no_record_of_the_cell(tmp_path: Path) -> None:
+    stopped = Number(2, (BASE,), "stopped", then=fails(KeyboardInterrupt()))
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, stopped)
+    assert Store(tmp_path).find(stopped.digest) is None
+    with Store(tmp_path).claim(stopped) as ours:
+        assert ours
+
+
+def test_a_cell_may_ask_only_for_what_it_needs(tmp_path: Path) -> None:
+    class Curious(Number):
+        def compute(self, work: Any) -> int:
+            return int(work.result(Number(99, label="ninety-nine")))
+
+    watching, _ = run(tmp_path, Curious(1, label="curious"))
+    assert "count ninety-nine is not among the needs" in watching.failed["curious"]
+
+
+def test_the_observer_is_told_how_much_is_left(tmp_path: Path) -> None:
+    told: list[tuple[int, int, float]] = []
+
+    class Counting(Watching):
+        def plan(self, cells: int, kept: int, seconds: float) -> None:
+            told.append((cells, kept, seconds))
+
+    run(tmp_path, LEFT)
+    execute(Plan.of([TOP]), Store(tmp_path), observer=Counting())
+    assert told == [(4, 2, 2.0)]
+
+
+def test_a_store_that_nothing_was_put_into_writes_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path / "none")
+    assert not store.done(BASE)
+    assert store.outcome(BASE).reason == "not computed yet"
+    assert store.records() == []
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(ArtefactError, match="count base: not computed yet"):
+        store.load(BASE)

@@ -1,0 +1,100 @@
+"""Cells and plans: what a digest depends on, and in which order cells stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.plan import Cell, Plan, cell_seed
+from sysid_evo.plan import cell as module
+from tests.sysid_evo.plan.made_up_cells import Number, Tolerant
+
+
+def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_not() -> None:
+    need = Number(3)
+    one = Number(1, (need,))
+    assert one.digest == Number(1, (Number(3, label="three"),), label="other").digest
+    others = [Number(2, (need,)), Number(1), Number(1, (Number(4),)), Number(1, (need, need)), Tolerant(1, (need,))]
+    assert len({one.digest, *(other.digest for other in others)}) == 6
+
+
+def test_the_order_of_needs_decides_the_digest() -> None:
+    one, two = Number(1), Number(2)
+    assert Number(0, (one, two)).digest != Number(0, (two, one)).digest
+
+
+def test_another_contract_is_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Number(1).digest
+    monkeypatch.setattr(module, "CONTRACT", module.CONTRACT + 1)
+    assert Number(1).digest != before
+
+
+def test_cells_are_equal_when_their_digests_are() -> None:
+    assert Number(1, label="a") == Number(1, label="b")
+    assert len({Number(1, label="a"), Number(1, label="b"), Number(2)}) == 2
+    assert Number(1) != "one"
+
+
+def test_an_input_that_is_no_json_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        _ = Number(float("nan")).digest  # type: ignore[arg-type]  # that is what is tested
+
+
+def test_each_cell_comes_once_and_after_what_it_needs() -> None:
+    base = Number(1, label="base")
+    left, right = Number(2, (base,), "left"), Number(3, (Number(1, label="the same base"),), "right")
+    top = Number(4, (right, left), "top")
+    plan = Plan.of([top, left, base])
+    names = [cell.name for cell in plan]
+    assert len(plan) == 4
+    assert all(names.index(needed) < names.index(cell) for cell in ("left", "right") for needed in names[:1])
+    assert names[-1] == "top"
+    assert [cell.name for cell in plan.of_kind("number")] == names
+    assert plan.of_kind("other") == ()
+
+
+def test_the_order_does_not_hang_on_the_order_of_what_is_wanted() -> None:
+    chain: list[Cell] = [Number(0)]
+    for i in range(1, 6):
+        chain.append(Number(i, (chain[-1],), str(i)))
+    assert Plan.of(reversed(chain)).cells == tuple(chain)
+
+
+def test_a_wide_plan_is_made_in_no_time() -> None:
+    layer: tuple[Cell, ...] = (Number(0),)
+    for depth in range(40):  # every path counted alone, there would be 3**40
+        layer = tuple(Number(10 * depth + i, layer) for i in range(3))
+    assert len(Plan.of(layer)) == 121
+
+
+@dataclass(frozen=True, eq=False)
+class Circular(Number):
+    """Needs what is put into it later."""
+
+    later: list[Cell] = field(default_factory=list)
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return tuple(self.later)
+
+
+def test_a_circle_is_refused_in_a_sentence() -> None:
+    first = Circular(label="first")
+    second = Circular(label="second", later=[first])
+    first.later.append(second)
+    with pytest.raises(InvalidArgument, match="plan: count first needs itself"):
+        Plan.of([first])
+    alone = Circular(label="alone")
+    alone.later.append(alone)
+    with pytest.raises(InvalidArgument, match="plan: count alone needs itself"):
+        Plan.of([Number(1), alone])
+
+
+def test_the_seed_of_a_cell_depends_on_the_seed_and_the_work_alone() -> None:
+    found: list[Any] = [cell_seed(seed, work) for seed in (0, 1) for work in ("fit a", "fit b")]
+    assert len(set(found)) == 4
+    assert found[0] == cell_seed(0, "fit a")
+    assert replace(Number(1), label="x").digest == Number(1).digest

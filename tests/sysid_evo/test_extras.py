@@ -1,0 +1,49 @@
+"""What to install for a module that is missing."""
+
+from __future__ import annotations
+
+from importlib.metadata import distribution
+
+import pytest
+
+from sysid_evo.extras import extra_of, missing_extra
+
+
+@pytest.mark.parametrize(
+    ("module", "extra"),
+    [
+        ("serial", "hardware"),
+        ("serial.tools.list_ports", "hardware"),
+        ("cobs", "hardware"),
+        ("natnet", "natnet"),
+        ("motioncapture", "motioncapture"),
+        ("starlette.applications", "drive"),
+        ("uvicorn", "drive"),
+        ("torch", "neural"),
+        ("pysindy", "sindy"),
+    ],
+)
+def test_the_extra_of_a_module_is_found_also_where_the_package_has_another_name(module: str, extra: str) -> None:
+    assert extra_of(module) == extra
+
+
+@pytest.mark.parametrize("module", ["numpy", "sklearn", "no_such_module", "json"])
+def test_a_module_that_is_always_there_or_never_belongs_to_no_extra(module: str) -> None:
+    assert extra_of(module) is None
+
+
+def test_a_distribution_that_is_not_installed_has_no_extras() -> None:
+    assert extra_of("torch", "no-such-distribution") is None
+
+
+def test_a_distribution_may_be_given_as_itself() -> None:
+    assert extra_of("serial", distribution("sysid-evo")) == "hardware"
+    assert str(missing_extra("it", "serial", distribution("sysid-evo"))).endswith('pip install "sysid-evo[hardware]"')
+
+
+def test_the_error_names_the_package_and_the_command_that_installs_it() -> None:
+    assert str(missing_extra("robot 'serial'", "serial")) == (
+        "robot 'serial' needs the package 'pyserial', which is not installed. "
+        'Install it with: pip install "sysid-evo[hardware]"'
+    )
+    assert str(missing_extra("it", "cv2")).endswith('pip install "opencv-python"')

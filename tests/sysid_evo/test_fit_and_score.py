@@ -1,0 +1,239 @@
+"""Habits of Python users: what `fit`, `score` and `simulate` take, and what they say to what they do not."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV
+
+from sysid_evo import EpisodeFold
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra, ShapeError, SysidEvoError
+from sysid_evo.hyperparameters import Limit, above, at_least
+from sysid_evo.registry import make_model
+from sysid_evo.system import Channel, System
+
+SYSTEM = System((Channel("a"), Channel("b")), (Channel("u", low=-1.0, high=1.0, neutral=0.5),), dt=0.1)
+
+
+class Drawn(DynamicsModel):
+    """x' = gain x + u: the gain is drawn, to tell generators apart."""
+
+    limits: ClassVar[dict[str, Limit]] = {"share": above(0, at_most=1), "sizes": at_least(1)}
+
+    def __init__(
+        self,
+        *,
+        share: float = 0.5,
+        sizes: list[int] | None = None,
+        way: Literal["plain", "other"] = "plain",
+        loud: bool = False,
+        state_lags: int = 0,
+        control_lags: int = 0,
+    ) -> None:
+        self.share = share
+        self.sizes = sizes
+        self.way = way
+        self.loud = loud
+        self.state_lags = state_lags
+        self.control_lags = control_lags
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        assert isinstance(dataset, Dataset)
+        self.gain_ = float(rng.uniform(0.1, 0.9))
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return self.gain_ * carry[:, -2:] + control
+
+
+def recording(gain: float = 0.8, names: tuple[str, ...] = ("one", "two", "three")) -> Dataset:
+    rng = np.random.default_rng(1)
+    states, controls = [], []
+    for _ in names:
+        u, x = rng.uniform(-1, 1, (60, 1)), [rng.standard_normal(2)]
+        for k in range(60):
+            x.append(gain * x[-1] + u[k])
+        states.append(np.array(x))
+        controls.append(u)
+    return Dataset.from_arrays(SYSTEM, states, controls, names=names)
+
+
+DATA = recording()
+
+
+def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
+    gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
+    assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
+    assert Drawn().fit(DATA).gain_ == gains[0]
+    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress"]
+
+
+@pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])
+def test_a_seed_that_is_none_is_refused(rng: Any) -> None:
+    with pytest.raises(InvalidArgument, match=r"rng: expected a seed \(a whole number >= 0\), a Generator or None"):
+        Drawn().fit(DATA, rng=rng)
+
+
+def test_progress_true_draws_a_bar_on_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+    Drawn().fit(DATA, progress=True)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "fit Drawn" in err
+    assert "100 %" in err
+    Drawn().fit(DATA, progress=False)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "hint"),
+    [
+        (
+            pd.DataFrame({"a": [1.0]}),
+            r"got a DataFrame: make one of a table with Dataset\.from_pandas\(system, table\)",
+        ),
+        (np.zeros((3, 2)), r"got a ndarray: make one of arrays with Dataset\.from_arrays\(system, states, controls\)"),
+        ([np.zeros((3, 2))], r"got a list: make one of arrays with Dataset\.from_arrays"),
+        (list(DATA), r"got a list: make a data set of episodes with Dataset\(system, episodes\)"),
+        (DATA.episodes[0], r"got a Trajectory: make a data set of episodes"),
+    ],
+)
+def test_fit_names_the_call_that_makes_a_data_set(given: Any, hint: str) -> None:
+    with pytest.raises(InvalidData, match=r"^Drawn\.fit: expected a Dataset, " + hint):
+        Drawn().fit(given)
+    with pytest.raises(InvalidData, match=r"^Drawn\.score: expected a Dataset, " + hint):
+        Drawn().fit(DATA).score(given)
+
+
+def test_several_data_sets_of_one_system_are_joined_and_of_two_refused() -> None:
+    parts = [DATA[0], DATA[1:]]
+    joined, whole = make_model("linear").fit(parts), make_model("linear").fit(DATA)
+    np.testing.assert_array_equal(joined.coefficients_, whole.coefficients_)
+    other = Dataset(SYSTEM.with_dt(0.2), [Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.2)])
+    with pytest.raises(InvalidData, match="expected data sets of one system, got several systems"):
+        Drawn().fit([DATA, other])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"share": 0.0}, r"Drawn: share: expected a number > 0 and <= 1, got 0\.0"),
+        ({"share": 1.5}, "got 1.5"),
+        ({"share": float("nan")}, "got nan"),
+        ({"share": True}, "share: expected a number > 0 and <= 1, got True"),
+        ({"sizes": [4, 0]}, r"sizes: expected None or a list of whole numbers >= 1, got \[4, 0\]"),
+        ({"sizes": 4}, "sizes: expected None or a list of whole numbers >= 1, got 4"),
+        ({"way": "both"}, "way: expected one of 'plain', 'other', got 'both'"),
+        ({"loud": 1}, "loud: expected True or False, got 1"),
+        ({"state_lags": -1}, "state_lags: expected a whole number >= 0, got -1"),
+        ({"control_lags": 1.0}, r"control_lags: expected a whole number >= 0, got 1\.0"),
+        ({"shar": 0.5}, "Drawn: there is no parameter 'shar'. Did you mean 'share'. It has: share, sizes, way, loud"),
+    ],
+)
+def test_a_wrong_parameter_is_refused_where_it_is_given(parameters: dict[str, Any], message: str) -> None:
+    """By the constructor, by `set_params`, which then changes nothing, and by `fit`."""
+    with pytest.raises(InvalidArgument, match=message):
+        Drawn(**parameters)
+    model = Drawn(share=0.25)
+    before = model.get_params()
+    with pytest.raises(InvalidArgument, match=message):
+        model.set_params(**{"sizes": [2], **parameters})
+    assert model.get_params() == before
+    name, value = next(iter(parameters.items()))
+    if name in before:
+        setattr(model, name, value)
+        with pytest.raises(InvalidArgument, match=message):
+            model.fit(DATA)
+
+
+def test_whole_numbers_and_numbers_of_numpy_are_numbers() -> None:
+    model = clone(Drawn(share=1, sizes=[3, 4], state_lags=np.int64(2)))  # type: ignore[arg-type]
+    assert model.get_params()["state_lags"] == 2
+
+
+def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = make_model("neural_ode", updates=5)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match=r"NeuralOde needs the package 'torch'.*pip install \"sysid-evo\[neural\]\""):
+        model.fit(DATA)
+    with pytest.raises(MissingExtra):
+        type(model).check_installed()
+    make_model("linear").fit(DATA)
+
+
+def test_score_is_minus_the_relative_error_of_one_second_in_free_run() -> None:
+    perfect = Drawn().fit(DATA)
+    perfect.gain_ = 0.8
+    assert perfect.score(DATA) == pytest.approx(0.0, abs=1e-12)
+    standing = Drawn().fit(DATA)
+    standing.gain_ = 0.0
+    windows = DATA.windows(10, stride=4)  # ten steps of 0.1 s
+    simulated = np.broadcast_to(windows.controls, windows.states.shape)
+    error = np.sqrt(np.mean((simulated - windows.states) ** 2, axis=0)) / windows.states.std(axis=(0, 1))
+    assert standing.score(DATA) == pytest.approx(-error.mean())
+
+
+def test_grid_search_over_a_data_set_of_episodes_finds_the_better_ridge() -> None:
+    for given in (DATA, [DATA[i] for i in range(3)]):
+        search = GridSearchCV(make_model("linear"), {"ridge": [10.0, 0.0]}, cv=EpisodeFold(3)).fit(given)
+        assert search.best_params_ == {"ridge": 0.0}
+        assert search.best_score_ == pytest.approx(0.0, abs=1e-6)
+        assert search.score(DATA) > -1e-6
+
+
+def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together() -> None:
+    dataset = recording(names=("a[0:60]", "b", "a[60:120]", "c"))
+    folds = [(list(learned), list(held)) for learned, held in EpisodeFold(3).split(dataset)]
+    assert folds == [([1, 3], [0, 2]), ([0, 2, 3], [1]), ([0, 1, 2], [3])]
+    with pytest.raises(InvalidData, match="expected at least 4 recordings, got 3"):
+        next(EpisodeFold(4).split(dataset))
+    with pytest.raises(SysidEvoError, match="expected n_splits >= 2, got 1"):
+        EpisodeFold(1)
+
+
+def test_one_run_can_be_said_plainly() -> None:
+    """A state and controls; a history; a trajectory: each is the batch of one."""
+    model = Drawn(state_lags=1, control_lags=2).fit(DATA)
+    run, lags = DATA.episodes[0], 2
+    past, u = run.states[: lags + 1], run.controls[lags:]
+    batch = model.simulate(past[None], run.controls[None, :lags], u[None])[0]
+    np.testing.assert_array_equal(model.simulate(run), batch)
+    np.testing.assert_array_equal(model.simulate(past, run.controls[:lags], u), batch)
+    np.testing.assert_array_equal(model.simulate(past, run.controls[:lags, 0], u[:, 0]), batch)
+    assert model.simulate(past, u, samples=3).shape == (3, len(u), 2)
+
+
+def test_a_short_history_is_padded_with_its_first_state_and_neutral_controls() -> None:
+    model = Drawn(state_lags=2, control_lags=1).fit(DATA)
+    x0, x1, u = np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.zeros((4, 1))
+    neutral = np.full((1, 2, 1), 0.5)
+    np.testing.assert_array_equal(model.simulate(x0, u), model.simulate(np.array([[x0, x0, x0]]), neutral, u[None])[0])
+    by_hand = model.simulate(np.array([[x0, x0, x1]]), neutral, u[None])[0]
+    np.testing.assert_array_equal(model.simulate(np.array([x0, x1]), u[:, 0]), by_hand)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0.0, 0.0, 0.0], np.zeros((4, 1))), r"states: expected one state \(2,\) or a history \(any, 2\), got \(3,\)"),
+        (([0.0, 0.0], np.zeros((4, 2))), r"controls: expected shape \(any, 1\), got \(4, 2\)"),
+        ((np.zeros((2, 2)), np.zeros((3, 1)), np.zeros((4, 1))), "past_controls: expected 1, one fewer than"),
+    ],
+)
+def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments: Any, message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Drawn().fit(DATA).simulate(*arguments)
+    with pytest.raises(InvalidArgument, match="expected a state and controls, or a Trajectory; got no controls"):
+        Drawn().fit(DATA).simulate([0.0, 0.0])
+    short = Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.1, name="short")
+    with pytest.raises(InvalidData, match="Drawn needs 3 states to start, 'short' ends with them"):
+        Drawn(control_lags=2).fit(DATA).simulate(short)

@@ -1,0 +1,186 @@
+"""Motions are an open set: one from a plugin is integrated as it says itself, in every form, or not compiled."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.engine import rollout
+from sysid_evo.engine.kernels import network_predictor, stepping_kernel, turning_frame
+from sysid_evo.errors import IncompatibleSystem, InvalidSystem
+from sysid_evo.evolution.identification import ModelEvolution
+from sysid_evo.motion import Motion, PlanarBody, compiled_form, motion_from_dict
+from sysid_evo.motion.torch_form import torch_motion
+from sysid_evo.registry import make_model, motions
+from sysid_evo.system import System
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import example_dataset
+
+SEEDS = np.array([4, 9], dtype=np.uint64)
+
+
+@dataclass(frozen=True)
+class Clockwise(Motion):
+    """A planar body whose yaw rate counts clockwise: its frame turns the other way."""
+
+    kind = "clockwise"
+    n_pose = 3
+    pose_names = ("x", "y", "heading")
+    pose_units = ("m", "m", "rad")
+
+    forward: str = "forward_speed"
+    lateral: str = "lateral_speed"
+    yaw_rate: str = "yaw_rate"
+
+    def roles(self) -> dict[str, str]:
+        return {"forward": self.forward, "lateral": self.lateral, "yaw_rate": self.yaw_rate}
+
+    def _mirrored(self, state: Array, names: Sequence[str]) -> Array:
+        sign = np.where(np.array(names) == self.yaw_rate, -1.0, 1.0)
+        return state * sign
+
+    def acceleration(self, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
+        plain = PlanarBody().acceleration(self._mirrored(before, names), self._mirrored(after, names), dt, names)
+        return self._mirrored(plain, names)
+
+    def integrate(self, state: Array, acceleration: Array, dt: float, names: Sequence[str]) -> Array:
+        plain = PlanarBody().integrate(self._mirrored(state, names), self._mirrored(acceleration, names), dt, names)
+        return self._mirrored(plain, names)
+
+    def turning(self, state: Array, names: Sequence[str]) -> Array:
+        return self._mirrored(PlanarBody().turning(self._mirrored(state, names), names), names)
+
+    def move(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
+        return PlanarBody().move(pose, self._mirrored(before, names), self._mirrored(after, names), dt, names)
+
+
+def clockwise(system: System) -> System:
+    return System(system.states, system.controls, system.dt, Clockwise(), system.name)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Dataset:
+    made = example_dataset()
+    return Dataset(clockwise(made.system), made.episodes)
+
+
+@pytest.mark.parametrize("family", ["nearest_neighbour", "linear"])
+def test_auto_never_differs_from_the_reference_where_a_motion_has_no_compiled_form(
+    family: str, recording: Dataset
+) -> None:
+    model = make_model(family).fit(recording, rng=np.random.default_rng(0))
+    weights = np.random.default_rng(1).standard_normal((5, 78))
+    given = (model, RecurrentNetwork(), weights, PointToPoint(horizon=40), SEEDS)
+    auto, exact = (rollout(*given, engine=engine, record=True) for engine in ("auto", "reference"))
+    assert auto.engine == "reference"
+    np.testing.assert_array_equal(auto.fitness, exact.fitness)
+    for a, b in zip(auto.trajectories, exact.trajectories, strict=True):
+        np.testing.assert_array_equal(a.states, b.states)
+        np.testing.assert_array_equal(a.pose, b.pose)
+
+
+def test_a_rollout_and_a_simulation_integrate_by_the_motion_of_the_system(recording: Dataset) -> None:
+    model = make_model("nearest_neighbour").fit(recording, rng=np.random.default_rng(0))
+    weights = np.random.default_rng(1).standard_normal((1, 78))
+    (run,) = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=40), SEEDS[:1], record=True).trajectories
+    again = model.simulate(run.states[None, :1], run.controls[None, :0], run.controls[None])
+    np.testing.assert_allclose(again[0], run.states[1:], rtol=1e-12)
+    before = run.states[:-1]
+    expected = model.system.integrate(before, model.acceleration(before, run.controls))
+    np.testing.assert_allclose(run.states[1:], np.clip(expected, *model.envelope), rtol=1e-12)
+    other = PlanarBody().integrate(before, model.acceleration(before, run.controls), 0.05, model.system.state_names)
+    assert np.abs(expected - other).max() > 1e-3, "the two motions must differ here"
+
+
+def test_what_integrates_by_a_motion_has_no_kernel_without_its_compiled_form(car: System) -> None:
+    predictor = network_predictor([[(np.zeros((5, 3)), np.zeros(3))]], 3, 2)
+    system = clockwise(car)
+    assert turning_frame(predictor, system) is None
+    assert stepping_kernel(predictor, system, output="acceleration") is None
+    assert stepping_kernel(predictor, system, output="next_state") is not None
+    assert PointToPoint().bind(system).kernel() is None
+
+
+def test_one_remark_says_that_a_motion_has_no_compiled_form(car: System, caplog: pytest.LogCaptureFixture) -> None:
+    compiled_form._remark.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            assert compiled_form.motion_kernel(clockwise(car)) is None
+    assert [record.getMessage() for record in caplog.records] == [
+        "motion clockwise has no compiled form: what needs it runs in NumPy, some ten times slower"
+    ]
+
+
+def test_a_family_that_is_evolved_compiled_is_evolved_in_numpy_without_a_compiled_motion(recording: Dataset) -> None:
+    class Constant(DynamicsModel):
+        def fit(self, dataset: Dataset, **keywords: Any) -> Constant:
+            search = ModelEvolution(generations=2, windows=5, horizon=2, parents=4, children=4)
+            self.push_ = search.run(
+                lambda p, carry, control: self.system.integrate(carry, np.broadcast_to(p[:, None], carry.shape)),
+                dataset, initial=np.zeros(3), spread=0.1, rng=np.random.default_rng(0), kernel=lambda p: None,
+            )  # fmt: skip
+            return self
+
+        def acceleration(self, carry: Array, control: Array) -> Array:
+            return np.broadcast_to(self.push_, carry.shape)
+
+    assert np.isfinite(Constant().fit(recording, rng=np.random.default_rng(0)).push_).all()
+
+
+def test_torch_refuses_a_motion_that_has_no_form_on_tensors(car: System) -> None:
+    with pytest.raises(IncompatibleSystem, match="motion clockwise has no torch form"):
+        torch_motion(clockwise(car))
+
+
+def test_a_system_with_a_registered_motion_is_stored_and_read(
+    car: System, register: Callable[[Any, str, Any], Any]
+) -> None:
+    register(motions, "clockwise", Clockwise)
+    system = clockwise(car)
+    assert System.from_dict(system.to_dict()) == system
+
+
+def test_an_unknown_motion_is_refused_with_the_known_ones_and_the_option_that_loads_a_plugin() -> None:
+    with pytest.raises(InvalidSystem, match=r"expected one of planar_body, got 'hovercraft'.*--plugin FILE"):
+        motion_from_dict({"kind": "hovercraft"})
+    with pytest.raises(InvalidSystem, match="motion planar_body: cannot be made from wheels"):
+        motion_from_dict({"kind": "planar_body", "wheels": 4})
+
+
+def test_no_class_inherits_the_compiled_form_of_a_planar_body() -> None:
+    with pytest.raises(TypeError, match="Skid: no class may be derived from PlanarBody; derive it from Motion"):
+
+        class Skid(PlanarBody):  # type: ignore[misc]  # that is what is refused
+            pass
+
+
+def test_the_continuous_form_is_the_limit_of_the_sampled_one(car: System, rng: np.random.Generator) -> None:
+    state, dt = rng.standard_normal((6, 3)), 1e-7
+    for system in (car, clockwise(car)):
+        assert system.motion is not None
+        coasting = system.motion.integrate(state, np.zeros_like(state), dt, system.state_names)
+        np.testing.assert_allclose((coasting - state) / dt, system.turning(state), atol=1e-6)
+
+
+def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car: System) -> None:
+    origin = np.array([1.0, 2.0, np.pi / 2])
+    np.testing.assert_allclose(car.seen_from(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12)
+    with pytest.raises(IncompatibleSystem, match="clockwise does not say how one pose is seen from another"):
+        clockwise(car).seen_from(origin, origin)
+
+
+def test_velocities_undo_the_movement_of_the_pose(car: System) -> None:
+    state, pose, dt = np.array([1.2, -0.3, 0.8]), np.array([0.4, 0.1, 2.0]), 1e-6
+    assert car.motion is not None
+    rate = (car.move(pose, state, state, dt) - pose) / dt
+    told = car.motion.velocities(pose, rate)
+    np.testing.assert_allclose([told[name] for name in car.state_names], state, atol=1e-5)
