@@ -24,9 +24,12 @@ SMALL: dict[str, dict[str, Any]] = {
     "backprop27": {"epochs": 100},
 }
 """The contract does not ask for accuracy."""
+TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history")
+"""Families whose every fit takes seconds; on a second system they are tried with --slow."""
+OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
 
 
-@pytest.mark.parametrize("recording", ["switched", "proportional"])
+@pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("family", models.names())
 def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
     family: str, recording: str, request: pytest.FixtureRequest
@@ -62,7 +65,7 @@ def test_lags_asked_for_keep_the_contract(family: str, options: dict[str, int], 
     assert lags == (options.get("state_lags", 0), options["control_lags"])
 
 
-@pytest.mark.parametrize("family", models.names())
+@pytest.mark.parametrize("family", OFTEN)
 def test_every_family_keeps_the_contract_on_what_is_no_car_or_refuses_it(family: str, oscillator: Dataset) -> None:
     """Only a family that assumes physics may refuse, and it does so before it learns anything."""
     model = make_model(family)

@@ -130,6 +130,7 @@ def test_the_compiled_body_rests_where_that_of_numpy_does(switched: Dataset, rng
     assert (found[::2] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_scores_of_an_evolved_population_are_those_of_numpy() -> None:
     model = fitted(example_dataset(), 8, (0, 1))
     settings = ControllerEvolution(generations=12, trials=3, selection_trials=5)

@@ -12,11 +12,11 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_model, models
+from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing.models import rows_are_independent
 from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS
-from tests.model_zoo.test_contract import SMALL
+from tests.model_zoo.test_contract import OFTEN, SMALL
 
 
 def fitted(family: str, dataset: Dataset) -> DynamicsModel:
@@ -27,7 +27,7 @@ def fitted(family: str, dataset: Dataset) -> DynamicsModel:
 
 
 @pytest.mark.parametrize("case", SMALL_SYSTEMS)
-@pytest.mark.parametrize("family", models.names())
+@pytest.mark.parametrize("family", OFTEN)
 def test_a_family_works_on_a_small_system_or_says_why_not(family: str, case: str) -> None:
     """It runs free without leaving the envelope for good, and its compiled form is the same."""
     dataset = SMALL_SYSTEMS[case].recording()

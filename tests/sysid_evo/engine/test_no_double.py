@@ -68,6 +68,7 @@ def llvm(source: Source, signature: Signature, folder: Path, decorator: str = "@
     return text if isinstance(text, str) else "\n".join(text.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["networks", "polynomial", "neighbours", "command networks", "recurrent", "observe", "advance", "open loop"],
