@@ -73,7 +73,7 @@ class Experiment(BaseModel):
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
-    selection_trials: Positive = 50
+    selection_trials: Positive = 100
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
     traces: Annotated[int, Field(ge=0)] = 10

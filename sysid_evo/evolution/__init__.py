@@ -1,11 +1,11 @@
 """Evolution: strategies, aggregates, the generation loop, ensembles of models, champions."""
 
 from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
-from sysid_evo.evolution.champion import Champion
+from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
-from sysid_evo.evolution.loop import Generation, Objective, evolve
+from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
@@ -15,6 +15,7 @@ __all__ = [
     "ControllerEvolution",
     "EnsembleObjective",
     "EvolutionStrategy",
+    "Finalist",
     "Generation",
     "Lowest",
     "Mean",
@@ -22,6 +23,7 @@ __all__ = [
     "ModelEvolution",
     "MuPlusLambda",
     "Objective",
+    "Scores",
     "StrategyState",
     "evolve",
     "evolve_controller",

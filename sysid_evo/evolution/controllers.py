@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
+from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.champion import Champion
+from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.strategy import EvolutionStrategy
@@ -38,9 +40,9 @@ SELECTION = 2**31
 class ControllerEvolution:
     """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
 
-    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
-    which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds (paper: 2).
+    Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
+    champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
     see `DelayedEstimate`.
     """
@@ -49,7 +51,7 @@ class ControllerEvolution:
     trials: int = 10
     runs: int = 1
     aggregate: str = "min"
-    selection_trials: int = 50
+    selection_trials: int = 100
     estimator_delay: float = 0.0
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
@@ -85,47 +87,87 @@ def evolve_controller(
     settings: ControllerEvolution,
     *,
     seed: int,
+    judges: Mapping[str, Runner] | None = None,
     progress: Progress | None = None,
 ) -> Champion:
     """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
 
-    ``progress`` is called after every generation. The result depends on ``seed`` alone.
+    ``judges`` are models of other families, on which nothing is evolved: among the finalists of all niches
+    and runs the one with the highest median on them is chosen. Without judges the fittest is. ``progress``
+    is called after every generation. The result depends on ``seed`` alone.
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    met = {name: observed_late(name, runner, settings.estimator_delay) for name, runner in runners.items()}
+    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
+    judging = {
+        label: observed_late(label, runner, settings.estimator_delay) for label, runner in (judges or {}).items()
+    }
+    seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
     total = settings.runs * settings.generations
-    champions: list[tuple[float, Champion]] = []
+    ended: list[_Run] = []
     for run in range(settings.runs):
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
         strategy = settings.make_strategy(controller.n_parameters, run_seed)
+        strategy.behaviour_names = behaviour_names(system)
         objective = EnsembleObjective(
-            tuple(met.values()), controller, task, run_seed, settings.trials, settings.aggregate
+            tuple(late.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
         history = []
         for generation in evolve(strategy, objective, settings.generations):
             history.append(generation.summary)
             if progress is not None:
                 progress(run * settings.generations + generation.index + 1, total)
-        elite = strategy.elite
-        seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
-        fitness = objective.on_trials(elite, seeds)
+        ended.append(_Run(tuple(_finalists(strategy, objective, run, seeds)), np.array(history), strategy.elite))
+    finalists = tuple(chain.from_iterable(run.finalists for run in ended))
+    if judging:
+        finalists = _judged(finalists, tuple(judging.values()), controller, task, seeds)
+    best = max(
+        finalists, key=lambda one: one.fitness if one.elsewhere is None else one.elsewhere
+    )  # of equals the first
+    return Champion(
+        name=name,
+        parameters=best.parameters,
+        against=tuple(runners),
+        aggregate=settings.aggregate,
+        seed=seed,
+        history=ended[best.run].history,
+        controller=settings.controller,
+        task=settings.task,
+        estimator_delay=settings.estimator_delay,
+        seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
+        system=system,
+        judges=tuple(judging),
+        finalists=finalists,
+        population=ended[best.run].population,
+    )
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What one run ended with: finalists, history (G, 3), the last candidates (P, n)."""
+
+    finalists: tuple[Finalist, ...]
+    history: Array
+    population: Array
+
+
+def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
+    """Yield the best of every niche on the trials of ``seeds``."""
+    for niche, candidates in strategy.finals.items():
+        fitness = objective.on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
-        champion = Champion(
-            name=name,
-            parameters=elite[winner],
-            against=tuple(runners),
-            aggregate=settings.aggregate,
-            seed=seed,
-            history=np.array(history),
-            controller=settings.controller,
-            task=settings.task,
-            estimator_delay=settings.estimator_delay,
-            system=system,
-        )
-        champions.append((float(fitness[winner]), champion))
-    best = max(champions, key=lambda pair: pair[0])[1]  # of equals the first
-    return replace(best, seed_fitness=tuple(value for value, _ in champions))
+        yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
+
+
+def _judged(
+    finalists: tuple[Finalist, ...], judges: tuple[Runner, ...], controller: Controller, task: Task, seeds: Seeds
+) -> tuple[Finalist, ...]:
+    """Return the finalists with their median over the ``judges``."""
+    everyone = np.stack([finalist.parameters for finalist in finalists])
+    elsewhere = EnsembleObjective(judges, controller, task, seed=0, aggregate="median").on_trials(everyone, seeds)
+    return tuple(
+        replace(finalist, elsewhere=float(value)) for finalist, value in zip(finalists, elsewhere.fitness, strict=True)
+    )
 
 
 def observed_late(name: str, runner: Runner, delay: float) -> Runner:

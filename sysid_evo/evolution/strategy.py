@@ -19,23 +19,34 @@ class EvolutionStrategy(ABC):
     """Searches R^n for high fitness. Fitness is **maximised**.
 
     Made with ``n_parameters`` and ``seed``, and parameters of its own. Random numbers are best drawn
-    from a generator keyed by (seed, generation), so that no generator is part of the state.
+    from a generator keyed by (seed, generation), so that no generator is part of the state. Whoever evolves
+    sets ``behaviour_names`` before the first `ask`: what the descriptors of behaviour are called, none if
+    nobody counts them (see `sysid_evo.engine.behaviour_names`).
     """
 
     n_parameters: int
+    behaviour_names: tuple[str, ...] = ()
 
     @abstractmethod
     def ask(self) -> Array:
         """Return the candidates to evaluate next, (population, n_parameters)."""
 
     @abstractmethod
-    def _update(self, population: Array, fitness: Array) -> None:
-        """Take in the fitness (population,) of what `ask` returned."""
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        """Take in the fitness (population,) of what `ask` returned, and its behaviour (population, d)."""
 
     @property
     @abstractmethod
     def elite(self) -> Array:
         """The candidates from which the champion is chosen, best first, (any, n_parameters)."""
+
+    @property
+    def finals(self) -> Mapping[str, Array]:
+        """Candidates (any, n_parameters) by the niche they were found in: each niche gives one finalist.
+
+        By default there is one niche without a name, that of the `elite`.
+        """
+        return {"": self.elite}
 
     @property
     @abstractmethod
@@ -49,12 +60,17 @@ class EvolutionStrategy(ABC):
         Raises `InvalidArgument` or `ShapeError` if it is the state of another.
         """
 
-    def tell(self, population: Array, fitness: Array) -> None:
-        """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness."""
+    def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
+        """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness.
+
+        ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none.
+        """
         population = check_shape("population", population, (None, self.n_parameters))
         fitness = check_shape("fitness", fitness, (len(population),))
         if np.isnan(fitness).any():
             raise InvalidArgument(
                 f"tell: expected a fitness for every candidate, got nan for candidate {int(np.isnan(fitness).argmax())}"
             )
-        self._update(population, fitness)
+        described = (len(population), len(self.behaviour_names))
+        given = np.empty((len(population), 0)) if behaviour is None else behaviour
+        self._update(population, fitness, check_shape("behaviour", given, described))

@@ -64,7 +64,7 @@ def test_an_objective_is_the_aggregate_of_the_means_over_the_trials(
     assert means[0][0] < means[1][0] < means[1][1] == 10.0
     for name, expected in (("min", means[0]), ("mean", (means[0] + means[1]) / 2)):
         objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate=name)
-        np.testing.assert_allclose(objective(population, 0), expected)
+        np.testing.assert_allclose(objective(population, 0).fitness, expected)
 
 
 def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: System) -> None:
@@ -82,7 +82,7 @@ def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: Sys
 
     runners = Fixed(np.array([[0.0, 1.0]])), Fixed(np.array([[1.0, 0.0]]))
     objective = EnsembleObjective(runners, Constant(), Ladder(), seed=1, trials=2)
-    np.testing.assert_array_equal(objective(np.zeros((1, 1)), 0), [0.5])
+    np.testing.assert_array_equal(objective(np.zeros((1, 1)), 0).fitness, [0.5])
 
 
 def test_a_rule_may_look_at_the_spread_over_the_trials(
@@ -103,7 +103,7 @@ def test_a_rule_may_look_at_the_spread_over_the_trials(
     scores = [watched.run(Constant(), population, Ladder(), trial_seeds(1, 6)).fitness for watched in pair]
     expected = np.min([score.mean(axis=1) - 2.0 * score.std(axis=1) for score in scores], axis=0)
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate="cautious(weight=2.0)")
-    np.testing.assert_allclose(objective(population, 0), expected)
+    np.testing.assert_allclose(objective(population, 0).fitness, expected)
     assert expected[0] < expected[1]
 
 

@@ -15,6 +15,7 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import (
@@ -191,10 +192,12 @@ def run(
         "noise_of": noise,
         "envelope": envelope,
         "actuation": actuation_table(system),
+        "centre": behaviour.neutral(system),
     }
     shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
+    counts = np.zeros(rollouts * 2 * (system.nx + system.nu), real)
     kept = rollouts if record else 0
     tape = {
         "states": np.zeros(max(1, kept * (task.horizon + 1) * system.nx), real),
@@ -202,7 +205,8 @@ def run(
         "poses": np.zeros(max(1, kept * (task.horizon + 1) * kernels.task.n_pose), real),
     }
     results = {
-        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final, **tape,
+        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final,
+        "counts": counts, **tape,
     }  # fmt: skip
     room = {
         "carry": carry.shape[1],
@@ -215,6 +219,7 @@ def run(
         "task": len(rows),
         "theta": parameters.shape[1],
         "kept": carry.shape[1] + len(rows),
+        "tally": 2 * (system.nx + system.nu),
         "scratch": kernels.dynamics.n_scratch,
         "controller_scratch": kernels.controller.n_scratch,
     }
@@ -237,6 +242,9 @@ def run(
         "fitness": score.reshape(grid),
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
+        "behaviour": behaviour.shares(counts.reshape(rollouts, -1).astype(np.float64), survived, diverged > 0).reshape(
+            *grid, -1
+        ),
         "task_state": kernels.task.state(began.tile(candidates), final_rows),
         "engine": f"compiled {precision}",
         "trajectories": _trajectories(list(tape.values()), survived, began.pose, task, system, trials)

@@ -29,7 +29,7 @@ class Climber(EvolutionStrategy):
         rng = np.random.default_rng([self.seed, self.generation])
         return self.parent + 0.2 * rng.standard_normal((8, self.n_parameters))
 
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent = population[int(fitness.argmax())].copy()
         self.generation += 1
 
@@ -56,8 +56,8 @@ class Seedless(Climber):
 
 
 class Minimising(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
-        super()._update(population, -fitness)
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        super()._update(population, -fitness, behaviour)
 
 
 class BestLast(Climber):
@@ -68,21 +68,21 @@ class BestLast(Climber):
 
 
 class Holding(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent = population[int(fitness.argmax())]
         self.generation += 1
 
 
 class Credulous(Climber):
-    def tell(self, population: Array, fitness: Array) -> None:
-        self._update(population, fitness)
+    def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
+        self._update(population, fitness, np.empty((len(population), 0)))
 
 
 class Scaling(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         with np.errstate(all="ignore"):
             share = (fitness - fitness.min()) / (fitness.max() - fitness.min())
-        super()._update(population, fitness)
+        super()._update(population, fitness, behaviour)
         self.parent = self.parent * share.max()
 
 
@@ -95,7 +95,7 @@ class Forgetful(Climber):
 class Aliasing(Climber):
     """Hands out its own array as the state, and learns into it."""
 
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent[:] = population[int(fitness.argmax())]
         self.generation += 1
 
