@@ -35,7 +35,7 @@ from .registry import (
     register_strategy,
     register_task,
 )
-from .store import load_champion, load_model, save_champion, save_model
+from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState
 
@@ -43,6 +43,7 @@ __all__ = [
     "Aggregate",
     "Champion",
     "Channel",
+    "CheckpointFile",
     "Controller",
     "ControllerEvolution",
     "Dataset",

@@ -80,3 +80,7 @@ class PluginWarning(UserWarning):
 
 class DataWarning(UserWarning):
     """Something about a recording that the user should know."""
+
+
+class CheckpointWarning(UserWarning):
+    """A checkpoint was ignored, because it is damaged or belongs to other work."""

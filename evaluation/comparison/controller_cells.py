@@ -21,7 +21,7 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.plan import Cell, Outcome, Work, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
-from sysid_evo.store import load_champion, save_champion
+from sysid_evo.store import CheckpointFile, load_champion, save_champion
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
 
@@ -38,6 +38,7 @@ class EvolveCell(Cell):
 
     kind = "evolve"
     place = "controllers"
+    resumable = True
 
     members: tuple[Column, ...]
     settings: ControllerEvolution
@@ -77,7 +78,15 @@ class EvolveCell(Cell):
         system = next(iter(dynamics.values())).system
         names = "+".join(member.registered for member in self.members)
         seed = cell_seed(self.seed, f"evolve {names}")
-        return evolve_controller(self.name, runners, system, self.settings, seed=seed, progress=work.progress)
+        return evolve_controller(
+            self.name,
+            runners,
+            system,
+            self.settings,
+            seed=seed,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
 
     def save(self, value: Champion, path: Path) -> list[Path]:
         return files_of(save_champion(value, path))

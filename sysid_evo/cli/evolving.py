@@ -96,7 +96,7 @@ def evolve(
         print_plan(plan, store, json=json)
         return
     session.run = store.path
-    with Bars(store.path if run is not None else None) as bars:
+    with Bars(f"--run {store.path}") as bars:
         outcomes = execute(plan, store, observer=bars)
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
     file = f"{store.where(champion)}.json"

@@ -7,11 +7,13 @@ from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
     "Aggregate",
     "Champion",
+    "Checkpoint",
     "ControllerEvolution",
     "EnsembleObjective",
     "EvolutionStrategy",

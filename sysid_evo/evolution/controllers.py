@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
+from sysid_evo.arrays import Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
-from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.loop import Generation, evolve
+from sysid_evo.evolution.standing import Checkpoint, EndedRun, Standing
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
@@ -88,13 +92,17 @@ def evolve_controller(
     *,
     seed: int,
     judges: Mapping[str, Runner] | None = None,
+    checkpoint: Checkpoint | None = None,
     progress: Progress | None = None,
 ) -> Champion:
     """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
 
     ``judges`` are models of other families, on which nothing is evolved: among the finalists of all niches
     and runs the one with the highest median on them is chosen. Without judges the fittest is. ``progress``
-    is called after every generation. The result depends on ``seed`` alone.
+    is called after every generation, with a note of what it reached. The result depends on ``seed`` alone.
+
+    With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
+    it was, to the champion that it would have had.
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
@@ -103,21 +111,19 @@ def evolve_controller(
         label: observed_late(label, runner, settings.estimator_delay) for label, runner in (judges or {}).items()
     }
     seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
-    total = settings.runs * settings.generations
-    ended: list[_Run] = []
-    for run in range(settings.runs):
+
+    def begun(run: int) -> tuple[EvolutionStrategy, EnsembleObjective]:
+        """Return strategy and objective of a run as they are before its first generation."""
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
         strategy = settings.make_strategy(controller.n_parameters, run_seed)
         strategy.behaviour_names = behaviour_names(system)
-        objective = EnsembleObjective(
+        return strategy, EnsembleObjective(
             tuple(late.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
-        history = []
-        for generation in evolve(strategy, objective, settings.generations):
-            history.append(generation.summary)
-            if progress is not None:
-                progress(run * settings.generations + generation.index + 1, total)
-        ended.append(_Run(tuple(_finalists(strategy, objective, run, seeds)), np.array(history), strategy.elite))
+
+    identity = "" if checkpoint is None else _identity(settings, late, controller, task, seed)
+    runs = _Runs(settings, begun, seeds, tuple(runners), checkpoint, identity)
+    ended = runs.to_the_end(progress)
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
     if judging:
         finalists = _judged(finalists, tuple(judging.values()), controller, task, seeds)
@@ -143,12 +149,96 @@ def evolve_controller(
 
 
 @dataclass(frozen=True)
-class _Run:
-    """What one run ended with: finalists, history (G, 3), the last candidates (P, n)."""
+class _Runs:
+    """The runs of an evolution, one after the other. ``begun(run)`` makes strategy and objective anew."""
 
-    finalists: tuple[Finalist, ...]
-    history: Array
-    population: Array
+    settings: ControllerEvolution
+    begun: Callable[[int], tuple[EvolutionStrategy, EnsembleObjective]]
+    seeds: Seeds
+    models: tuple[str, ...]
+    checkpoint: Checkpoint | None
+    identity: str
+
+    def to_the_end(self, progress: Progress | None) -> tuple[EndedRun, ...]:
+        """Return all runs when they have ended. Whatever stops them, the generations done are kept."""
+        standing = saved = self._resumed()
+        if progress is not None and standing.generations:
+            progress(standing.generations, self._total)
+        try:
+            for reached, note in self._steps(standing):
+                standing = reached
+                if self.checkpoint is not None and (not note or self.checkpoint.due()):
+                    self.checkpoint.save(self.identity, standing.state)
+                    saved = standing
+                if progress is not None and note:
+                    progress(standing.generations, self._total, note)
+        except BaseException:  # Ctrl-C, too
+            if self.checkpoint is not None and standing is not saved:
+                self.checkpoint.save(self.identity, standing.state)
+            raise
+        return standing.ended
+
+    def _steps(self, standing: Standing) -> Iterator[tuple[Standing, str]]:
+        """Yield how things stand after every generation, with a note, and after every run, without one."""
+        settings = self.settings
+        for run in range(len(standing.ended), settings.runs):
+            strategy, objective = self.begun(run)
+            if len(standing.history):
+                strategy.restore(standing.strategy)
+            for generation in evolve(strategy, objective, settings.generations, start=len(standing.history)):
+                history = np.concatenate([standing.history, [generation.summary]])
+                state = {} if self.checkpoint is None else strategy.state
+                standing = Standing(standing.ended, history, state)
+                yield standing, self._note(run, generation, strategy)
+            finalists = tuple(_finalists(strategy, objective, run, self.seeds))
+            standing = Standing((*standing.ended, EndedRun(finalists, standing.history, strategy.elite)))
+            yield standing, ""
+
+    def _resumed(self) -> Standing:
+        """Return how far the checkpoint is, if it is a checkpoint of this very evolution."""
+        found = None if self.checkpoint is None else self.checkpoint.load(self.identity)
+        if found is None:
+            return Standing()
+        try:
+            standing = Standing.of(found)
+            if len(standing.history):
+                self.begun(0)[0].restore(standing.strategy)
+        except (LookupError, TypeError, ValueError) as error:
+            warnings.warn(
+                f"the checkpoint is ignored, and all is computed again: {error}", CheckpointWarning, stacklevel=2
+            )
+            return Standing()
+        return standing
+
+    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy) -> str:
+        """Return what a generation reached: best and mean, the best on every model, what the strategy says."""
+        best, mean, _ = generation.summary
+        parts = [f"best {best:.1f}, mean {mean:.1f}"]
+        if generation.by_model is not None and len(generation.by_model) > 1:
+            of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
+            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(self.models, of_best, strict=True)))
+        if self.settings.runs > 1:
+            parts.append(f"run {run + 1} of {self.settings.runs}")
+        return "; ".join(filter(None, (*parts, strategy.status)))
+
+    @property
+    def _total(self) -> int:
+        return self.settings.runs * self.settings.generations
+
+
+def _identity(
+    settings: ControllerEvolution, runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int
+) -> str:
+    """Return the digest of an evolution: what was asked for, and where a few controllers drive in the models."""
+    told = [repr(settings), seed, list(runners), task.system.to_dict()]
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    some = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
+    for runner in runners.values():
+        if isinstance(runner, DynamicsRunner):  # a robot never drives the same way twice
+            driven = runner.run(controller, some, task, trial_seeds(seed, 2, generation=SELECTION), record=True)
+            for trajectory in driven.trajectories:
+                digest.update(np.ascontiguousarray(trajectory.states).tobytes())
+    return digest.hexdigest()
 
 
 def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:

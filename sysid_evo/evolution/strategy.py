@@ -49,6 +49,11 @@ class EvolutionStrategy(ABC):
         return {"": self.elite}
 
     @property
+    def status(self) -> str:
+        """What to say beside the fitness while it runs, in a few words: how many niches are filled, for example."""
+        return ""
+
+    @property
     @abstractmethod
     def state(self) -> StrategyState:
         """All that `tell` has changed: copies, which stay as they are."""
