@@ -46,7 +46,7 @@ class CheckpointFile:
     A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none.
     """
 
-    def __init__(self, path: str | Path, *, every: float = 5.0) -> None:
+    def __init__(self, path: str | Path, *, every: float = 1.0) -> None:
         if not every >= 0.0:
             raise InvalidArgument(f"checkpoint: expected every >= 0 s, got {every}")
         self.path, self.every = Path(path), every
