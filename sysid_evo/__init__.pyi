@@ -10,6 +10,8 @@ from .evolution import (
     ControllerEvolution,
     EvolutionStrategy,
     MuPlusLambda,
+    Schedule,
+    Stage,
     evolve,
     evolve_controller,
 )
@@ -59,7 +61,9 @@ __all__ = [
     "RecurrentNetwork",
     "Rollouts",
     "Runner",
+    "Schedule",
     "Spec",
+    "Stage",
     "System",
     "SysidEvoError",
     "Task",

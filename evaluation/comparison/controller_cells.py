@@ -18,7 +18,7 @@ from evaluation.transfer import Cell as MatrixCell
 from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidData
-from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
+from sysid_evo.evolution import Champion, ControllerEvolution, Stage, evolve_controller
 from sysid_evo.plan import Cell, Outcome, Work, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
 from sysid_evo.store import CheckpointFile, load_champion, save_champion
@@ -69,7 +69,19 @@ class EvolveCell(Cell):
             "runs": settings.runs,
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
+            "schedule": [self._stage(stage) for stage in settings.schedule],
             "seed": self.seed,
+        }
+
+    def _stage(self, stage: Stage) -> dict[str, Any]:
+        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        labels = [member.label for member in self.members]
+        return {
+            "task": None if stage.task is None else tasks.identity(stage.task),
+            "models": sorted(labels.index(model) for model in stage.models),
+            "until": stage.until,
+            "at_most": stage.at_most,
+            "over": stage.over,
         }
 
     def compute(self, work: Work) -> Champion:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,6 +52,10 @@ def evolve(
     trials: Trials = None,
     runs: Runs = None,
     estimator_delay: EstimatorDelay = None,
+    schedule: Annotated[
+        str | None,
+        typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
+    ] = None,
     seed: Seed = None,
     plugin: Plugins = None,
     dry_run: DryRun = False,
@@ -66,6 +71,7 @@ def evolve(
     from evaluation.comparison import EvolveCell, Experiment, RunCell, check_run_folder
     from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
+    from sysid_evo.evolution import Stage
     from sysid_evo.plan import Plan, Store, execute
 
     load_plugins(plugin)
@@ -86,7 +92,7 @@ def evolve(
     alone = run is None and not any(is_model_of_a_run(member) for member in members)
     store = Store(check_run_folder(None) if alone else latest_run_folder(run))
     columns = tuple(find_column(store, member) for member in members)
-    evolution = experiment.evolution
+    evolution = replace(experiment.evolution, schedule=() if schedule is None else Stage.parse_many(schedule))
     check_evolution(store, columns, evolution)
     champion = EvolveCell(columns, evolution, experiment.seed)
     delay = evolution.estimator_delay
@@ -142,6 +148,7 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
         if differences:
             raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
     task = evolution.make_task(system)
+    evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
 
 

@@ -7,6 +7,7 @@ from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
@@ -25,7 +26,9 @@ __all__ = [
     "ModelEvolution",
     "MuPlusLambda",
     "Objective",
+    "Schedule",
     "Scores",
+    "Stage",
     "StrategyState",
     "evolve",
     "evolve_controller",

@@ -18,6 +18,7 @@ from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Generation, evolve
+from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.standing import Checkpoint, EndedRun, Standing
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
@@ -48,7 +49,7 @@ class ControllerEvolution:
     Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
     champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
-    see `DelayedEstimate`.
+    see `DelayedEstimate`. The ``schedule`` holds easier stages, or their text, which come before the task in every run.
     """
 
     generations: int = 300
@@ -57,6 +58,7 @@ class ControllerEvolution:
     aggregate: str = "min"
     selection_trials: int = 100
     estimator_delay: float = 0.0
+    schedule: tuple[Stage, ...] = ()
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
@@ -68,12 +70,33 @@ class ControllerEvolution:
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
         aggregates.check(self.aggregate)
+        schedule: object = self.schedule
+        if isinstance(schedule, str):
+            object.__setattr__(self, "schedule", Stage.parse_many(schedule))
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
         return make_task(self.task).bind(system)
+
+    def stages(self, task: Task, models: tuple[str, ...]) -> tuple[tuple[Stage, Task, tuple[str, ...]], ...]:
+        """Return every stage before ``task``, which is bound: with its own task, and on which of ``models`` it is met.
+
+        Raises `InvalidArgument` if a stage wants another controller, or models that are not there.
+        """
+        found = []
+        for stage in self.schedule:
+            of_stage = task if stage.task is None else make_task(stage.task).bind(task.system)
+            if of_stage.observations != task.observations:
+                raise InvalidArgument(
+                    f"schedule: {stage.task} shows other things than {self.task}, so that no controller can do both"
+                )
+            missing = [model for model in stage.models if model not in models]
+            if missing:
+                raise InvalidArgument(f"schedule: {missing[0]!r} is not among the models: {', '.join(models)}")
+            found.append((stage, of_stage, stage.models or models))
+        return tuple(found)
 
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
@@ -112,17 +135,25 @@ def evolve_controller(
     }
     seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
 
-    def begun(run: int) -> tuple[EvolutionStrategy, EnsembleObjective]:
-        """Return strategy and objective of a run as they are before its first generation."""
+    easier = settings.stages(task, tuple(runners))
+
+    def begun(run: int) -> tuple[EvolutionStrategy, Schedule, EnsembleObjective]:
+        """Return strategy and objectives of a run as they are before its first generation, and the last objective."""
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
         strategy = settings.make_strategy(controller.n_parameters, run_seed)
         strategy.behaviour_names = behaviour_names(system)
-        return strategy, EnsembleObjective(
-            tuple(late.values()), controller, task, run_seed, settings.trials, settings.aggregate
-        )
+
+        def objective(of_stage: Task, models: tuple[str, ...]) -> EnsembleObjective:
+            met = tuple(late[model] for model in models)
+            return EnsembleObjective(met, controller, of_stage, run_seed, settings.trials, settings.aggregate)
+
+        stages = [(stage, objective(of_stage, models)) for stage, of_stage, models in easier]
+        asked = objective(task, tuple(runners))
+        return strategy, Schedule(stages, asked), asked
 
     identity = "" if checkpoint is None else _identity(settings, late, controller, task, seed)
-    runs = _Runs(settings, begun, seeds, tuple(runners), checkpoint, identity)
+    met = (*(models for _, _, models in easier), tuple(runners))
+    runs = _Runs(settings, begun, seeds, met, checkpoint, identity)
     ended = runs.to_the_end(progress)
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
     if judging:
@@ -150,12 +181,15 @@ def evolve_controller(
 
 @dataclass(frozen=True)
 class _Runs:
-    """The runs of an evolution, one after the other. ``begun(run)`` makes strategy and objective anew."""
+    """The runs of an evolution, one after the other. ``begun(run)`` makes strategy and objectives anew.
+
+    ``models`` are the labels of those that each stage is met on.
+    """
 
     settings: ControllerEvolution
-    begun: Callable[[int], tuple[EvolutionStrategy, EnsembleObjective]]
+    begun: Callable[[int], tuple[EvolutionStrategy, Schedule, EnsembleObjective]]
     seeds: Seeds
-    models: tuple[str, ...]
+    models: tuple[tuple[str, ...], ...]
     checkpoint: Checkpoint | None
     identity: str
 
@@ -182,15 +216,17 @@ class _Runs:
         """Yield how things stand after every generation, with a note, and after every run, without one."""
         settings = self.settings
         for run in range(len(standing.ended), settings.runs):
-            strategy, objective = self.begun(run)
-            if len(standing.history):
-                strategy.restore(standing.strategy)
-            for generation in evolve(strategy, objective, settings.generations, start=len(standing.history)):
+            strategy, schedule, asked = self.begun(run)
+            standing.restore(strategy, schedule)
+            for generation in evolve(strategy, schedule, settings.generations, start=len(standing.history)):
+                note = self._note(run, generation, strategy, schedule)
+                if schedule.tell(generation):
+                    strategy.forget_fitness()
                 history = np.concatenate([standing.history, [generation.summary]])
-                state = {} if self.checkpoint is None else strategy.state
-                standing = Standing(standing.ended, history, state)
-                yield standing, self._note(run, generation, strategy)
-            finalists = tuple(_finalists(strategy, objective, run, self.seeds))
+                states = ({}, {}) if self.checkpoint is None else (strategy.state, schedule.state)
+                standing = Standing(standing.ended, history, *states)
+                yield standing, note
+            finalists = tuple(_finalists(strategy, asked, run, self.seeds))
             standing = Standing((*standing.ended, EndedRun(finalists, standing.history, strategy.elite)))
             yield standing, ""
 
@@ -201,8 +237,8 @@ class _Runs:
             return Standing()
         try:
             standing = Standing.of(found)
-            if len(standing.history):
-                self.begun(0)[0].restore(standing.strategy)
+            strategy, schedule, _ = self.begun(0)
+            standing.restore(strategy, schedule)
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(
                 f"the checkpoint is ignored, and all is computed again: {error}", CheckpointWarning, stacklevel=2
@@ -210,16 +246,17 @@ class _Runs:
             return Standing()
         return standing
 
-    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy) -> str:
+    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy, schedule: Schedule) -> str:
         """Return what a generation reached: best and mean, the best on every model, what the strategy says."""
+        models = self.models[schedule.stage]
         best, mean, _ = generation.summary
         parts = [f"best {best:.1f}, mean {mean:.1f}"]
         if generation.by_model is not None and len(generation.by_model) > 1:
             of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
-            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(self.models, of_best, strict=True)))
+            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(models, of_best, strict=True)))
         if self.settings.runs > 1:
             parts.append(f"run {run + 1} of {self.settings.runs}")
-        return "; ".join(filter(None, (*parts, strategy.status)))
+        return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))
 
     @property
     def _total(self) -> int:

@@ -11,9 +11,10 @@ import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.evolution.champion import Finalist
-from sysid_evo.evolution.strategy import StrategyState
+from sysid_evo.evolution.schedule import Schedule
+from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
-STRATEGY = "strategy."
+STRATEGY, SCHEDULE = "strategy.", "schedule."
 
 
 class Checkpoint(Protocol):
@@ -43,11 +44,12 @@ class EndedRun:
 
 @dataclass(frozen=True)
 class Standing:
-    """The runs that ended, and how far the one after them is: its history (G, 3) of G generations, its strategy."""
+    """The runs that ended, and how far the next one is: history (G, 3) of G generations, strategy and schedule."""
 
     ended: tuple[EndedRun, ...] = ()
     history: Array = field(default_factory=lambda: np.empty((0, 3)))
     strategy: StrategyState = field(default_factory=dict)
+    schedule: StrategyState = field(default_factory=dict)
 
     @property
     def generations(self) -> int:
@@ -66,8 +68,9 @@ class Standing:
                 f"ended.{i}.history": run.history,
                 f"ended.{i}.population": run.population,
             }
-        strategy = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
-        return {"runs": len(self.ended), "history": self.history, **ended, **strategy}
+        present = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
+        present |= {f"{SCHEDULE}{name}": value for name, value in self.schedule.items()}
+        return {"runs": len(self.ended), "history": self.history, **ended, **present}
 
     @classmethod
     def of(cls, state: StrategyState) -> Standing:
@@ -75,8 +78,19 @@ class Standing:
         return cls(
             ended=tuple(_ended(state, run) for run in range(_number(state["runs"]))),
             history=check_shape("history", state["history"], (None, 3)),
-            strategy={name.removeprefix(STRATEGY): value for name, value in state.items() if name.startswith(STRATEGY)},
+            strategy=_part(state, STRATEGY),
+            schedule=_part(state, SCHEDULE),
         )
+
+    def restore(self, strategy: EvolutionStrategy, schedule: Schedule) -> None:
+        """Let ``strategy`` and ``schedule``, both new, go on from here. Raises what they say of a wrong state."""
+        if len(self.history):
+            strategy.restore(self.strategy)
+            schedule.restore(self.schedule)
+
+
+def _part(state: StrategyState, prefix: str) -> StrategyState:
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
 
 
 def _ended(state: Mapping[str, Array | int | float | str], run: int) -> EndedRun:

@@ -48,6 +48,12 @@ class EvolutionStrategy(ABC):
         """
         return {"": self.elite}
 
+    def forget_fitness(self) -> None:  # noqa: B027  # most have nothing to forget
+        """Forget what candidates scored: from now on the task is another; where they are found still counts.
+
+        Does nothing by default, which is right for a strategy that compares nobody with what it was told before.
+        """
+
     @property
     def status(self) -> str:
         """What to say beside the fitness while it runs, in a few words: how many niches are filled, for example."""
