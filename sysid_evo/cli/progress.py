@@ -137,7 +137,7 @@ class _Bars(Progress):
     def get_renderables(self) -> Iterable[RenderableType]:
         yield from super().get_renderables()
         if self.remark:
-            yield Text(f"  {self.remark}", style="dim")
+            yield Text("\n".join(packed(self.remark, self.console.width - 2)), style="dim")
 
 
 @dataclass
@@ -163,6 +163,17 @@ class _Current:
         if steps < 1 or seconds <= 0.0:
             return ""
         return f"{steps / seconds:,.1f}/s, {_duration((self.total - self.done) * seconds / steps)} left"
+
+
+def packed(remark: str, width: int) -> list[str]:
+    """Return ``remark`` in lines that break at its semicolons where that is possible."""
+    lines = [""]
+    for part in remark.split("; "):
+        if lines[-1] and len(lines[-1]) + 2 + len(part) <= width:
+            lines[-1] += f"; {part}"
+        else:
+            lines.append(part)
+    return [f"  {line}" for line in lines[1:]]
 
 
 def _duration(seconds: float) -> str:
