@@ -84,3 +84,7 @@ class DataWarning(UserWarning):
 
 class CheckpointWarning(UserWarning):
     """A checkpoint was ignored, because it is damaged or belongs to other work."""
+
+
+class EvolutionWarning(UserWarning):
+    """An evolution did not do all that was asked for."""

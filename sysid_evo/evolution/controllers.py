@@ -14,7 +14,7 @@ import numpy as np
 from sysid_evo.arrays import Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
-from sysid_evo.errors import CheckpointWarning, InvalidArgument
+from sysid_evo.errors import CheckpointWarning, EvolutionWarning, InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Generation, evolve
@@ -226,6 +226,13 @@ class _Runs:
                 states = ({}, {}) if self.checkpoint is None else (strategy.state, schedule.state)
                 standing = Standing(standing.ended, history, *states)
                 yield standing, note
+            if schedule.stage < len(settings.schedule):
+                warnings.warn(
+                    f"run {run + 1} ended in {schedule.status}: the task itself was never evolved. "
+                    "Give more generations, a lower until, or at_most",
+                    EvolutionWarning,
+                    stacklevel=2,
+                )
             finalists = tuple(_finalists(strategy, asked, run, self.seeds))
             standing = Standing((*standing.ended, EndedRun(finalists, standing.history, strategy.elite)))
             yield standing, ""

@@ -12,7 +12,7 @@ import pytest
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
-from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
 from sysid_evo.evolution import (
     Champion,
     ControllerEvolution,
@@ -138,6 +138,12 @@ def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(
     with pytest.raises(Stop):
         evolved(StopAfter(after), CheckpointFile(tmp_path / "c"))
     assert_same(evolved(None, CheckpointFile(tmp_path / "c")), evolved(None, None))
+
+
+def test_a_stage_that_never_ends_is_said(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+    unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
+    with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the task itself was never evolved"):
+        evolve_controller("c", runners, recording.system, unreachable, seed=3)
 
 
 def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name() -> None:
