@@ -87,28 +87,27 @@ def evolve_controller(
     settings: ControllerEvolution,
     *,
     seed: int,
-    judges: Mapping[str, Runner] | None = None,
     progress: Progress | None = None,
 ) -> Champion:
-    """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
+    """Evolve a controller against all of ``runners`` at once and return the fittest of all niches and runs.
 
-    ``judges`` are models of other families, on which nothing is evolved: among the finalists of all niches
-    and runs the one with the highest median on them is chosen. Without judges the fittest is. ``progress``
-    is called after every generation. The result depends on ``seed`` alone.
+    Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
+    every generation. The result depends on ``seed`` alone.
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
     late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
-    judging = {
-        label: observed_late(label, runner, settings.estimator_delay) for label, runner in (judges or {}).items()
-    }
-    seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
+    seeds = selection_seeds(seed, settings.selection_trials)
     total = settings.runs * settings.generations
     ended: list[_Run] = []
     for run in range(settings.runs):
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
         strategy = settings.make_strategy(controller.n_parameters, run_seed)
-        strategy.behaviour_names = behaviour_names(system)
+        strategy.prepare(
+            behaviour_names=behaviour_names(system),
+            control_names=system.control_names,
+            generations=settings.generations,
+        )
         objective = EnsembleObjective(
             tuple(late.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
@@ -119,11 +118,7 @@ def evolve_controller(
                 progress(run * settings.generations + generation.index + 1, total)
         ended.append(_Run(tuple(_finalists(strategy, objective, run, seeds)), np.array(history), strategy.elite))
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
-    if judging:
-        finalists = _judged(finalists, tuple(judging.values()), controller, task, seeds)
-    best = max(
-        finalists, key=lambda one: one.fitness if one.elsewhere is None else one.elsewhere
-    )  # of equals the first
+    best = max(finalists, key=lambda one: one.fitness)  # of equals the first
     return Champion(
         name=name,
         parameters=best.parameters,
@@ -136,10 +131,14 @@ def evolve_controller(
         estimator_delay=settings.estimator_delay,
         seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
         system=system,
-        judges=tuple(judging),
         finalists=finalists,
         population=ended[best.run].population,
     )
+
+
+def selection_seeds(seed: int, trials: int) -> Seeds:
+    """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
+    return trial_seeds(seed, trials, generation=SELECTION)
 
 
 @dataclass(frozen=True)
@@ -157,17 +156,6 @@ def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: i
         fitness = objective.on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
         yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
-
-
-def _judged(
-    finalists: tuple[Finalist, ...], judges: tuple[Runner, ...], controller: Controller, task: Task, seeds: Seeds
-) -> tuple[Finalist, ...]:
-    """Return the finalists with their median over the ``judges``."""
-    everyone = np.stack([finalist.parameters for finalist in finalists])
-    elsewhere = EnsembleObjective(judges, controller, task, seed=0, aggregate="median").on_trials(everyone, seeds)
-    return tuple(
-        replace(finalist, elsewhere=float(value)) for finalist, value in zip(finalists, elsewhere.fitness, strict=True)
-    )
 
 
 def observed_late(name: str, runner: Runner, delay: float) -> Runner:
