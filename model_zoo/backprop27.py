@@ -49,26 +49,14 @@ class Backprop27(DynamicsModel):
         "levels": at_least(2),
     }
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 8,
-        epochs: int = 1000,
-        optimiser: Literal["adam", "gradient"] = "adam",
-        learning_rate: float = 0.02,
-        levels: int = 3,
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.epochs = epochs
-        self.optimiser = optimiser
-        self.learning_rate = learning_rate
-        self.levels = levels
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    hidden: int = 8
+    epochs: int = 1000
+    optimiser: Literal["adam", "gradient"] = "adam"
+    learning_rate: float = 0.02
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)

@@ -47,28 +47,15 @@ class Evolved3(DynamicsModel):
         "spread": above(0),
     }
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 5,
-        generations: int = 1000,
-        windows: int = 100,
-        horizon: int = 10,
-        spread: float = 0.5,
-        weights: Weights = "spread",
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.generations = generations
-        self.windows = windows
-        self.horizon = horizon
-        self.spread = spread
-        self.weights = weights
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    hidden: int = 5
+    generations: int = 1000
+    windows: int = 100
+    horizon: int = 10
+    spread: float = 0.5
+    weights: Weights = "spread"
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         standard = Standard.of(dataset)

@@ -53,20 +53,11 @@ class GaussianProcess(DynamicsModel):
     }
     limits: ClassVar[dict[str, Limit]] = {"inducing": at_least(2)}
 
-    def __init__(
-        self,
-        *,
-        inducing: int = 250,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        stochastic: bool = False,
-        rest_hold: bool = False,
-    ) -> None:
-        self.inducing = inducing
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.stochastic = stochastic
-        self.rest_hold = rest_hold
+    inducing: int = 250
+    state_lags: int | None = None
+    control_lags: int | None = None
+    stochastic: bool = False
+    rest_hold: bool = False
 
     @property
     def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters

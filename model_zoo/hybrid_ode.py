@@ -55,30 +55,8 @@ class HybridOde(NetworkRate):
         "paper": {"one_step_updates": 3000, "updates": 1500},
     }
 
-    def __init__(
-        self,
-        *,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 1000,
-        updates: int = 500,
-        horizon: int = 20,
-        learning_rate: float = 6e-3,
-        drive: str = "drive",
-        steer: str = "steer",
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.learning_rate = learning_rate
-        self.drive = drive
-        self.steer = steer
-        self.rest_hold = rest_hold
+    drive: str = "drive"
+    steer: str = "steer"
 
     def check_system(self, system: System) -> None:
         require_car(self, "hybrid_ode", system, self.drive, self.steer)

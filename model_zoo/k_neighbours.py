@@ -48,20 +48,11 @@ class KNeighbours(DynamicsModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 
-    def __init__(
-        self,
-        *,
-        neighbours: int | None = None,
-        control_weight: float = 1.0,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.neighbours = neighbours
-        self.control_weight = control_weight
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    neighbours: int | None = None
+    control_weight: float = 1.0
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))

@@ -29,20 +29,11 @@ class Linear(DynamicsModel):
     knowledge = "black"
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
-    def __init__(
-        self,
-        *,
-        ridge: float = 0.0,
-        intercept: bool = True,
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.ridge = ridge
-        self.intercept = intercept
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    ridge: float = 0.0
+    intercept: bool = True
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         state_lags, control_lags = self.lags

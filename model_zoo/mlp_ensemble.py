@@ -66,34 +66,18 @@ class MlpEnsemble(DynamicsModel):
         "folds": at_least(2),
     }
 
-    def __init__(
-        self,
-        *,
-        members: int = 6,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 4000,
-        updates: int = 1000,
-        horizon: int = 20,
-        input_noise: float = 0.05,
-        folds: int = 6,
-        turning: list[str] | None = None,
-        stochastic: bool = False,
-        rest_hold: bool = False,
-    ) -> None:
-        self.members = members
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.input_noise = input_noise
-        self.folds = folds
-        self.turning = turning
-        self.stochastic = stochastic
-        self.rest_hold = rest_hold
+    members: int = 6
+    hidden: list[int] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    one_step_updates: int = 4000
+    updates: int = 1000
+    horizon: int = 20
+    input_noise: float = 0.05
+    folds: int = 6
+    turning: list[str] | None = None
+    stochastic: bool = False
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.networks.members import Trained, train_members

@@ -38,20 +38,11 @@ class Narx(DynamicsModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
-    def __init__(
-        self,
-        *,
-        degree: int = 2,
-        terms: int | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.terms = terms
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    degree: int = 2
+    terms: int | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))

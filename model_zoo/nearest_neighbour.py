@@ -35,11 +35,10 @@ class NearestNeighbour(DynamicsModel):
     knowledge = "dark grey"
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
-    def __init__(self, *, levels: int = 3, state_lags: int = 0, control_lags: int = 0, rest_hold: bool = False) -> None:
-        self.levels = levels
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)

@@ -56,26 +56,14 @@ class Parametrised(DynamicsModel):
     }
     limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
-    def __init__(
-        self,
-        *,
-        generations: int = 1000,
-        windows: int = 100,
-        horizon: int = 10,
-        weights: Weights = "spread",
-        drive: str = "drive",
-        steer: str = "steer",
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.generations = generations
-        self.windows = windows
-        self.horizon = horizon
-        self.weights = weights
-        self.drive = drive
-        self.steer = steer
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    generations: int = 1000
+    windows: int = 100
+    horizon: int = 10
+    weights: Weights = "spread"
+    drive: str = "drive"
+    steer: str = "steer"
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
         require_car(self, "parametrised", system, self.drive, self.steer)

@@ -34,30 +34,8 @@ class SindyBagged(ContinuousSparse):
     }
     limits: ClassVar[dict[str, Limit]] = {"bags": at_least(1), "kept": above(0, at_most=1)}
 
-    def __init__(
-        self,
-        *,
-        bags: int = 20,
-        kept: float = 0.35,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        functions: list[str] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        super().__init__(
-            degree=degree,
-            threshold=threshold,
-            ridge=ridge,
-            functions=functions,
-            state_lags=state_lags,
-            control_lags=control_lags,
-            rest_hold=rest_hold,
-        )
-        self.bags = bags
-        self.kept = kept
+    bags: int = 20
+    kept: float = 0.35
 
     def learn(
         self, dataset: Dataset, degree: int, threshold: float, rng: np.random.Generator, counter: Counter

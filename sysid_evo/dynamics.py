@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
-from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values
+from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, declare
 from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
@@ -72,10 +72,13 @@ class Dynamics(ABC):
         return None
 
 
+@dataclass_transform(kw_only_default=True, eq_default=False)
 class DynamicsModel(Dynamics, BaseEstimator):
     """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
-    A family writes ``__init__`` (which only stores its arguments), `fit`, and one of
+    A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
+    constructor follows, those of its bases included (one written out, which only stores its arguments, will do
+    as well). It writes `fit` and one of
 
     - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);
     - `next_state`, if it predicts the next state;
@@ -123,6 +126,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
         cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
             cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+        declare(cls)
         if "__init__" in cls.__dict__:
             cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
 

@@ -42,26 +42,14 @@ class NetworkRate(DynamicsModel):
     }
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
 
-    def __init__(
-        self,
-        *,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 1000,
-        updates: int = 500,
-        horizon: int = 20,
-        learning_rate: float = 6e-3,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.learning_rate = learning_rate
-        self.rest_hold = rest_hold
+    hidden: list[int] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    one_step_updates: int = 1000
+    updates: int = 500
+    horizon: int = 20
+    learning_rate: float = 6e-3
+    rest_hold: bool = False
 
     def train(
         self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report

@@ -94,24 +94,13 @@ class SparsePolynomial(DynamicsModel):
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
 
-    def __init__(
-        self,
-        *,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        functions: list[str] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.functions = functions
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    degree: int | None = None
+    threshold: float | None = None
+    ridge: float = 1e-3
+    functions: list[str] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     @abstractmethod
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
