@@ -19,7 +19,7 @@ from sysid_evo.registry import register_model
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 TOLD_EVERY = 50
 """Epochs between two reports of progress."""
@@ -95,13 +95,13 @@ class Backprop27(DynamicsModel):
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
         return after
 
-    def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.kernels import command_network_predictor, stepping_kernel
+    def predictor(self) -> Predictor:
+        from sysid_evo.engine.kernels import command_network_predictor
 
         cells, serving = self._serving
         commands, n_in, _ = self.first_.shape
         shape = self.last_.shape[1:]
-        predictor = command_network_predictor(
+        return command_network_predictor(
             self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),
             self.first_bias_.reshape(commands, *shape),
             self.last_,
@@ -111,7 +111,6 @@ class Backprop27(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
-        return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

@@ -24,6 +24,7 @@ from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
@@ -84,11 +85,15 @@ class GaussianProcess(DynamicsModel):
         return self.remember(carry, control, self.held(carry, control, after))
 
     def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import gaussian_predictor, stepping_kernel
+        kernel = super().kernel()
+        return None if kernel is None else replace(kernel, precision="float64")  # its large weights cancel
+
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import gaussian_predictor
 
         if self.stochastic:
             return None
-        predictor = gaussian_predictor(
+        return gaussian_predictor(
             self.points_,
             self.lengths_,
             self.weights_ * self.amplitude_[:, None] ** 2,
@@ -96,8 +101,6 @@ class GaussianProcess(DynamicsModel):
             self.intercept_,
             self.n_carry,
         )
-        shell = stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-        return None if shell is None else replace(shell, precision="float64")  # its large weights cancel
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""

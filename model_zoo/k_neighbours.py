@@ -111,7 +111,6 @@ class KNeighbours(DynamicsModel):
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
-        from sysid_evo.engine.kernels import stepping_kernel
 
         if not Features(self.system, self.lags).plain:
             return None
@@ -124,8 +123,10 @@ class KNeighbours(DynamicsModel):
             ridge=RIDGE,
             n_carry=self.n_carry,
         )
-        shell = stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
-        return replace(shell, precision="float64")  # who the neighbours are hangs on the last digits
+        kernel = self.stepping(predictor)
+        return (
+            None if kernel is None else replace(kernel, precision="float64")
+        )  # who the neighbours are hangs on the last digits
 
     @cached_property
     def _tree(self) -> Any:

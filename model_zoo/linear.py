@@ -15,7 +15,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 
 @register_model("linear")
@@ -54,8 +54,7 @@ class Linear(DynamicsModel):
         n = carry.shape[1]
         return carry @ self.coefficients_[:n] + control @ self.coefficients_[n:] + self.intercept_
 
-    def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+    def predictor(self) -> Predictor:
+        from sysid_evo.engine.kernels import network_predictor
 
-        one_layer = network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)
-        return stepping_kernel(one_layer, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        return network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)

@@ -21,7 +21,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 SEARCH_UPDATES = (600, 120)
 OFFERED = ((1, 3), (2, 4))
@@ -150,13 +150,12 @@ class MlpEnsemble(DynamicsModel):
             after = after + self.noise_scale_ * deviation * noise
         return self.remember(carry, control, self.held(carry, control, after))
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import network_predictor
 
         if self.stochastic:
             return None
-        predictor = network_predictor(self.network.members(), self.n_carry, self.system.nu)
-        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+        return network_predictor(self.network.members(), self.n_carry, self.system.nu)
 
     def _deterministic(self, network: Network) -> MlpEnsemble:
         """Return this model without noise and with the members of ``network``."""

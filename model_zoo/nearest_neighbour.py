@@ -71,7 +71,7 @@ class NearestNeighbour(DynamicsModel):
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
+        from sysid_evo.engine.kernels import neighbour_predictor
 
         if not Features(self.system, self.lags).plain:
             return None
@@ -84,7 +84,7 @@ class NearestNeighbour(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
-        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+        return self.stepping(predictor)
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

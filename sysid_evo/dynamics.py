@@ -22,6 +22,7 @@ from sysid_evo.lags import CarryLayout
 if TYPE_CHECKING:
     from sysid_evo.data import Dataset
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels.stepping import Output, Predictor
     from sysid_evo.progress import Progress
     from sysid_evo.system import System
 
@@ -234,6 +235,21 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score")
         return -simulation_error(self, judging_windows(data, self.n_lags))
+
+    def predictor(self) -> Predictor | None:
+        """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
+        return None
+
+    def kernel(self) -> DynamicsKernel | None:
+        predictor = self.predictor()
+        return None if predictor is None else self.stepping(predictor)
+
+    def stepping(self, predictor: Predictor) -> DynamicsKernel | None:
+        """Return the compiled form of `step` around what is predicted: motion, lags, and rest; None without one."""
+        from sysid_evo.engine.kernels.stepping import stepping_kernel
+
+        output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
+        return stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return self.lagged(states, controls)

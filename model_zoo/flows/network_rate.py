@@ -18,7 +18,6 @@ from sysid_evo.progress import Progress
 if TYPE_CHECKING:
     from model_zoo.flows.training import FittedFlow
     from model_zoo.networks.multistep import Plan, Report
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
@@ -105,26 +104,13 @@ class NetworkRate(DynamicsModel):
         """Return `known_rate` as a predictor of the fast engine, if there is one."""
         return None
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import (
-            added,
-            network_predictor,
-            runge_kutta_predictor,
-            stepping_kernel,
-            turning_frame,
-        )
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import added, network_predictor, runge_kutta_predictor, turning_frame
 
-        rate, known = (
-            network_predictor(self.network.members()[:1], self.n_carry, self.system.nu),
-            self.known_predictor(),
-        )
-        if known is not None:
-            rate = added(rate, known, self.system.nx)
-        turned = turning_frame(rate, self.system)
-        if turned is None:
-            return None
-        step = runge_kutta_predictor(turned, self.system, n_carry=self.n_carry)
-        return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        learned = network_predictor(self.network.members()[:1], self.n_carry, self.system.nu)
+        known = self.known_predictor()
+        rate = turning_frame(learned if known is None else added(learned, known, self.system.nx), self.system)
+        return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system, network = self.system, self.network
