@@ -17,7 +17,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
@@ -92,11 +92,7 @@ class MlpEnsemble(DynamicsModel):
         )
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
         rough = rough_fits(dataset) if self.stochastic else 0
-        total, done = final.total + (trials(options) + rough) * search.total + 1, 0  # 1: the calibration
-
-        def report(updates: int) -> None:
-            if progress is not None:
-                progress(done + updates, total)
+        counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 
         def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> Trained:
             return train_members(
@@ -108,29 +104,21 @@ class MlpEnsemble(DynamicsModel):
                 plan=plan,
                 mirror=Mirror.of(dataset.system, self.turning or ["steer"]),
                 rng=rng,
-                report=report,
+                report=counter.advance,
             )
 
-        def error(option: tuple[int, int]) -> float:
-            nonlocal done
-            found = float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
-            done += search.total
-            return found
-
-        lags = best(options, error)
+        lags = best(
+            options, lambda option: float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
+        )
         self.keep_lags(lags)
         network = trained(dataset, lags, self.members, final).network
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
-        done += final.total
 
         def roughly(part: Dataset) -> DynamicsModel:
-            nonlocal done
-            found = trained(part, lags, min(2, self.members), search).network
-            done += search.total
-            return self._deterministic(found)
+            return self._deterministic(trained(part, lags, min(2, self.members), search).network)
 
         growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
-        self._calibrate(dataset, growth, rng, lambda: report(0))
+        self._calibrate(dataset, growth, rng, lambda: counter.advance(0))
         return self
 
     @property

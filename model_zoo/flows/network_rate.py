@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,15 +13,16 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
-    from model_zoo.flows.training import FittedFlow
-    from model_zoo.networks.multistep import Plan, Report
+    from torch import Tensor
+
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
 HIDDEN = (32, 32)
+QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
 
 
 class NetworkRate(DynamicsModel):
@@ -29,8 +30,8 @@ class NetworkRate(DynamicsModel):
 
     ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
     measured states (multiple shooting); the weights that simulate held-out blocks of time best over
-    one second are kept (early stopping). Stepped with the fourth-order Runge-Kutta method at dt,
-    controls held.
+    one second are kept (early stopping). ``initial`` physical parameters of the known part are trained
+    with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
     """
 
     knowledge = "dark grey"
@@ -39,7 +40,12 @@ class NetworkRate(DynamicsModel):
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),
     }
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
+    initial: ClassVar[Array] = np.empty(0)
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+        "paper": {"one_step_updates": 3000, "updates": 1500},
+    }
 
     hidden: list[int] | None = None
     state_lags: int | None = None
@@ -50,19 +56,8 @@ class NetworkRate(DynamicsModel):
     learning_rate: float = 6e-3
     rest_hold: bool = False
 
-    def train(
-        self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
-    ) -> FittedFlow:
-        """Train one flow."""
-        from model_zoo.flows.training import train_flow
-
-        return train_flow(dataset, lags, hidden=tuple(self.hidden or HIDDEN), plan=plan, rng=rng, report=report)
-
-    def known_rate(self, state: Array, control: Array) -> Array | None:
-        """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
-        return None
-
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        from model_zoo.flows.training import FittedFlow, train_flow
         from model_zoo.networks.multistep import Plan
 
         final = Plan(
@@ -75,25 +70,35 @@ class NetworkRate(DynamicsModel):
             learning_rate=self.learning_rate,
         )
         options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
-        total, done = final.total + trials(options) * search.total, 0
+        counter = Counter(progress, final.total + trials(options) * search.total)
 
-        def report(updates: int) -> None:
-            if progress is not None:
-                progress(done + updates, total)
+        def trained(lags: tuple[int, int], plan: Plan) -> FittedFlow:
+            return train_flow(
+                dataset,
+                lags,
+                hidden=self.hidden or HIDDEN,
+                plan=plan,
+                rng=rng,
+                physics=self.torch_rate if len(self.initial) else None,
+                physical=self.initial,
+                report=counter.advance,
+            )
 
-        def error(lags: tuple[int, int]) -> float:
-            nonlocal done
-            found = self.train(dataset, lags, search, rng, report).error
-            done += search.total
-            return found
-
-        lags = best(options, error)
+        lags = best(options, lambda lags: trained(lags, search).error)
         self.keep_lags(lags)
-        fitted = self.train(dataset, lags, final, rng, report)
+        fitted = trained(lags, final)
         self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
-        if len(fitted.physical):
+        if len(self.initial):
             self.physical_ = fitted.physical
         return self
+
+    def known_rate(self, state: Array, control: Array) -> Array | None:
+        """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
+        return None
+
+    def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
+        """Return `known_rate` for physical parameters (n,), in a family with ``initial`` ones."""
+        raise NotImplementedError
 
     @property
     def network(self) -> Network:
