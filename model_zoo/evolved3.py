@@ -87,7 +87,7 @@ class Evolved3(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+        from sysid_evo.engine.kernels import network_predictor
 
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
@@ -101,9 +101,7 @@ class Evolved3(DynamicsModel):
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
             predictors.append(network_predictor([layers], self.n_carry, self.system.nu))
-        kernel = stepping_kernel(
-            predictors[0], self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band
-        )
+        kernel = self.stepping(predictors[0])
         if kernel is None:
             return None
         return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from model_zoo.car.family import CarFamily
 from model_zoo.car.physics import accelerations
-from model_zoo.car.roles import CarRoles, car_roles, require_car
 from model_zoo.flows.network_rate import NetworkRate
 from sysid_evo.arrays import Array
 from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @register_model("hybrid_ode")
-class HybridOde(NetworkRate):
+class HybridOde(NetworkRate, CarFamily):
     """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
 
     The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
@@ -39,17 +38,6 @@ class HybridOde(NetworkRate):
     knowledge = "grey"
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
-    drive: str = "drive"
-    steer: str = "steer"
-
-    def check_system(self, system: System) -> None:
-        require_car(self, "hybrid_ode", system, self.drive, self.steer)
-
-    @property
-    def roles(self) -> CarRoles:
-        """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
-        return car_roles(self.system, self.drive, self.steer)
-
     def known_rate(self, state: Array, control: Array) -> Array:
         return np.stack(self._rates(state, control, self.physical_, np.zeros_like(state[..., 0])), axis=-1)
 
@@ -57,9 +45,8 @@ class HybridOde(NetworkRate):
         from model_zoo.kernels.car import car_rate
         from sysid_evo.engine.kernels import Predictor
 
-        roles = [-1 if role is None else role for role in self.roles]
-        header = [*roles, self.system.nx, self.system.dt, 0]
-        return Predictor(car_rate, np.array([*header, *self.physical_], dtype=np.float64), n_scratch=0)
+        parameters = np.concatenate([self.kernel_parameters(), self.physical_])
+        return Predictor(car_rate, parameters, n_scratch=0)
 
     def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
         import torch
