@@ -10,13 +10,10 @@ import numpy as np
 from model_zoo.channels.command_cells import CommandCells
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
+from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor

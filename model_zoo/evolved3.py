@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from model_zoo.channels.standard import Standard
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.identification import Weights
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel

@@ -14,13 +14,11 @@ from scipy.optimize import Bounds, minimize
 from model_zoo.channels.standard import Standard, positive
 from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel

@@ -9,8 +9,8 @@ import numpy as np
 from model_zoo.car.family import CarFamily
 from model_zoo.car.physics import accelerations
 from model_zoo.flows.network_rate import NetworkRate
+from sysid_evo import register_model
 from sysid_evo.arrays import Array
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from torch import Tensor

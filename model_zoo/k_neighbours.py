@@ -13,12 +13,10 @@ from sklearn.base import clone
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, deviation
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel

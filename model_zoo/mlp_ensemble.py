@@ -12,13 +12,11 @@ from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
 from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -80,7 +78,7 @@ class MlpEnsemble(DynamicsModel):
     rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.networks.members import Trained, train_members
+        from model_zoo.networks.members import train_members
         from model_zoo.networks.multistep import Plan
 
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
@@ -94,7 +92,7 @@ class MlpEnsemble(DynamicsModel):
         rough = rough_fits(dataset) if self.stochastic else 0
         counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 
-        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> Trained:
+        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> tuple[Network, Array]:
             return train_members(
                 data,
                 lags,
@@ -107,15 +105,13 @@ class MlpEnsemble(DynamicsModel):
                 report=counter.advance,
             )
 
-        lags = best(
-            options, lambda option: float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
-        )
+        lags = best(options, lambda option: float(np.mean(trained(dataset, option, min(3, self.members), search)[1])))
         self.keep_lags(lags)
-        network = trained(dataset, lags, self.members, final).network
+        network, _ = trained(dataset, lags, self.members, final)
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
 
         def roughly(part: Dataset) -> DynamicsModel:
-            return self._deterministic(trained(part, lags, min(2, self.members), search).network)
+            return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
 
         growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
         self._calibrate(dataset, growth, rng, lambda: counter.advance(0))

@@ -10,12 +10,10 @@ from model_zoo.channels.standard import root_mean_square
 from model_zoo.sparse.family import PolynomialFamily, Regression
 from model_zoo.sparse.polynomial import evaluate, monomials
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10

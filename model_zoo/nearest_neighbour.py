@@ -10,13 +10,10 @@ from scipy.spatial import cKDTree
 
 from model_zoo.channels.command_cells import CommandCells
 from model_zoo.channels.features import Features
+from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel

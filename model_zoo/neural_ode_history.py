@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from model_zoo.flows.network_rate import NetworkRate
-from sysid_evo.registry import register_model
+from sysid_evo import register_model
 
 
 @register_model("neural_ode_history")

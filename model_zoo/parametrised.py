@@ -8,13 +8,12 @@ import numpy as np
 
 from model_zoo.car.family import CarFamily, CarRoles
 from model_zoo.car.physics import PHYSICAL, accelerations
+from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.identification import Weights
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel

@@ -8,11 +8,10 @@ import numpy as np
 
 from model_zoo.sparse.flow import ContinuousSparse
 from model_zoo.sparse.regression import sparse_coefficients
-from sysid_evo.data import Dataset
+from sysid_evo import Dataset, register_model
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter
-from sysid_evo.registry import register_model
 
 BLOCK_STEPS = 40
 STRIDE = 12

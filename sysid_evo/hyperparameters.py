@@ -10,7 +10,7 @@ import sys
 import types
 import typing
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any, Literal, Union
 
 import numpy as np
@@ -64,9 +64,11 @@ def declare(family: type) -> None:
     """Give a class whose body declares hyper-parameters the constructor that takes them, those of its bases included.
 
     They are its annotated names, `ClassVar` left out. Their types are read here, in the module that knows them.
+    A class with several bases that declare some gets a constructor for all of theirs.
     """
     own = {name: kind for name, kind in vars(family).get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
-    if own and "__init__" not in vars(family):
+    several = sum(is_dataclass(base) for base in family.__bases__) > 1
+    if (own or several) and "__init__" not in vars(family):
         declared = types.SimpleNamespace(__annotations__=own)
         with contextlib.suppress(NameError):  # a name that only the type checker knows: nothing to check against
             family.__annotations__.update(typing.get_type_hints(declared, vars(sys.modules[family.__module__])))

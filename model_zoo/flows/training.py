@@ -28,30 +28,20 @@ class Flow(StandardisedModel):
     Of the ``physical`` parameters (n,), all positive, the logarithms are trained, beside the network's.
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        lags: tuple[int, int],
-        *,
-        hidden: Sequence[int],
-        rng: np.random.Generator,
-        physics: Physics | None,
-        physical: Array,
-    ) -> None:
-        super().__init__(dataset, lags, hidden=hidden, rng=rng)
-        self.rates = self.standard.change / self.system.dt
-        self._rates = single(self.rates)
-        self.n_network = len(self.parameters)
+    physics: Physics | None = None
+
+    def know(self, physics: Physics, physical: Array) -> None:
+        """Add ``physics``, with parameters that begin at ``physical``."""
         self.physics = physics
-        if physics is not None:
-            self.parameters.append(single(np.log(physical)[None, None]).requires_grad_(True))
+        self.parameters.append(single(np.log(physical)[None, None]).requires_grad_(True))
 
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         nx = self.system.nx
         held = torch.cat([carry[..., nx:], control], dim=2)
+        network = self.parameters if self.physics is None else self.parameters[:-1]
 
         def rate(_: Tensor, state: Tensor) -> Tensor:
-            result = forward_pass(self.parameters[: self.n_network], self.inputs(state, held)) * self._rates
+            result = forward_pass(network, self.inputs(state, held)) * self.rates
             if self.physics is not None:
                 result = result + self.physics(state, control, torch.exp(self.parameters[-1][0, 0]))
             return self.motion.turned(state, result)
@@ -82,8 +72,11 @@ def train_flow(
     report: Report | None = None,
 ) -> FittedFlow:
     """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
-    model = Flow(dataset, lags, hidden=hidden, rng=rng, physics=physics, physical=physical)
+    model = Flow(dataset, lags, hidden=hidden, rng=rng)
+    n_network = len(model.parameters)
+    if physics is not None:
+        model.know(physics, physical)
     best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, rng, report)
-    network = as_network(best[: model.n_network]).folded(model.centre, model.scale, model.rates)
-    logarithms = [array.detach().numpy().astype(np.float64).ravel() for array in best[model.n_network :]]
+    network = as_network(best[:n_network]).folded(model.centre, model.scale, model.standard.change / dataset.system.dt)
+    logarithms = [array.detach().numpy().astype(np.float64).ravel() for array in best[n_network:]]
     return FittedFlow(network, np.exp(np.concatenate([np.empty(0), *logarithms])), float(errors[0]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -37,7 +36,6 @@ class LaggedMembers(StandardisedModel):
         rng: np.random.Generator,
     ) -> None:
         super().__init__(dataset, lags, hidden=hidden, rng=rng, members=members, further=1, mirror=mirror)
-        self.change = single(self.standard.change)
         self.mirror = mirror
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
         self.flag = RECORDED
@@ -62,14 +60,6 @@ class LaggedMembers(StandardisedModel):
         self.flag = RECORDED
 
 
-@dataclass(frozen=True)
-class Trained:
-    """Networks of raw (carry, control) that give accelerations, and each member's validation error (M,)."""
-
-    network: Network
-    errors: Array
-
-
 def train_members(
     dataset: Dataset,
     lags: tuple[int, int],
@@ -81,8 +71,11 @@ def train_members(
     mirror: Mirror | None,
     rng: np.random.Generator,
     report: Report | None = None,
-) -> Trained:
-    """Train ``members`` networks, each on the blocks of time that are left when its own are held out."""
+) -> tuple[Network, Array]:
+    """Train ``members`` networks, each on the blocks of time that are left when its own are held out.
+
+    Returns networks of raw (carry, control) that give accelerations, and each member's validation error (M,).
+    """
     model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=rng)
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
     parameters, errors = model.learn(splits, plan, rng, report)
@@ -91,4 +84,4 @@ def train_members(
     biases[0] = biases[0] + weights[0][:, -1]
     weights[0] = weights[0][:, :-1]
     accelerations = model.standard.change / dataset.system.dt
-    return Trained(Network(weights, biases).folded(model.centre, model.scale, accelerations), errors)
+    return Network(weights, biases).folded(model.centre, model.scale, accelerations), errors

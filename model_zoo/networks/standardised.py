@@ -22,7 +22,8 @@ from sysid_evo.motion.torch_form import torch_motion
 class StandardisedModel(TorchModel):
     """``members`` random networks with ``further`` inputs beside (carry, control), and what standardises these.
 
-    The last layer gives nx numbers, in units of each state's RMS change in one step.
+    The last layer gives nx numbers in units of ``change``, each state's RMS change in one step, or of ``rates``,
+    that per second.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class StandardisedModel(TorchModel):
         self.standard = Standard.of(dataset, mirror)
         self.centre, self.scale = self.standard.of_inputs(self.layout)
         self._centre, self._scale = single(self.centre), single(self.scale)
+        self.change, self.rates = single(self.standard.change), single(self.standard.change / self.system.dt)
         sizes = [len(self.centre) + further, *hidden, self.system.nx]
         self.parameters = as_tensors(random_network(sizes, members, rng))
 
@@ -75,7 +77,7 @@ class StandardisedModel(TorchModel):
             [Shots.of(part, plan.horizon, history) for part, _ in splits],
             plan,
             state_scale=state_scale,
-            change_scale=single(self.standard.change),
+            change_scale=self.change,
             rng=rng,
             judge=judge,
             report=report,

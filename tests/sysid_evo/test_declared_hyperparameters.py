@@ -41,6 +41,21 @@ class Plain(Wider):
     offered: ClassVar[tuple[int, ...]] = (3,)
 
 
+class Weighted(DynamicsModel):
+    """What another family may have as well."""
+
+    weight: float = 1.0
+
+
+class Both(Wider, Weighted):
+    """None of its own, from two bases."""
+
+
+def test_a_family_of_two_bases_takes_the_hyper_parameters_of_both() -> None:
+    model = Both(weight=2.0, ridge=0.5)
+    assert model.get_params() == {"degree": 2, "form": "plain", "ridge": 0.5, "weight": 2.0}
+
+
 def test_declared_names_are_the_keywords_of_the_constructor_those_of_bases_too() -> None:
     assert list(inspect.signature(Declared).parameters) == ["degree", "form"]
     assert list(inspect.signature(Wider).parameters) == ["degree", "form", "ridge"]
