@@ -60,8 +60,7 @@ class Backprop27(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -21,7 +20,6 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.engine.kernels import Predictor
 
 JITTER = 1e-6
@@ -46,6 +44,7 @@ class GaussianProcess(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
         "paper": {"inducing": 400},
@@ -81,10 +80,6 @@ class GaussianProcess(DynamicsModel):
         if noise is not None:
             after = after + self.noise_scale_ * np.sqrt(variance) * self.system.dt * noise
         return self.remember(carry, control, self.held(carry, control, after))
-
-    def kernel(self) -> DynamicsKernel | None:
-        kernel = super().kernel()
-        return None if kernel is None else replace(kernel, precision="float64")  # its large weights cancel
 
     def predictor(self) -> Predictor | None:
         from sysid_evo.engine.kernels import gaussian_predictor
@@ -170,8 +165,7 @@ class GaussianProcess(DynamicsModel):
 
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
         """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags, moving=True)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
         inputs = data.inputs
         targets = dataset.system.acceleration(data.state, data.after)
         _, scale = Standard.of(dataset).of_inputs(self.layout)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -43,6 +42,7 @@ class KNeighbours(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    precision = "float64"  # who the neighbours are hangs on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 
@@ -121,10 +121,7 @@ class KNeighbours(DynamicsModel):
             ridge=RIDGE,
             n_carry=self.n_carry,
         )
-        kernel = self.stepping(predictor)
-        return (
-            None if kernel is None else replace(kernel, precision="float64")
-        )  # who the neighbours are hangs on the last digits
+        return self.stepping(predictor)
 
     @cached_property
     def _tree(self) -> Any:

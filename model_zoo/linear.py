@@ -34,8 +34,7 @@ class Linear(DynamicsModel):
     rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         regressors = np.concatenate([data.carry, data.control], axis=1)
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])

@@ -82,12 +82,8 @@ class MlpEnsemble(DynamicsModel):
         from model_zoo.networks.multistep import Plan
 
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
-        search = Plan(
-            min(SEARCH_UPDATES[0], self.one_step_updates),
-            min(SEARCH_UPDATES[1], self.updates),
-            self.horizon,
-            input_noise=self.input_noise,
-        )
+        one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
+        search = replace(final, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
         rough = rough_fits(dataset) if self.stochastic else 0
         counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration

@@ -42,8 +42,7 @@ class NearestNeighbour(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         order = np.argsort(cell, kind="stable")
         self.cell_ = cell[order]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
@@ -21,6 +22,7 @@ from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
     from sysid_evo.data import Dataset
+    from sysid_evo.engine.compiled.dialect import Precision
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.engine.kernels.stepping import Output, Predictor
     from sysid_evo.progress import Progress
@@ -94,7 +96,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
     ``limits`` what numbers they may be (types follow from the constructor's annotations);
-    ``requires`` the optional packages that `fit` imports.
+    ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
+    exact enough.
 
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
@@ -112,6 +115,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
     requires: ClassVar[tuple[str, ...]] = ()
+    precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
@@ -249,7 +253,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
         from sysid_evo.engine.kernels.stepping import stepping_kernel
 
         output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
-        return stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
+        kernel = stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
+        return None if kernel is None else replace(kernel, precision=self.precision)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return self.lagged(states, controls)

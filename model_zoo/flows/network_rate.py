@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -60,15 +61,10 @@ class NetworkRate(DynamicsModel):
         from model_zoo.flows.training import FittedFlow, train_flow
         from model_zoo.networks.multistep import Plan
 
-        final = Plan(
-            self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate, check_every=50
-        )
-        search = Plan(
-            max(1, round(SEARCH_SHARE * self.one_step_updates)),
-            max(1, round(SEARCH_SHARE * self.updates)),
-            self.horizon,
-            learning_rate=self.learning_rate,
-        )
+        plan = Plan(self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate)
+        final = replace(plan, check_every=50)
+        one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
+        search = replace(plan, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
         counter = Counter(progress, final.total + trials(options) * search.total)
 
