@@ -250,7 +250,7 @@ def half(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> tuple[Path, En
     """A comparison of which one family fails, and how it ended."""
     folder = tmp_path_factory.mktemp("half")
     (folder / "mine.py").write_text(PLUGIN)
-    done = run(
+    done = run_here(
         "compare", "--data", logs, "--plugin", "mine.py", "--models", "linear,never_fits", *SMALL, "--out", "out",
         "--debug", cwd=folder,
     )  # fmt: skip
