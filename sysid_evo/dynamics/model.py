@@ -1,9 +1,9 @@
-"""The contract of everything that steps: models and emulated robots."""
+"""The contract of model families: what is fitted to recordings and then steps."""
 
 from __future__ import annotations
 
 import functools
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
@@ -14,6 +14,7 @@ from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics.stepping import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
@@ -31,48 +32,6 @@ if TYPE_CHECKING:
 
 REST_BAND = 0.005
 """Share of the range of the training states, around neutral, that counts as rest."""
-
-
-class Dynamics(ABC):
-    """Anything that steps by one ``system.dt``.
-
-    The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
-    is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
-    numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
-    never drawn inside. What controllers and tasks observe of the state stands in the carry from
-    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it.
-    """
-
-    system: System
-    n_carry: int
-    observed_at: int = 0
-    n_lags: int = 0
-    n_noise: int = 0
-    n_draws: int = 0
-
-    @property
-    def envelope(self) -> Array | None:
-        """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
-        return None
-
-    @abstractmethod
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        """Return the carry (B, n_carry) after a history.
-
-        ``states`` (B, n_lags + 1, nx) ends at the present, ``controls`` (B, n_lags, nu) at the
-        sample before it, ``draws`` is (B, n_draws).
-        """
-
-    @abstractmethod
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise).
-
-        Pure: the same arguments give the same result, each row for itself.
-        """
-
-    def kernel(self) -> DynamicsKernel | None:
-        """Return the compiled form of `step`, if it has one."""
-        return None
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -382,25 +341,6 @@ class DynamicsModel(Dynamics, BaseEstimator):
             for k, carry in enumerate(chained(step, self.start(states, past_controls, draws), controls)):
                 out[:, k] = carry[:, : system.nx]
         return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
-
-
-def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:
-    """Clip the state at the head of ``carry`` to ``envelope``; also return which rows were changed (B,).
-
-    A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
-    """
-    if envelope is None:
-        return carry, np.zeros(len(carry), dtype=bool)
-    low, high = envelope
-    inside = np.ones(len(carry), dtype=bool)
-    for value, least, most in zip(carry.T, low, high, strict=False):
-        inside &= (value >= least) & (value <= most)
-    if inside.all():
-        return carry, ~inside
-    clipped = carry.copy()
-    for value, least, most in zip(clipped.T, low, high, strict=False):
-        np.maximum(np.fmin(value, most), least, out=value)
-    return clipped, ~inside
 
 
 def training_envelope(states: Array, multiple: float) -> Array:
