@@ -2,11 +2,15 @@
 
 from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion, Finalist
+from sysid_evo.evolution.choice import choose, judge
+from sysid_evo.evolution.cma_es import CmaEs
 from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.niches import Niches
+from sysid_evo.evolution.polish import polish
 from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
@@ -15,6 +19,7 @@ __all__ = [
     "Aggregate",
     "Champion",
     "Checkpoint",
+    "CmaEs",
     "ControllerEvolution",
     "EnsembleObjective",
     "EvolutionStrategy",
@@ -25,12 +30,16 @@ __all__ = [
     "Median",
     "ModelEvolution",
     "MuPlusLambda",
+    "Niches",
     "Objective",
     "Schedule",
     "Scores",
     "Stage",
     "StrategyState",
+    "choose",
     "evolve",
     "evolve_controller",
+    "judge",
     "observed_late",
+    "polish",
 ]
