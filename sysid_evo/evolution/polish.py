@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid_evo.engine import Runner
+from sysid_evo.engine import Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.choice import worth
@@ -60,6 +60,11 @@ def polish(
             seed=run_seed(seed, run),
             sigma=sigma,
             initial=chosen[run].parameters,
+        )
+        strategy.prepare(
+            behaviour_names=behaviour_names(task.system),
+            control_names=task.system.control_names,
+            generations=generations,
         )
         return strategy, Schedule((), objective(run))
 

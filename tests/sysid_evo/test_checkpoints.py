@@ -16,8 +16,8 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, StrategyState, evolve_controller
-from sysid_evo.registry import make_model
+from sysid_evo.evolution import Champion, ControllerEvolution, StrategyState, evolve_controller, polish
+from sysid_evo.registry import make_model, strategies
 from sysid_evo.store import CheckpointFile
 from sysid_evo.store.checkpoints import read_checkpoint
 from sysid_evo.testing import example_dataset
@@ -170,6 +170,30 @@ def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(
     found = evolved(SETTINGS, CheckpointFile(tmp_path / "c"), threads=2, progress=watched)
     assert_same(found, whole)
     assert watched.told == list(range(after, 9))
+
+
+@pytest.mark.parametrize("strategy", strategies.names())
+def test_with_every_strategy_an_evolution_that_is_stopped_again_and_again_ends_the_same(
+    strategy: str, tmp_path: Path
+) -> None:
+    settings = replace(SETTINGS, generations=20, strategy=strategy)
+    for after in (1, 9, 24):
+        with pytest.raises(Stop):
+            evolved(settings, CheckpointFile(tmp_path / "c"), progress=StopAfter(after))
+    assert_same(evolved(settings, CheckpointFile(tmp_path / "c")), evolved(settings))
+
+
+def test_a_polish_that_is_stopped_goes_on_to_the_same_champion(whole: Champion, tmp_path: Path) -> None:
+    dataset = example_dataset()
+    runners = {name: DynamicsRunner(make_model(name).fit(dataset, rng=0)) for name in ("linear", "nearest_neighbour")}
+
+    def polished(checkpoint: CheckpointFile | None, progress: StopAfter | None = None) -> Champion:
+        return polish("p", whole, runners, SETTINGS, seed=1, generations=4, checkpoint=checkpoint, progress=progress)
+
+    for after in (2, 4, 7):
+        with pytest.raises(Stop):
+            polished(CheckpointFile(tmp_path / "c"), StopAfter(after))
+    assert_same(polished(CheckpointFile(tmp_path / "c")), polished(None))
 
 
 def test_an_evolution_that_has_ended_is_not_done_again(whole: Champion, tmp_path: Path) -> None:
