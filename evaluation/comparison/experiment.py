@@ -60,12 +60,12 @@ class Experiment(BaseModel):
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``, ``generations``,
-    ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With ``yardstick`` a
-    controller is also evolved on the emulated
-    robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
-    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late.
-    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
+    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With
+    ``yardstick`` a controller is also evolved on the emulated robot itself: what can be achieved there
+    at all. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
+    Controllers know the state ``estimator_delay`` s late. ``data_digest`` is written by the program: the
+    cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
