@@ -12,13 +12,11 @@ from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.niches import Niches
 from sysid_evo.evolution.polish import polish
 from sysid_evo.evolution.schedule import Schedule, Stage
-from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
     "Aggregate",
     "Champion",
-    "Checkpoint",
     "CmaEs",
     "ControllerEvolution",
     "EnsembleObjective",

@@ -9,6 +9,7 @@ from itertools import chain
 import numpy as np
 
 from sysid_evo.arrays import Seeds
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
@@ -16,7 +17,6 @@ from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.schedule import Schedule, Stage
-from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.engine import Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
@@ -16,7 +17,6 @@ from sysid_evo.evolution.controllers import ControllerEvolution, observed_late, 
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.schedule import Schedule
-from sysid_evo.evolution.standing import Checkpoint
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 

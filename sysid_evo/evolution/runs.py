@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import CheckpointWarning, EvolutionWarning
 from sysid_evo.evolution.champion import Finalist
 from sysid_evo.evolution.loop import Generation, evolve
 from sysid_evo.evolution.schedule import Schedule
-from sysid_evo.evolution.standing import Checkpoint, EndedRun, Standing
+from sysid_evo.evolution.standing import EndedRun, Standing
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -15,22 +14,6 @@ from sysid_evo.evolution.schedule import Schedule
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 STRATEGY, SCHEDULE = "strategy.", "schedule."
-
-
-class Checkpoint(Protocol):
-    """Keeps the last state of long work; `sysid_evo.store.CheckpointFile` keeps it in a file."""
-
-    def load(self, identity: str) -> StrategyState | None:
-        """Return what was saved under this ``identity``, None if there is nothing that can be used."""
-        ...
-
-    def due(self) -> bool:
-        """Whether it is time to save again; results never depend on it."""
-        ...
-
-    def save(self, identity: str, state: StrategyState) -> None:
-        """Keep ``state`` in place of what was kept before."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,11 @@ from typing import TypeAlias
 import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
+from sysid_evo.checkpoint import State
 from sysid_evo.errors import InvalidArgument
 
-StrategyState: TypeAlias = Mapping[str, Array | int | float | str]
-"""All that changes in a strategy, by name: float64 arrays, numbers and text, which can be stored."""
+StrategyState: TypeAlias = State
+"""All that changes in a strategy."""
 
 
 class EvolutionStrategy(ABC):

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from sysid_evo.checkpoint import State
 from sysid_evo.errors import ArtefactError, CheckpointWarning, InvalidArgument
-from sysid_evo.evolution import StrategyState
 from sysid_evo.files import write_atomically
 
 SCHEMA: Literal["sysid-evo/checkpoint/1"] = "sysid-evo/checkpoint/1"
@@ -40,7 +40,7 @@ class _Content(BaseModel):
 
 
 class CheckpointFile:
-    """Keeps the state of long work in the file ``path``: a `Checkpoint` for `evolve_controller`.
+    """Keeps the state of long work in the file ``path``: a `Checkpoint` for `evolve_controller` and for models.
 
     It is due every ``every`` s, less often where saving takes long: never more than a hundredth of the time.
     A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none.
@@ -53,7 +53,7 @@ class CheckpointFile:
         self._saved = time.monotonic()
         self._took = 0.0
 
-    def load(self, identity: str) -> StrategyState | None:
+    def load(self, identity: str) -> State | None:
         """Return what was saved under this ``identity``, None if there is nothing that can be used."""
         if not self.path.is_file():
             return None
@@ -76,7 +76,7 @@ class CheckpointFile:
         """Whether it is time to save again."""
         return time.monotonic() - self._saved >= max(self.every, self._took / SHARE)
 
-    def save(self, identity: str, state: StrategyState) -> None:
+    def save(self, identity: str, state: State) -> None:
         """Write ``state`` in place of what was kept before. Raises `OSError`."""
         began = time.monotonic()
         write_checkpoint(self.path, identity, state)
@@ -84,7 +84,7 @@ class CheckpointFile:
         self._took = self._saved - began
 
 
-def write_checkpoint(path: Path, identity: str, state: StrategyState) -> None:
+def write_checkpoint(path: Path, identity: str, state: State) -> None:
     """Write ``state`` to the file ``path``. Raises `OSError`."""
     numbers = [name for name, value in state.items() if isinstance(value, (float, np.floating))]
     tensors = {
@@ -101,7 +101,7 @@ def write_checkpoint(path: Path, identity: str, state: StrategyState) -> None:
     write_atomically(path, lambda file: file.write_bytes(payload))
 
 
-def read_checkpoint(path: Path) -> tuple[str, StrategyState]:
+def read_checkpoint(path: Path) -> tuple[str, State]:
     """Return identity and state in the file ``path``. Raises `ArtefactError` if it is damaged or something else."""
     try:
         with safe_open(path, framework="numpy") as file:

@@ -220,6 +220,25 @@ def test_a_model_that_has_changed_is_other_work(whole: Champion, tmp_path: Path)
         assert_same(evolved(SETTINGS, CheckpointFile(tmp_path / "c")), whole)
 
 
+@pytest.mark.parametrize("family", ["evolved3", "parametrised"])
+def test_a_fit_by_evolution_that_was_stopped_goes_on_to_the_same_model(
+    family: str, recording: Dataset, tmp_path: Path
+) -> None:
+    def fitted(data: Dataset, checkpoint: CheckpointFile | None, progress: StopAfter | None = None) -> Array:
+        model = make_model(family, generations=6, windows=20)
+        model.checkpoint = checkpoint
+        return model.fit(data, rng=1, progress=progress).parameters_
+
+    for after in (1, 4):
+        with pytest.raises(Stop):
+            fitted(recording, CheckpointFile(tmp_path / "c"), StopAfter(after))
+    watched = StopAfter(-1)
+    np.testing.assert_array_equal(fitted(recording, CheckpointFile(tmp_path / "c"), watched), fitted(recording, None))
+    assert watched.told == [0, 4, 5, 6]
+    with pytest.warns(CheckpointWarning, match="of other work"):
+        fitted(recording.with_episodes(recording.episodes[:2]), CheckpointFile(tmp_path / "c"))
+
+
 CHANGES: tuple[tuple[str, Array | str | None], ...] = (
     ("runs", "two"),
     ("history", np.zeros((3, 2))),
