@@ -120,6 +120,7 @@ def test_without_finalists_there_is_nothing_to_polish() -> None:
 
 def test_a_model_that_denies_the_best_start_is_left_out_of_the_polish() -> None:
     start = champion("start", finalist(1.0, 9.0))
-    runners = {"a": Hill(1.0), "denies": Hill(1.0, height=5.7), "b": Hill(1.5), "doubts": Hill(1.0, height=5.9)}
+    heights = {"a": 10.0, "denies": 6.6, "b": 9.5, "doubts": 6.7, "c": 10.0}  # 70 % of the median is 6.65
+    runners = {name: Hill(1.0, height) for name, height in heights.items()}
     best = polish("best", start, runners, SETTINGS, seed=3, generations=1)
-    assert best.against == ("a", "b", "doubts")
+    assert best.against == ("a", "b", "doubts", "c")
