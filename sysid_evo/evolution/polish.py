@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.checkpoint import Checkpoint
-from sysid_evo.engine import Runner, behaviour_names
+from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.choice import worth
@@ -21,6 +22,8 @@ from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 
 POLISHED = "polished"
+CREDIBLE = 0.7
+"""Share of its median fitness over all models that a controller must have on one for that one to be believed."""
 
 
 def polish(
@@ -40,19 +43,26 @@ def polish(
 
     How the fitnesses on the models become one is the aggregate of ``settings``, and so are trials, task and
     controller. The step is short, ``sigma`` at the start, since the starts are good drivers already: what
-    changes is what they owe to the faults of single models. A start that nothing beats stays as it is.
-    ``checkpoint`` as for `evolve_controller`.
+    changes is what they owe to the faults of single models. A start that nothing beats stays as it is. Models
+    that deny the best start, on which it has less than `CREDIBLE` of its median over all, are left out, so that
+    one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` as for
+    `evolve_controller`.
     """
     if not champion.finalists or champion.system is None:
         raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
     task = settings.make_task(champion.system)
     controller = settings.make_controller(task)
-    late = tuple(observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items())
+    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
     seeds = selection_seeds(seed, settings.selection_trials)
     chosen = sorted(champion.finalists, key=lambda one: -worth(one))[:starts]
+    everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
+    by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
+    assert by_model is not None
+    used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
+    met = tuple(late[label] for label in used)
 
     def objective(run: int) -> EnsembleObjective:
-        return EnsembleObjective(late, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
+        return EnsembleObjective(met, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = CmaEs(
@@ -60,11 +70,6 @@ def polish(
             seed=run_seed(seed, run),
             sigma=sigma,
             initial=chosen[run].parameters,
-        )
-        strategy.prepare(
-            behaviour_names=behaviour_names(task.system),
-            control_names=task.system.control_names,
-            generations=generations,
         )
         return strategy, Schedule((), objective(run))
 
@@ -81,7 +86,7 @@ def polish(
         generations,
         begun,
         finals,
-        models=(tuple(runners),),
+        models=(used,),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else identity(told, runners, controller, task, seed),
     ).to_the_end(progress)
@@ -90,7 +95,7 @@ def polish(
         champion,
         name=name,
         parameters=best.parameters,
-        against=tuple(runners),
+        against=used,
         aggregate=settings.aggregate,
         seed=seed,
         history=ended[best.run].history,
@@ -99,3 +104,10 @@ def polish(
         finalists=tuple(run.finalists[0] for run in ended),
         population=ended[best.run].population,
     )
+
+
+def credible(fitness: Array) -> BoolArray:
+    """Return which models (M,) are believed about a controller that has this fitness on them."""
+    median = np.median(fitness)
+    kept: BoolArray = fitness >= median - (1.0 - CREDIBLE) * abs(median)
+    return kept
