@@ -127,11 +127,12 @@ def evolve_controller(
     controller = settings.make_controller(task)
     late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
     seeds = selection_seeds(seed, settings.selection_trials)
-    stages = settings.stages(task, tuple(runners))
+    models = tuple(late)
+    stages = settings.stages(task, models)
 
-    def objective(run: int, of_stage: Task, models: tuple[str, ...]) -> EnsembleObjective:
-        met = tuple(late[model] for model in models)
-        return EnsembleObjective(met, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate)
+    def objective(run: int, of_stage: Task, met: tuple[str, ...]) -> EnsembleObjective:
+        on = tuple(late[label] for label in met)
+        return EnsembleObjective(on, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate)
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = settings.make_strategy(controller.n_parameters, run_seed(seed, run))
@@ -140,18 +141,18 @@ def evolve_controller(
             control_names=system.control_names,
             generations=settings.generations,
         )
-        easier = [(stage, objective(run, of_stage, models)) for stage, of_stage, models in stages]
-        return strategy, Schedule(easier, objective(run, task, tuple(runners)))
+        easier = [(stage, objective(run, of_stage, met)) for stage, of_stage, met in stages]
+        return strategy, Schedule(easier, objective(run, task, models))
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        return tuple(_finalists(strategy, objective(run, task, tuple(runners)), run, seeds))
+        return tuple(_finalists(strategy, objective(run, task, models), run, seeds))
 
     ended = Runs(
         settings.runs,
         settings.generations,
         begun,
         finals,
-        models=(*(models for _, _, models in stages), tuple(runners)),
+        models=(*(met for _, _, met in stages), models),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
     ).to_the_end(progress)
