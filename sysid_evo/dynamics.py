@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
+from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
@@ -37,12 +38,14 @@ class Dynamics(ABC):
     is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
     numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
     never drawn inside. What controllers and tasks observe of the state stands in the carry from
-    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it.
+    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
+    counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
     """
 
     system: System
     n_carry: int
     observed_at: int = 0
+    doubt_at: int | None = None
     n_lags: int = 0
     n_noise: int = 0
     n_draws: int = 0
@@ -100,7 +103,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped (a periodic state has no limits); ``fit_seconds`` is how long it took.
+    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``pairs_``, states and controls
+    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -114,6 +118,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     fit_seconds: float | None = None
     system_: System
     envelope_: Array
+    pairs_: Array
 
     _derived: ClassVar[frozenset[str]] = frozenset()
 
@@ -213,12 +218,13 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
     def record(self, dataset: Dataset) -> None:
-        """Record the system and the envelope of ``dataset``, as every `fit` does first."""
+        """Record the system, the envelope and some pairs of ``dataset``, as every `fit` does first."""
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.envelope_ = training_envelope(states, self.envelope_multiple)
         for i in dataset.system.periods:
             self.envelope_[:, i] = -np.inf, np.inf
+        self.pairs_ = recorded_pairs(dataset)
 
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.

@@ -49,7 +49,8 @@ class Experiment(BaseModel):
     `plan_comparison`, as it does for ``models``. What is None of ``generations``, ``trials`` and
     ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
     robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
-    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late.
+    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late,
+    and are evolved with ``noise`` (`RadicalEnvelope`; empty for none), which their claims do not meet.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
@@ -70,6 +71,7 @@ class Experiment(BaseModel):
     controller: str = "recurrent"
     strategy: str = "mu_plus_lambda"
     aggregate: str = "min"
+    noise: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
@@ -131,6 +133,7 @@ class Experiment(BaseModel):
             controller=Spec.parse(self.controller),
             task=Spec.parse(self.task),
             strategy=Spec.parse(self.strategy),
+            noise=self.noise,
         )
 
 

@@ -17,6 +17,7 @@ from sysid_evo.cli.options import (
     EstimatorDelay,
     Generations,
     Json,
+    Noise,
     Plugins,
     Preset,
     Runs,
@@ -42,6 +43,7 @@ CLAIM_TRIALS = 100
 def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
     aggregate: Aggregate = None,
+    noise: Noise = None,
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
@@ -71,6 +73,7 @@ def evolve(
     load_plugins(plugin)
     settings = given(
         aggregate=aggregate,
+        noise=noise,
         task=task,
         controller=controller,
         strategy=strategy,

@@ -26,6 +26,12 @@ Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved
 Aggregate: TypeAlias = Annotated[
     str | None, typer.Option(help="How the fitnesses on several models become one: min, mean, median or a plugin's.")
 ]
+Noise: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="What evolution must cope with, such as envelope(sensor=0.1, latency=2, gain=0.15); see the docs."
+    ),
+]
 Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
 Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
 Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]

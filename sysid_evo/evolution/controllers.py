@@ -30,7 +30,7 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
-from sysid_evo.wrappers import DelayedEstimate
+from sysid_evo.wrappers import DelayedEstimate, RadicalEnvelope, Switching, disturbed, noises
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -44,7 +44,8 @@ class ControllerEvolution:
     Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
     champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
-    see `DelayedEstimate`.
+    see `DelayedEstimate`. ``noise`` is met in evolution and in the choice of the champion, not by its claims; a
+    spec, see `RadicalEnvelope`; empty for none.
     """
 
     generations: int = 300
@@ -56,6 +57,7 @@ class ControllerEvolution:
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
+    noise: str = ""
 
     def __post_init__(self) -> None:
         for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
@@ -64,6 +66,7 @@ class ControllerEvolution:
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
         aggregates.check(self.aggregate)
+        self.make_noise()
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -74,6 +77,10 @@ class ControllerEvolution:
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
         return make_controller(self.controller).bind(len(task.observations), task.system.nu)
+
+    def make_noise(self) -> RadicalEnvelope | None:
+        """Return the noise, None without any."""
+        return noises.make(self.noise) if self.noise else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
         """Return the strategy, which searches ``n_parameters`` numbers."""
@@ -98,10 +105,7 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
-    judging = {
-        label: observed_late(label, runner, settings.estimator_delay) for label, runner in (judges or {}).items()
-    }
+    late, judging = met(in_turns(runners, settings), settings), met(judges or {}, settings)
     seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
     total = settings.runs * settings.generations
     ended: list[_Run] = []
@@ -168,6 +172,36 @@ def _judged(
     return tuple(
         replace(finalist, elsewhere=float(value)) for finalist, value in zip(finalists, elsewhere.fitness, strict=True)
     )
+
+
+def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
+    """Return ``runners`` as candidates meet them: with noise, and observed late. Raises `InvalidArgument`."""
+    noise, delay = settings.make_noise(), settings.estimator_delay
+    if noise is None:
+        return {label: observed_late(label, runner, delay) for label, runner in runners.items()}
+    return {
+        label: replace(runner, dynamics=disturbed(runner.dynamics, noise, delay))
+        for label, runner in models_of(runners, "noise").items()
+    }
+
+
+def models_of(runners: Mapping[str, Runner], asked_for: str) -> dict[str, DynamicsRunner]:
+    """Return ``runners`` if all of them run a dynamics here. Raises `InvalidArgument`."""
+    found = {label: runner for label, runner in runners.items() if isinstance(runner, DynamicsRunner)}
+    others = [label for label in runners if label not in found]
+    if others:
+        raise InvalidArgument(f"evolution: {', '.join(others)} is not a model, so that {asked_for} cannot be added")
+    return found
+
+
+def in_turns(runners: Mapping[str, Runner], settings: ControllerEvolution) -> Mapping[str, Runner]:
+    """Return one runner whose models take turns, if the noise lets them switch and there are several."""
+    noise = settings.make_noise()
+    if noise is None or not noise.switching or len(runners) < 2:
+        return runners
+    models = models_of(runners, "switching")
+    together = Switching([runner.dynamics for runner in models.values()], every=noise.switching)
+    return {"|".join(models): replace(next(iter(models.values())), dynamics=together)}
 
 
 def observed_late(name: str, runner: Runner, delay: float) -> Runner:

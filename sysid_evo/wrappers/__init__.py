@@ -1,5 +1,19 @@
 """Dynamics around dynamics: what a controller meets on a robot and not in a model."""
 
 from sysid_evo.wrappers.delayed_estimate import DelayedEstimate
+from sysid_evo.wrappers.noisy_sensors import NoisySensors
+from sysid_evo.wrappers.perturbed import Perturbed
+from sysid_evo.wrappers.radical_envelope import RadicalEnvelope, disturbed, noises
+from sysid_evo.wrappers.spread import state_spread
+from sysid_evo.wrappers.switching import Switching
 
-__all__ = ["DelayedEstimate"]
+__all__ = [
+    "DelayedEstimate",
+    "NoisySensors",
+    "Perturbed",
+    "RadicalEnvelope",
+    "Switching",
+    "disturbed",
+    "noises",
+    "state_spread",
+]
