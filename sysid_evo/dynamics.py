@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.base import BaseEstimator, clone
 
-from sysid_evo.arrays import Array, check_shape
+from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
@@ -382,6 +382,13 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
     for value, least, most in zip(clipped.T, low, high, strict=False):
         np.maximum(np.fmin(value, most), least, out=value)
     return clipped, ~inside
+
+
+def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:
+    """Return what ``dynamics`` has counted as doubt in the last ``carry``, (B,); 0 where it does not, or diverged."""
+    if dynamics.doubt_at is None:
+        return np.zeros(len(carry))
+    return np.where(diverged, 0.0, carry[:, dynamics.doubt_at])
 
 
 def training_envelope(states: Array, multiple: float) -> Array:

@@ -22,7 +22,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.plan import Cell, Outcome, Work, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
 from sysid_evo.store import load_champion, save_champion
-from sysid_evo.wrappers import noises
+from sysid_evo.wrappers import cautions, noises
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
 
@@ -70,6 +70,7 @@ class EvolveCell(Cell):
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
             "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
             "seed": self.seed,
         }
 

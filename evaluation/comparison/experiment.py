@@ -50,7 +50,8 @@ class Experiment(BaseModel):
     ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
     robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
     their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late,
-    and are evolved with ``noise`` (`RadicalEnvelope`; empty for none), which their claims do not meet.
+    and are evolved with ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet;
+    empty for none.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
@@ -72,6 +73,7 @@ class Experiment(BaseModel):
     strategy: str = "mu_plus_lambda"
     aggregate: str = "min"
     noise: str = ""
+    caution: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
@@ -134,6 +136,7 @@ class Experiment(BaseModel):
             task=Spec.parse(self.task),
             strategy=Spec.parse(self.strategy),
             noise=self.noise,
+            caution=self.caution,
         )
 
 

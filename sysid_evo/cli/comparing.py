@@ -12,6 +12,7 @@ from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
+    Caution,
     Columns,
     Controller,
     DryRun,
@@ -64,6 +65,7 @@ def compare(
     strategy: Strategy = None,
     aggregate: Aggregate = None,
     noise: Noise = None,
+    caution: Caution = None,
     generations: Generations = None,
     trials: Trials = None,
     runs: Runs = None,
@@ -109,6 +111,7 @@ def compare(
         strategy=strategy,
         aggregate=aggregate,
         noise=noise,
+        caution=caution,
         generations=generations,
         trials=trials,
         runs=runs,

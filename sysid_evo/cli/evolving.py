@@ -12,6 +12,7 @@ from sysid_evo.cli.console import out, session
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
+    Caution,
     Controller,
     DryRun,
     EstimatorDelay,
@@ -44,6 +45,7 @@ def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
     aggregate: Aggregate = None,
     noise: Noise = None,
+    caution: Caution = None,
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
@@ -74,6 +76,7 @@ def evolve(
     settings = given(
         aggregate=aggregate,
         noise=noise,
+        caution=caution,
         task=task,
         controller=controller,
         strategy=strategy,

@@ -30,7 +30,17 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
-from sysid_evo.wrappers import DelayedEstimate, RadicalEnvelope, Switching, disturbed, noises
+from sysid_evo.wrappers import (
+    DelayedEstimate,
+    Discounted,
+    Doubt,
+    RadicalEnvelope,
+    Switching,
+    cautions,
+    disturbed,
+    noises,
+    one_of_its_members,
+)
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -45,7 +55,8 @@ class ControllerEvolution:
     champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
     see `DelayedEstimate`. ``noise`` is met in evolution and in the choice of the champion, not by its claims; a
-    spec, see `RadicalEnvelope`; empty for none.
+    spec, see `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
+    the models that they are evolved in cannot be believed.
     """
 
     generations: int = 300
@@ -58,6 +69,7 @@ class ControllerEvolution:
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
     noise: str = ""
+    caution: str = ""
 
     def __post_init__(self) -> None:
         for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
@@ -67,6 +79,7 @@ class ControllerEvolution:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
         aggregates.check(self.aggregate)
         self.make_noise()
+        self.make_caution()
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -81,6 +94,10 @@ class ControllerEvolution:
     def make_noise(self) -> RadicalEnvelope | None:
         """Return the noise, None without any."""
         return noises.make(self.noise) if self.noise else None
+
+    def make_caution(self) -> Doubt | None:
+        """Return what a trial loses where models are doubted, None for nothing."""
+        return cautions.make(self.caution) if self.caution else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
         """Return the strategy, which searches ``n_parameters`` numbers."""
@@ -105,7 +122,7 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late, judging = met(in_turns(runners, settings), settings), met(judges or {}, settings)
+    late, judging = met(in_turns(runners, settings), settings), met(judges or {}, replace(settings, caution=""))
     seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
     total = settings.runs * settings.generations
     ended: list[_Run] = []
@@ -175,14 +192,25 @@ def _judged(
 
 
 def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` as candidates meet them: with noise, and observed late. Raises `InvalidArgument`."""
-    noise, delay = settings.make_noise(), settings.estimator_delay
-    if noise is None:
+    """Return ``runners`` as candidates meet them: doubted, with noise, observed late. Raises `InvalidArgument`."""
+    noise, caution, delay = settings.make_noise(), settings.make_caution(), settings.estimator_delay
+    if noise is None and caution is None:
         return {label: observed_late(label, runner, delay) for label, runner in runners.items()}
-    return {
-        label: replace(runner, dynamics=disturbed(runner.dynamics, noise, delay))
-        for label, runner in models_of(runners, "noise").items()
-    }
+    models = models_of(runners, "noise and caution")
+    found: dict[str, Runner] = {}
+    for label, runner in models.items():
+        dynamics = runner.dynamics
+        if noise is not None and noise.members:
+            dynamics = one_of_its_members(dynamics)
+        if caution is not None:
+            dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
+        if noise is not None:
+            dynamics = disturbed(dynamics, noise, delay)
+        elif delay:
+            dynamics = DelayedEstimate(dynamics, delay)
+        runner = replace(runner, dynamics=dynamics)
+        found[label] = runner if caution is None else Discounted(runner, caution.most)
+    return found
 
 
 def models_of(runners: Mapping[str, Runner], asked_for: str) -> dict[str, DynamicsRunner]:

@@ -100,17 +100,18 @@ class RadicalEnvelope:
         return any((self.latency, self.dropout, self.gain, self.scale, self.effect, self.process))
 
 
-def disturbed(dynamics: Dynamics, noise: RadicalEnvelope | None = None, delay: float = 0.0) -> Dynamics:
+def disturbed(dynamics: Dynamics, noise: RadicalEnvelope, delay: float = 0.0) -> Dynamics:
     """Return ``dynamics`` as a controller meets it: with ``noise``, and observed ``delay`` s late."""
-    if noise is None:
-        return DelayedEstimate(dynamics, delay) if delay else dynamics
     noise.check_system(dynamics.system)
     spread = state_spread(dynamics)
-    if noise.members:
-        alternatives: tuple[Dynamics, ...] = getattr(dynamics, "alternatives", tuple)()
-        dynamics = Switching(alternatives) if len(alternatives) > 1 else dynamics
     if noise.perturbs:
         dynamics = Perturbed(dynamics, noise, spread)
     if delay:
         dynamics = DelayedEstimate(dynamics, delay)
     return NoisySensors(dynamics, noise, spread) if noise.sensor or noise.bias else dynamics
+
+
+def one_of_its_members(dynamics: Dynamics) -> Dynamics:
+    """Return ``dynamics`` so that every trial meets one of its ``alternatives()``, if it has several."""
+    alternatives: tuple[Dynamics, ...] = getattr(dynamics, "alternatives", tuple)()
+    return Switching(alternatives) if len(alternatives) > 1 else dynamics

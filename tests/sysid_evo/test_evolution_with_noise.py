@@ -15,7 +15,7 @@ from sysid_evo.evolution.controllers import in_turns, met
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.tasks import Task
 from sysid_evo.testing import example_dataset
-from sysid_evo.wrappers import NoisySensors, Perturbed, Switching
+from sysid_evo.wrappers import Discounted, NoisySensors, Perturbed, Switching
 
 NOISE = "envelope(sensor=0.2, latency=2, gain=0.2)"
 SHORT = Spec.parse("point_to_point(horizon=120)")
@@ -30,8 +30,8 @@ def models() -> dict[str, DynamicsRunner]:
     }
 
 
-def settings(noise: str) -> ControllerEvolution:
-    return ControllerEvolution(generations=2, trials=2, selection_trials=4, task=SHORT, noise=noise)
+def settings(noise: str, caution: str = "") -> ControllerEvolution:
+    return ControllerEvolution(generations=2, trials=2, selection_trials=4, task=SHORT, noise=noise, caution=caution)
 
 
 def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(
@@ -74,13 +74,32 @@ def test_what_is_no_model_cannot_be_met_with_noise() -> None:
 def test_noise_is_checked_where_it_is_given() -> None:
     with pytest.raises(UnknownName, match="envelope"):
         ControllerEvolution(noise="fog(density=2)")
+    with pytest.raises(UnknownName, match="doubt"):
+        ControllerEvolution(caution="fog")
     with pytest.raises(UnknownName, match="envelope"):
         _ = Experiment(noise="fog").evolution
+
+
+def test_candidates_lose_fitness_where_models_are_doubted_but_judges_do_not_doubt(
+    models: dict[str, DynamicsRunner],
+) -> None:
+    system = next(iter(models.values())).dynamics.system
+    plain, cautious = (
+        evolve_controller("x", models, system, settings("", caution), seed=3, judges=models)
+        for caution in ("", "doubt(outside=100, disagreement=50)")
+    )
+    assert cautious.history[:, 2].min() < -1.0 <= plain.history[:, 2].min()
+    assert cautious.finalists[0].elsewhere is not None
+    assert cautious.finalists[0].elsewhere >= 0.0
+    doubted = met(models, settings("envelope(gain=0.1)", "doubt(outside=1, disagreement=2)"))["a"]
+    assert isinstance(doubted, Discounted)
+    assert doubted.most == 3.0
 
 
 def test_noise_belongs_to_what_a_controllers_cell_depends_on() -> None:
     column = Column("emulated_car", "emulated_car", robot=Spec("emulated_car"))
     cells = [EvolveCell((column,), settings(noise), seed=0) for noise in ("", NOISE, "envelope(sensor=0.1)")]
-    assert len({cell.digest for cell in cells}) == 3
+    cells.append(EvolveCell((column,), settings("", "doubt(outside=1)"), seed=0))
+    assert len({cell.digest for cell in cells}) == 4
     spelled = EvolveCell((column,), settings("envelope(gain=0.2, latency=2, sensor=0.2)"), seed=0)
     assert spelled.digest == cells[1].digest

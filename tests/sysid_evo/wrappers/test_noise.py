@@ -207,4 +207,4 @@ def test_unknown_names_are_refused() -> None:
 
 def test_perturbing_what_is_observed_late_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="late"):
-        Perturbed(disturbed(linear(), delay=0.05), ALL, np.ones(3))
+        Perturbed(DelayedEstimate(linear(), 0.05), ALL, np.ones(3))
