@@ -28,7 +28,7 @@ lint: setup
 	$(BIN)/lint-imports
 
 test: lint
-	SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest -n 2
+	SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest -n 3
 
 clean:
 	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

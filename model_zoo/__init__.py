@@ -3,7 +3,7 @@
 A family reaches the rest through the registry of models, by the name in its decorator and in the entry
 points of pyproject.toml. What several families share stands in the folders beside them:
 
-- ``channels``: centre and size of each channel, the mirror of a body, cells of commands;
+- ``channels``: features, centre and size of each channel, the mirror of a body, cells of commands;
 - ``validation``: held-out blocks of time that choose hyper-parameters, and the spread of a prediction;
 - ``sparse``: polynomials of few terms (`sindy`, `sindy_bagged`, `sindy_discrete`, `narx`);
 - ``networks``: networks as arrays and their training on free runs (`mlp_ensemble`, the neural ODEs);

@@ -10,16 +10,13 @@ import numpy as np
 from model_zoo.channels.command_cells import CommandCells
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
+from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 TOLD_EVERY = 50
 """Epochs between two reports of progress."""
@@ -49,34 +46,21 @@ class Backprop27(DynamicsModel):
         "levels": at_least(2),
     }
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 8,
-        epochs: int = 1000,
-        optimiser: Literal["adam", "gradient"] = "adam",
-        learning_rate: float = 0.02,
-        levels: int = 3,
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.epochs = epochs
-        self.optimiser = optimiser
-        self.learning_rate = learning_rate
-        self.levels = levels
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    hidden: int = 8
+    epochs: int = 1000
+    optimiser: Literal["adam", "gradient"] = "adam"
+    learning_rate: float = 0.02
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
@@ -107,13 +91,13 @@ class Backprop27(DynamicsModel):
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
         return after
 
-    def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.kernels import command_network_predictor, stepping_kernel
+    def predictor(self) -> Predictor:
+        from sysid_evo.engine.kernels import command_network_predictor
 
         cells, serving = self._serving
         commands, n_in, _ = self.first_.shape
         shape = self.last_.shape[1:]
-        predictor = command_network_predictor(
+        return command_network_predictor(
             self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),
             self.first_bias_.reshape(commands, *shape),
             self.last_,
@@ -123,7 +107,6 @@ class Backprop27(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
-        return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

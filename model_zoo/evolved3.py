@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from model_zoo.channels.standard import Standard
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.identification import Weights
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -47,28 +45,15 @@ class Evolved3(DynamicsModel):
         "spread": above(0),
     }
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 5,
-        generations: int = 1000,
-        windows: int = 100,
-        horizon: int = 10,
-        spread: float = 0.5,
-        weights: Weights = "spread",
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.generations = generations
-        self.windows = windows
-        self.horizon = horizon
-        self.spread = spread
-        self.weights = weights
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    hidden: int = 5
+    generations: int = 1000
+    windows: int = 100
+    horizon: int = 10
+    spread: float = 0.5
+    weights: Weights = "spread"
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         standard = Standard.of(dataset)
@@ -100,7 +85,7 @@ class Evolved3(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+        from sysid_evo.engine.kernels import network_predictor
 
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
@@ -114,9 +99,7 @@ class Evolved3(DynamicsModel):
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
             predictors.append(network_predictor([layers], self.n_carry, self.system.nu))
-        kernel = stepping_kernel(
-            predictors[0], self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band
-        )
+        kernel = self.stepping(predictors[0])
         if kernel is None:
             return None
         return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))

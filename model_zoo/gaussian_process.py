@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
 
 import numpy as np
@@ -14,16 +13,14 @@ from scipy.optimize import Bounds, minimize
 from model_zoo.channels.standard import Standard, positive
 from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
@@ -47,26 +44,18 @@ class GaussianProcess(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
         "paper": {"inducing": 400},
     }
     limits: ClassVar[dict[str, Limit]] = {"inducing": at_least(2)}
 
-    def __init__(
-        self,
-        *,
-        inducing: int = 250,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        stochastic: bool = False,
-        rest_hold: bool = False,
-    ) -> None:
-        self.inducing = inducing
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.stochastic = stochastic
-        self.rest_hold = rest_hold
+    inducing: int = 250
+    state_lags: int | None = None
+    control_lags: int | None = None
+    stochastic: bool = False
+    rest_hold: bool = False
 
     @property
     def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
@@ -92,12 +81,12 @@ class GaussianProcess(DynamicsModel):
             after = after + self.noise_scale_ * np.sqrt(variance) * self.system.dt * noise
         return self.remember(carry, control, self.held(carry, control, after))
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import gaussian_predictor, stepping_kernel
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import gaussian_predictor
 
         if self.stochastic:
             return None
-        predictor = gaussian_predictor(
+        return gaussian_predictor(
             self.points_,
             self.lengths_,
             self.weights_ * self.amplitude_[:, None] ** 2,
@@ -105,8 +94,6 @@ class GaussianProcess(DynamicsModel):
             self.intercept_,
             self.n_carry,
         )
-        shell = stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
-        return None if shell is None else replace(shell, precision="float64")  # its large weights cancel
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""
@@ -178,8 +165,7 @@ class GaussianProcess(DynamicsModel):
 
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
         """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags, moving=True)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
         inputs = data.inputs
         targets = dataset.system.acceleration(data.state, data.after)
         _, scale = Standard.of(dataset).of_inputs(self.layout)

@@ -6,26 +6,20 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from model_zoo.car.family import CarFamily
 from model_zoo.car.physics import accelerations
-from model_zoo.car.roles import CarRoles, car_roles, require_car
-from model_zoo.flows.network_rate import HIDDEN, NetworkRate
+from model_zoo.flows.network_rate import NetworkRate
+from sysid_evo import register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from model_zoo.flows.training import FittedFlow
-    from model_zoo.networks.multistep import Plan, Report
     from sysid_evo.engine.kernels import Predictor
-
-INITIAL = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
 
 @register_model("hybrid_ode")
-class HybridOde(NetworkRate):
+class HybridOde(NetworkRate, CarFamily):
     """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
 
     The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
@@ -42,87 +36,22 @@ class HybridOde(NetworkRate):
     """
 
     knowledge = "grey"
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {
-            "hidden": [24],
-            "one_step_updates": 500,
-            "updates": 150,
-            "horizon": 10,
-            "control_lags": 2,
-            "state_lags": 0,
-        },
-        "paper": {"one_step_updates": 3000, "updates": 1500},
-    }
-
-    def __init__(
-        self,
-        *,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 1000,
-        updates: int = 500,
-        horizon: int = 20,
-        learning_rate: float = 6e-3,
-        drive: str = "drive",
-        steer: str = "steer",
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.learning_rate = learning_rate
-        self.drive = drive
-        self.steer = steer
-        self.rest_hold = rest_hold
-
-    def check_system(self, system: System) -> None:
-        require_car(self, "hybrid_ode", system, self.drive, self.steer)
-
-    @property
-    def roles(self) -> CarRoles:
-        """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
-        return car_roles(self.system, self.drive, self.steer)
-
-    def train(
-        self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
-    ) -> FittedFlow:
-        from model_zoo.flows.training import FittedFlow, train_flow
-
-        fitted = train_flow(
-            dataset,
-            lags,
-            hidden=tuple(self.hidden or HIDDEN),
-            plan=plan,
-            rng=rng,
-            physics=self._torch_rate,
-            physical=np.log(INITIAL),
-            report=report,
-        )
-        return FittedFlow(fitted.network, np.exp(fitted.physical), fitted.error)
+    initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
     def known_rate(self, state: Array, control: Array) -> Array:
-        zero = np.zeros_like(state[..., 0])
-        return np.stack(self._rates(state, control, self.physical_, zero), axis=-1)
+        return np.stack(self._rates(state, control, self.physical_, np.zeros_like(state[..., 0])), axis=-1)
 
     def known_predictor(self) -> Predictor:
         from model_zoo.kernels.car import car_rate
         from sysid_evo.engine.kernels import Predictor
 
-        roles = [-1 if role is None else role for role in self.roles]
-        header = [*roles, self.system.nx, self.system.dt, 0]
-        return Predictor(car_rate, np.array([*header, *self.physical_], dtype=np.float64), n_scratch=0)
+        parameters = np.concatenate([self.kernel_parameters(), self.physical_])
+        return Predictor(car_rate, parameters, n_scratch=0)
 
-    def _torch_rate(self, state: Tensor, control: Tensor, logarithms: Tensor) -> Tensor:
-        """Return `known_rate` for the logarithms (1, 1, 9) of the physical parameters."""
+    def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
         import torch
 
-        zero = torch.zeros_like(state[..., 0])
-        return torch.stack(self._rates(state, control, torch.exp(logarithms[0, 0]), zero), dim=-1)
+        return torch.stack(self._rates(state, control, physical, torch.zeros_like(state[..., 0])), dim=-1)
 
     def _rates(self, state: Any, control: Any, physical: Any, zero: Any) -> list[Any]:
         """Return the known rate of each state, of arrays or tensors."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -13,12 +12,10 @@ from sklearn.base import clone
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, deviation
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -45,23 +42,15 @@ class KNeighbours(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    precision = "float64"  # who the neighbours are hangs on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 
-    def __init__(
-        self,
-        *,
-        neighbours: int | None = None,
-        control_weight: float = 1.0,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.neighbours = neighbours
-        self.control_weight = control_weight
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    neighbours: int | None = None
+    control_weight: float = 1.0
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
@@ -120,7 +109,6 @@ class KNeighbours(DynamicsModel):
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
-        from sysid_evo.engine.kernels import stepping_kernel
 
         if not Features(self.system, self.lags).plain:
             return None
@@ -133,8 +121,7 @@ class KNeighbours(DynamicsModel):
             ridge=RIDGE,
             n_carry=self.n_carry,
         )
-        shell = stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
-        return replace(shell, precision="float64")  # who the neighbours are hangs on the last digits
+        return self.stepping(predictor)
 
     @cached_property
     def _tree(self) -> Any:

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from model_zoo.channels.standard import deviation
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 
 @register_model("linear")
@@ -29,24 +27,14 @@ class Linear(DynamicsModel):
     knowledge = "black"
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
-    def __init__(
-        self,
-        *,
-        ridge: float = 0.0,
-        intercept: bool = True,
-        state_lags: int = 0,
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.ridge = ridge
-        self.intercept = intercept
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    ridge: float = 0.0
+    intercept: bool = True
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         regressors = np.concatenate([data.carry, data.control], axis=1)
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
         target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
@@ -63,8 +51,7 @@ class Linear(DynamicsModel):
         n = carry.shape[1]
         return carry @ self.coefficients_[:n] + control @ self.coefficients_[n:] + self.intercept_
 
-    def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+    def predictor(self) -> Predictor:
+        from sysid_evo.engine.kernels import network_predictor
 
-        one_layer = network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)
-        return stepping_kernel(one_layer, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        return network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)

@@ -12,16 +12,14 @@ from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
 from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
-from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
+from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 SEARCH_UPDATES = (600, 120)
 OFFERED = ((1, 3), (2, 4))
@@ -66,55 +64,31 @@ class MlpEnsemble(DynamicsModel):
         "folds": at_least(2),
     }
 
-    def __init__(
-        self,
-        *,
-        members: int = 6,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 4000,
-        updates: int = 1000,
-        horizon: int = 20,
-        input_noise: float = 0.05,
-        folds: int = 6,
-        turning: list[str] | None = None,
-        stochastic: bool = False,
-        rest_hold: bool = False,
-    ) -> None:
-        self.members = members
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.input_noise = input_noise
-        self.folds = folds
-        self.turning = turning
-        self.stochastic = stochastic
-        self.rest_hold = rest_hold
+    members: int = 6
+    hidden: list[int] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    one_step_updates: int = 4000
+    updates: int = 1000
+    horizon: int = 20
+    input_noise: float = 0.05
+    folds: int = 6
+    turning: list[str] | None = None
+    stochastic: bool = False
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.networks.members import Trained, train_members
+        from model_zoo.networks.members import train_members
         from model_zoo.networks.multistep import Plan
 
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
-        search = Plan(
-            min(SEARCH_UPDATES[0], self.one_step_updates),
-            min(SEARCH_UPDATES[1], self.updates),
-            self.horizon,
-            input_noise=self.input_noise,
-        )
+        one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
+        search = replace(final, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
         rough = rough_fits(dataset) if self.stochastic else 0
-        total, done = final.total + (trials(options) + rough) * search.total + 1, 0  # 1: the calibration
+        counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 
-        def report(updates: int) -> None:
-            if progress is not None:
-                progress(done + updates, total)
-
-        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> Trained:
+        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> tuple[Network, Array]:
             return train_members(
                 data,
                 lags,
@@ -124,29 +98,19 @@ class MlpEnsemble(DynamicsModel):
                 plan=plan,
                 mirror=Mirror.of(dataset.system, self.turning or ["steer"]),
                 rng=rng,
-                report=report,
+                report=counter.advance,
             )
 
-        def error(option: tuple[int, int]) -> float:
-            nonlocal done
-            found = float(np.mean(trained(dataset, option, min(3, self.members), search).errors))
-            done += search.total
-            return found
-
-        lags = best(options, error)
+        lags = best(options, lambda option: float(np.mean(trained(dataset, option, min(3, self.members), search)[1])))
         self.keep_lags(lags)
-        network = trained(dataset, lags, self.members, final).network
+        network, _ = trained(dataset, lags, self.members, final)
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
-        done += final.total
 
         def roughly(part: Dataset) -> DynamicsModel:
-            nonlocal done
-            found = trained(part, lags, min(2, self.members), search).network
-            done += search.total
-            return self._deterministic(found)
+            return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
 
         growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
-        self._calibrate(dataset, growth, rng, lambda: report(0))
+        self._calibrate(dataset, growth, rng, lambda: counter.advance(0))
         return self
 
     @property
@@ -166,13 +130,12 @@ class MlpEnsemble(DynamicsModel):
             after = after + self.noise_scale_ * deviation * noise
         return self.remember(carry, control, self.held(carry, control, after))
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import network_predictor, stepping_kernel
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import network_predictor
 
         if self.stochastic:
             return None
-        predictor = network_predictor(self.network.members(), self.n_carry, self.system.nu)
-        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+        return network_predictor(self.network.members(), self.n_carry, self.system.nu)
 
     def _deterministic(self, network: Network) -> MlpEnsemble:
         """Return this model without noise and with the members of ``network``."""

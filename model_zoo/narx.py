@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.channels.features import Features
-from model_zoo.sparse.polynomial import equation, evaluate, left_sides, monomials
+from model_zoo.channels.standard import root_mean_square
+from model_zoo.sparse.family import PolynomialFamily, Regression
+from model_zoo.sparse.polynomial import evaluate, monomials
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import register_model
-
-if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 INDEPENDENT = 1e-10
 
 
 @register_model("narx")
-class Narx(DynamicsModel):
+class Narx(PolynomialFamily):
     """x_{k+1} = sum of ``terms`` monomials of lagged states and controls, one selection for each state.
 
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
@@ -38,20 +34,11 @@ class Narx(DynamicsModel):
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
-    def __init__(
-        self,
-        *,
-        degree: int = 2,
-        terms: int | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.terms = terms
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    degree: int = 2
+    terms: int | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
@@ -61,68 +48,40 @@ class Narx(DynamicsModel):
         blocks, orders = HeldOut.of(dataset), {}
 
         def learned(part: Dataset, count: int, lags: tuple[int, int]) -> DynamicsModel:
-            key = lags, part.names  # the order of the terms does not depend on how many are taken
-            if key not in orders:
-                orders[key] = self._selection(part, lags, max(counts))
+            data, key = self.regression(part, lags), (lags, part.names)
+            if key not in orders:  # the order of the terms does not depend on how many are taken
+                orders[key] = self._selection(data, max(counts))
             trial = self.variant(terms=count, state_lags=lags[0], control_lags=lags[1])
-            trial._learn(part, lags, count, orders[key])
+            trial._learn(data, count, orders[key])
             return trial
 
-        count, lags = best(
+        self.terms_, lags = best(
             settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
         )
         self.keep_lags(lags)
-        self.terms_ = count
-        self._learn(dataset, lags, count, self._selection(dataset, lags, count))
+        data = self.regression(dataset, lags)
+        self._learn(data, self.terms_, self._selection(data, self.terms_))
         counter.advance()
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
-        features = Features(self.system, self.lags)
-        inputs = np.clip(features(carry, control), self.low_, self.high_)
-        return features.anchor(carry[:, : self.system.nx]) + evaluate(inputs, self.exponents_) @ self.coefficients_
+    def _library(self, data: Regression) -> tuple[Array, IntArray, Array]:
+        """Return the monomials (N, T) of inputs divided by their size, their exponents, and the sizes (T,)."""
+        size, exponents = root_mean_square(data.regressors), monomials(data.regressors.shape[1], self.degree)
+        return evaluate(data.regressors / size, exponents), exponents, np.prod(size**exponents, axis=1)
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import polynomial_predictor, stepping_kernel, within
-
-        if not Features(self.system, self.lags).plain:
-            return None
-        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
-        predictor = within(sums, self.low_, self.high_, self.n_carry)
-        return stepping_kernel(predictor, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
-
-    def equations(self) -> list[str]:
-        """Return one equation for each state, with the unit of every coefficient in brackets."""
-        features = Features(self.system, self.lags)
-        sides = left_sides(self.system)
-        return [
-            equation(left, unit, self.coefficients_[:, i], self.exponents_, features.names, features.units)
-            for i, (left, unit) in enumerate(sides)
-        ]
-
-    def _selection(self, dataset: Dataset, lags: tuple[int, int], count: int) -> list[IntArray]:
+    def _selection(self, data: Regression, count: int) -> list[IntArray]:
         """Return, for each state, the terms in the order in which they enter."""
-        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features = Features(dataset.system, lags)
-        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
-        library = evaluate(inputs / _size(inputs), monomials(inputs.shape[1], self.degree))
-        return [forward_selection(library, after[:, i], count) for i in range(after.shape[1])]
+        library, *_ = self._library(data)
+        return [forward_selection(library, target, count) for target in data.targets.T]
 
-    def _learn(self, dataset: Dataset, lags: tuple[int, int], count: int, order: list[IntArray]) -> None:
-        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features = Features(dataset.system, lags)
-        inputs, after = features(data.carry, data.control), data.after - features.anchor(data.state)
-        scale, exponents = _size(inputs), monomials(inputs.shape[1], self.degree)
-        library = evaluate(inputs / scale, exponents)
-        coefficients = np.zeros((len(exponents), after.shape[1]))
+    def _learn(self, data: Regression, count: int, order: list[IntArray]) -> None:
+        """Fit the first ``count`` terms of each state by least squares."""
+        library, exponents, sizes = self._library(data)
+        coefficients = np.zeros((len(exponents), len(order)))
         for i, terms in enumerate(order):
-            solution, *_ = np.linalg.lstsq(library[:, terms[:count]], after[:, i], rcond=None)
-            coefficients[terms[:count], i] = solution
-        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
-        used = used if len(used) else np.array([0])
-        self.exponents_ = exponents[used]
-        self.coefficients_ = coefficients[used] / np.prod(scale ** exponents[used], axis=1)[:, None]
-        self.low_, self.high_ = inputs.min(axis=0), inputs.max(axis=0)
+            chosen = terms[:count]
+            coefficients[chosen, i], *_ = np.linalg.lstsq(library[:, chosen], data.targets[:, i], rcond=None)
+        self.adopt(data, coefficients / sizes[:, None], exponents)
 
 
 def forward_selection(library: Array, target: Array, count: int) -> IntArray:
@@ -144,8 +103,3 @@ def forward_selection(library: Array, target: Array, count: int) -> IntArray:
         rest -= np.outer(direction, direction @ rest)
         residual = residual - direction * (direction @ residual)
     return np.array(chosen or [0], dtype=np.int64)
-
-
-def _size(inputs: Array) -> Array:
-    size = np.sqrt(np.mean(inputs**2, axis=0))
-    return np.where(size > 0, size, 1.0)

@@ -10,13 +10,10 @@ from scipy.spatial import cKDTree
 
 from model_zoo.channels.command_cells import CommandCells
 from model_zoo.channels.features import Features
+from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -35,19 +32,17 @@ class NearestNeighbour(DynamicsModel):
     knowledge = "dark grey"
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
-    def __init__(self, *, levels: int = 3, state_lags: int = 0, control_lags: int = 0, rest_hold: bool = False) -> None:
-        self.levels = levels
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         cells = CommandCells.of(dataset.system, self.levels)
-        state_lags, control_lags = self.lags
-        data = dataset.transitions(state_lags=state_lags, control_lags=control_lags)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         order = np.argsort(cell, kind="stable")
         self.cell_ = cell[order]
@@ -72,7 +67,7 @@ class NearestNeighbour(DynamicsModel):
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import neighbour_predictor, stepping_kernel
+        from sysid_evo.engine.kernels import neighbour_predictor
 
         if not Features(self.system, self.lags).plain:
             return None
@@ -85,7 +80,7 @@ class NearestNeighbour(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
-        return stepping_kernel(predictor, self.system, output="acceleration", lags=self.lags, rest_band=self.rest_band)
+        return self.stepping(predictor)
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from model_zoo.flows.network_rate import NetworkRate
-from sysid_evo.registry import register_model
+from model_zoo.flows.network_rate import QUICK, NetworkRate
+from sysid_evo import register_model
 
 
 @register_model("neural_ode")
@@ -16,7 +16,5 @@ class NeuralOde(NetworkRate):
     ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
     """
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10},
-        "paper": {"one_step_updates": 3000, "updates": 1500},
-    }
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
+    presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}

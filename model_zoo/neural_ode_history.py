@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
-
 from model_zoo.flows.network_rate import NetworkRate
-from sysid_evo.registry import register_model
+from sysid_evo import register_model
 
 
 @register_model("neural_ode_history")
@@ -17,16 +15,3 @@ class NeuralOdeHistory(NetworkRate):
     Earlier samples are held over a step; how many is chosen by the simulation error on held-out
     blocks of time unless given.
     """
-
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {
-            "hidden": [24],
-            "one_step_updates": 500,
-            "updates": 150,
-            "horizon": 10,
-            "control_lags": 2,
-            "state_lags": 0,
-        },
-        "paper": {"one_step_updates": 3000, "updates": 1500},
-    }

@@ -6,17 +6,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.car.family import CarFamily, CarRoles
 from model_zoo.car.physics import PHYSICAL, accelerations
-from model_zoo.car.roles import CarRoles, car_roles, require_car
+from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.identification import Weights
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.registry import register_model
-from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -31,7 +28,7 @@ PARAMETERS = (
 
 
 @register_model("parametrised")
-class Parametrised(DynamicsModel):
+class Parametrised(CarFamily):
     """A car with thrust, steering, drag, static friction and top speeds; lateral speed is neglected.
 
     With forward speed u, yaw rate r, drive u1 and steer u2 (+1 = left, the paper's sign turned)::
@@ -56,29 +53,12 @@ class Parametrised(DynamicsModel):
     }
     limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
-    def __init__(
-        self,
-        *,
-        generations: int = 1000,
-        windows: int = 100,
-        horizon: int = 10,
-        weights: Weights = "spread",
-        drive: str = "drive",
-        steer: str = "steer",
-        control_lags: int = 0,
-        rest_hold: bool = False,
-    ) -> None:
-        self.generations = generations
-        self.windows = windows
-        self.horizon = horizon
-        self.weights = weights
-        self.drive = drive
-        self.steer = steer
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
-
-    def check_system(self, system: System) -> None:
-        require_car(self, "parametrised", system, self.drive, self.steer)
+    generations: int = 1000
+    windows: int = 100
+    horizon: int = 10
+    weights: Weights = "spread"
+    control_lags: int = 0
+    rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
@@ -99,33 +79,22 @@ class Parametrised(DynamicsModel):
         self.parameters_ = np.abs(best) * scale
         return self
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        return self._advance(self.parameters_, carry, control)
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return self._next_states(self.parameters_, carry, control)
 
-    def kernel(self) -> DynamicsKernel:
-        return self._kernels(self.parameters_[None])[0]
+    def kernel(self) -> DynamicsKernel | None:
+        compiled = self._kernels(self.parameters_[None])
+        return None if compiled is None else compiled[0]
 
-    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array]:
+    def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
         from model_zoo.kernels.car import equation_one
-        from sysid_evo.engine.kernels import Predictor, stepping_kernel
+        from sysid_evo.engine.kernels import Predictor
 
-        roles = [-1 if role is None else role for role in self.roles]
-        head = [*roles, self.system.nx, self.system.dt, self._oldest_command]
-        flat = np.concatenate([np.tile(head, (len(parameters), 1)), parameters], axis=1)
-        kernel = stepping_kernel(
-            Predictor(equation_one, flat[0], 0),
-            self.system,
-            output="next_state",
-            lags=self.lags,
-            rest_band=self.rest_band,
-        )
-        return kernel, kernel.of_candidates(flat)
-
-    @property
-    def roles(self) -> CarRoles:
-        """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
-        return car_roles(self.system, self.drive, self.steer)
+        head = np.tile(self.kernel_parameters(self._oldest_command), (len(parameters), 1))
+        flat = np.concatenate([head, parameters], axis=1)
+        kernel = self.stepping(Predictor(equation_one, flat[0], 0))
+        return None if kernel is None else (kernel, kernel.of_candidates(flat))
 
     @property
     def _oldest_command(self) -> int:
@@ -134,18 +103,15 @@ class Parametrised(DynamicsModel):
         return self.system.nx + self.system.nu * (lag - 1) if lag else 0
 
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
-        """Step one parameter vector (12,) from carries (B, n_carry), or each of (P, 12) from (P, B, n_carry).
+        """Step parameter vectors (P, 12) from carries (P, B, n_carry) under controls (B, nu)."""
+        applied = np.broadcast_to(control, (len(parameters), *control.shape))
+        after = self.held(carry, applied, self._next_states(parameters, carry, applied))
+        return self.remember(carry, applied, after)
 
-        Controls are (B, nu).
-        """
-        nx, past = self.system.nx, self._oldest_command
-        present = control if carry.ndim == 2 else np.broadcast_to(control, (*carry.shape[:-1], control.shape[-1]))
-        driven = carry[..., past : past + self.system.nu] if past else control
-        after = self.held(carry, present, self._equation_one(parameters, carry[..., :nx], driven))
-        return self.remember(carry, present, after)
-
-    def _equation_one(self, parameters: Array, state: Array, control: Array) -> Array:
+    def _next_states(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Return the next states (..., B, nx) of parameter vectors (..., 12) under controls (..., B, nu)."""
+        nx, past = self.system.nx, self._oldest_command
+        state, control = carry[..., :nx], carry[..., past : past + self.system.nu] if past else control
         forward, _, yaw_rate, drive, steer = self.roles
         dt = self.system.dt
         *physical, u_min, r_min, u_max, r_max = parameters.T[..., None]

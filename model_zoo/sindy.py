@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from model_zoo.sparse.flow import ContinuousSparse
-from sysid_evo.registry import register_model
+from sysid_evo import register_model
 
 
 @register_model("sindy")

@@ -8,11 +8,10 @@ import numpy as np
 
 from model_zoo.sparse.flow import ContinuousSparse
 from model_zoo.sparse.regression import sparse_coefficients
-from sysid_evo.data import Dataset
+from sysid_evo import Dataset, register_model
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter
-from sysid_evo.registry import register_model
 
 BLOCK_STEPS = 40
 STRIDE = 12
@@ -34,30 +33,8 @@ class SindyBagged(ContinuousSparse):
     }
     limits: ClassVar[dict[str, Limit]] = {"bags": at_least(1), "kept": above(0, at_most=1)}
 
-    def __init__(
-        self,
-        *,
-        bags: int = 20,
-        kept: float = 0.35,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        functions: list[str] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        super().__init__(
-            degree=degree,
-            threshold=threshold,
-            ridge=ridge,
-            functions=functions,
-            state_lags=state_lags,
-            control_lags=control_lags,
-            rest_hold=rest_hold,
-        )
-        self.bags = bags
-        self.kept = kept
+    bags: int = 20
+    kept: float = 0.35
 
     def learn(
         self, dataset: Dataset, degree: int, threshold: float, rng: np.random.Generator, counter: Counter

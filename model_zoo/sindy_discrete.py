@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from model_zoo.sparse.polynomial import left_sides
-from model_zoo.sparse.regression import Regression, SparsePolynomial
-from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.registry import register_model
-
-if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from model_zoo.sparse.regression import SparsePolynomial
+from sysid_evo import register_model
 
 
 @register_model("sindy_discrete")
@@ -27,23 +21,3 @@ class SindyDiscrete(SparsePolynomial):
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0, "state_lags": 0}}
 
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
-
-    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
-        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features = self.features_of(dataset.system, lags)
-        seen = features(data.carry, data.control)
-        return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
-
-    def left_sides(self) -> list[tuple[str, str]]:
-        return left_sides(self.system)
-
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import stepping_kernel
-
-        polynomial = self.predictor()
-        if polynomial is None:
-            return None
-        return stepping_kernel(polynomial, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
-
-    def next_state(self, carry: Array, control: Array) -> Array:
-        return self.features.anchor(carry[:, : self.system.nx]) + self.polynomial(carry, control)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import inspect
 import numbers
+import sys
 import types
 import typing
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import Any, Literal, Union
 
 import numpy as np
@@ -56,6 +58,21 @@ def limits_of(family: type) -> dict[str, Limit]:
     for base in reversed(family.__mro__):
         merged.update(base.__dict__.get("limits", {}))
     return merged
+
+
+def declare(family: type) -> None:
+    """Give a class whose body declares hyper-parameters the constructor that takes them, those of its bases included.
+
+    They are its annotated names, `ClassVar` left out. Their types are read here, in the module that knows them.
+    A class with several bases that declare some gets a constructor for all of theirs.
+    """
+    own = {name: kind for name, kind in vars(family).get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
+    several = sum(is_dataclass(base) for base in family.__bases__) > 1
+    if (own or several) and "__init__" not in vars(family):
+        declared = types.SimpleNamespace(__annotations__=own)
+        with contextlib.suppress(NameError):  # a name that only the type checker knows: nothing to check against
+            family.__annotations__.update(typing.get_type_hints(declared, vars(sys.modules[family.__module__])))
+        dataclass(kw_only=True, eq=False, repr=False)(family)
 
 
 def check_values(family: type, values: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -21,20 +21,31 @@ DEFAULT_ROBOT = "emulated_car"
 Positive = Annotated[int, Field(ge=1)]
 
 
+Recipe: TypeAlias = Literal["recommended", "plain"]
+"""How a controller comes about: searched in single models, chosen by others and polished on all, or evolved at once."""
+
+
 class Budget(BaseModel):
-    """How long controller evolution may think; see `ControllerEvolution`."""
+    """How controllers are evolved, and how long evolution may think; see `ControllerEvolution`.
+
+    With the ``recipe`` "recommended" controllers are chosen by models of other families, and one more is made
+    of the best of all, by ``polish`` generations against all models at once.
+    """
 
     model_config = ConfigDict(frozen=True)
 
+    strategy: str = "niches"
+    recipe: Recipe = "recommended"
     generations: Positive
     trials: Positive
     runs: Positive
+    polish: Positive = 120
 
 
 BUDGETS: dict[str, Budget] = {
-    "quick": Budget(generations=150, trials=10, runs=1),
-    "standard": Budget(generations=300, trials=10, runs=3),
-    "paper": Budget(generations=300, trials=10, runs=2),
+    "quick": Budget(generations=300, trials=5, runs=1, polish=60),
+    "standard": Budget(generations=1200, trials=5, runs=1),
+    "paper": Budget(generations=300, trials=10, runs=2, strategy="mu_plus_lambda", recipe="plain"),
 }
 """Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
 
@@ -46,8 +57,9 @@ class Experiment(BaseModel):
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. What is None of ``generations``, ``trials`` and
-    ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
+    `plan_comparison`, as it does for ``models``. What is None of ``strategy``, ``recipe``, ``generations``,
+    ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With ``yardstick`` a
+    controller is also evolved on the emulated
     robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
     their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late,
     and are evolved with ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet;
@@ -70,13 +82,15 @@ class Experiment(BaseModel):
     only: Literal["fit", "prediction"] | None = None
     task: str = "point_to_point"
     controller: str = "recurrent"
-    strategy: str = "mu_plus_lambda"
+    strategy: str | None = None
+    recipe: Recipe | None = None
     aggregate: str = "min"
     noise: str = ""
     caution: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
+    polish: Positive | None = None
     selection_trials: Positive = 100
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
@@ -127,14 +141,17 @@ class Experiment(BaseModel):
     @property
     def evolution(self) -> ControllerEvolution:
         """How controllers are evolved. Raises what the registries say about wrong names and parameters."""
+        budget = self.budget
         return ControllerEvolution(
-            **self.budget.model_dump(),
+            generations=budget.generations,
+            trials=budget.trials,
+            runs=budget.runs,
             aggregate=self.aggregate,
             selection_trials=self.selection_trials,
             estimator_delay=self.estimator_delay,
             controller=Spec.parse(self.controller),
             task=Spec.parse(self.task),
-            strategy=Spec.parse(self.strategy),
+            strategy=Spec.parse(budget.strategy),
             noise=self.noise,
             caution=self.caution,
         )

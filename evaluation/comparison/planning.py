@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluation.comparison.columns import Column, emulated
-from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matrix, RunCell
+from evaluation.comparison.controller_cells import (
+    ChampionCell,
+    ChooseCell,
+    EvolveCell,
+    ExploitCell,
+    Matrix,
+    PolishCell,
+    RunCell,
+)
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
@@ -44,6 +52,8 @@ OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 ALL = "all"
+POLISHED = 2
+"""Finalists that the recommended recipe polishes."""
 
 
 @dataclass(frozen=True)
@@ -324,7 +334,12 @@ def _matrix(
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if experiment.yardstick and robot is not None:
         groups.append((robot,))
-    champions = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
+    evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
+    champions: tuple[ChampionCell, ...] = evolved
+    if experiment.budget.recipe == "recommended":
+        champions = tuple(_chosen(experiment, (cell,), models) for cell in evolved)
+        if len(models) > 1:
+            champions += (controller_cell(experiment, models, judges=models),)
     runs = tuple(
         RunCell(
             champion,
@@ -338,3 +353,28 @@ def _matrix(
         for column in columns
     )
     return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
+
+
+def controller_cell(experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...]) -> ChampionCell:
+    """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
+
+    By the recommended one each member is searched alone, the best are chosen by their median on those of
+    ``judges`` that are models of other families, and polished on all members at once.
+    """
+    evolution = experiment.evolution
+    if experiment.budget.recipe == "plain":
+        return EvolveCell(members, evolution, experiment.seed)
+    models = tuple(column for column in judges if column.robot is None)
+    singles = tuple(EvolveCell((member,), evolution, experiment.seed) for member in members)
+    if len(members) == 1:
+        return _chosen(experiment, singles, models)
+    chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed)
+
+
+def _chosen(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
+    """Return the choice among the finalists of ``contenders``, where there are models of other families for it."""
+    own = {member.family for cell in contenders for member in cell.members}
+    if len(contenders) == 1 and all(column.family in own for column in judges):
+        return contenders[0]
+    return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)

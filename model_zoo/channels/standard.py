@@ -42,7 +42,7 @@ class Standard:
             deviation(states),
             control_centre,
             deviation(controls),
-            positive(np.sqrt(np.mean(change**2, axis=0))),
+            root_mean_square(change),
         )
 
     def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:
@@ -56,6 +56,11 @@ class Standard:
 def positive(values: Array) -> Array:
     """Return ``values`` with 1 in place of 0, to divide by."""
     return np.where(values > 0, values, 1.0)
+
+
+def root_mean_square(values: Array) -> Array:
+    """Return the root mean square of each column of (N, n), 1 for a column of zeros."""
+    return positive(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def deviation(values: Array) -> Array:

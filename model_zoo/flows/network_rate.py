@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -13,16 +14,16 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
-    from model_zoo.flows.training import FittedFlow
-    from model_zoo.networks.multistep import Plan, Report
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from torch import Tensor
+
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
 HIDDEN = (32, 32)
+QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
 
 
 class NetworkRate(DynamicsModel):
@@ -30,8 +31,8 @@ class NetworkRate(DynamicsModel):
 
     ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
     measured states (multiple shooting); the weights that simulate held-out blocks of time best over
-    one second are kept (early stopping). Stepped with the fourth-order Runge-Kutta method at dt,
-    controls held.
+    one second are kept (early stopping). ``initial`` physical parameters of the known part are trained
+    with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
     """
 
     knowledge = "dark grey"
@@ -40,73 +41,60 @@ class NetworkRate(DynamicsModel):
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),
     }
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
+    initial: ClassVar[Array] = np.empty(0)
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+        "paper": {"one_step_updates": 3000, "updates": 1500},
+    }
 
-    def __init__(
-        self,
-        *,
-        hidden: list[int] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        one_step_updates: int = 1000,
-        updates: int = 500,
-        horizon: int = 20,
-        learning_rate: float = 6e-3,
-        rest_hold: bool = False,
-    ) -> None:
-        self.hidden = hidden
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.one_step_updates = one_step_updates
-        self.updates = updates
-        self.horizon = horizon
-        self.learning_rate = learning_rate
-        self.rest_hold = rest_hold
+    hidden: list[int] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    one_step_updates: int = 1000
+    updates: int = 500
+    horizon: int = 20
+    learning_rate: float = 6e-3
+    rest_hold: bool = False
 
-    def train(
-        self, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator, report: Report
-    ) -> FittedFlow:
-        """Train one flow."""
-        from model_zoo.flows.training import train_flow
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        from model_zoo.flows.training import FittedFlow, train_flow
+        from model_zoo.networks.multistep import Plan
 
-        return train_flow(dataset, lags, hidden=tuple(self.hidden or HIDDEN), plan=plan, rng=rng, report=report)
+        plan = Plan(self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate)
+        final = replace(plan, check_every=50)
+        one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
+        search = replace(plan, one_step_updates=one_step_updates, updates=updates)
+        options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
+        counter = Counter(progress, final.total + trials(options) * search.total)
+
+        def trained(lags: tuple[int, int], plan: Plan) -> FittedFlow:
+            return train_flow(
+                dataset,
+                lags,
+                hidden=self.hidden or HIDDEN,
+                plan=plan,
+                rng=rng,
+                physics=self.torch_rate if len(self.initial) else None,
+                physical=self.initial,
+                report=counter.advance,
+            )
+
+        lags = best(options, lambda lags: trained(lags, search).error)
+        self.keep_lags(lags)
+        fitted = trained(lags, final)
+        self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
+        if len(self.initial):
+            self.physical_ = fitted.physical
+        return self
 
     def known_rate(self, state: Array, control: Array) -> Array | None:
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
         return None
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.networks.multistep import Plan
-
-        final = Plan(
-            self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate, check_every=50
-        )
-        search = Plan(
-            max(1, round(SEARCH_SHARE * self.one_step_updates)),
-            max(1, round(SEARCH_SHARE * self.updates)),
-            self.horizon,
-            learning_rate=self.learning_rate,
-        )
-        options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
-        total, done = final.total + trials(options) * search.total, 0
-
-        def report(updates: int) -> None:
-            if progress is not None:
-                progress(done + updates, total)
-
-        def error(lags: tuple[int, int]) -> float:
-            nonlocal done
-            found = self.train(dataset, lags, search, rng, report).error
-            done += search.total
-            return found
-
-        lags = best(options, error)
-        self.keep_lags(lags)
-        fitted = self.train(dataset, lags, final, rng, report)
-        self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
-        if len(fitted.physical):
-            self.physical_ = fitted.physical
-        return self
+    def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
+        """Return `known_rate` for physical parameters (n,), in a family with ``initial`` ones."""
+        raise NotImplementedError
 
     @property
     def network(self) -> Network:
@@ -117,26 +105,13 @@ class NetworkRate(DynamicsModel):
         """Return `known_rate` as a predictor of the fast engine, if there is one."""
         return None
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import (
-            added,
-            network_predictor,
-            runge_kutta_predictor,
-            stepping_kernel,
-            turning_frame,
-        )
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import added, network_predictor, runge_kutta_predictor, turning_frame
 
-        rate, known = (
-            network_predictor(self.network.members()[:1], self.n_carry, self.system.nu),
-            self.known_predictor(),
-        )
-        if known is not None:
-            rate = added(rate, known, self.system.nx)
-        turned = turning_frame(rate, self.system)
-        if turned is None:
-            return None
-        step = runge_kutta_predictor(turned, self.system, n_carry=self.n_carry)
-        return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        learned = network_predictor(self.network.members()[:1], self.n_carry, self.system.nu)
+        known = self.known_predictor()
+        rate = turning_frame(learned if known is None else added(learned, known, self.system.nx), self.system)
+        return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system, network = self.system, self.network

@@ -3,38 +3,41 @@
 from __future__ import annotations
 
 from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import Layout
 
-FORWARD, LATERAL, YAW_RATE, DRIVE, STEER, NX, DT, OLDEST_COMMAND, PHYSICAL = range(9)
-STATIC = PHYSICAL + 8
+HEAD = Layout("forward", "lateral", "yaw_rate", "drive", "steer", "nx", "dt", "oldest_command")
+PHYSICAL = HEAD.size
+"""Where the parameters of the equation begin; what only one of the kernels has follows them."""
+OWN = PHYSICAL + 8
 
 
 def car_rate(x, u, p, y, scratch):
     """Write the known part of dx/dt (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
-    for i in range(int(p[NX]) * LANES):
+    for i in range(int(p[HEAD.nx]) * LANES):
         y[i] = 0.0
-    forward, yaw_rate = int(p[FORWARD]) * LANES, int(p[YAW_RATE]) * LANES
-    if p[LATERAL] >= 0.0:
-        damp(view(x, int(p[LATERAL]) * LANES), p[STATIC], view(y, int(p[LATERAL]) * LANES))
+    forward, yaw_rate = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES
+    if p[HEAD.lateral] >= 0.0:
+        damp(view(x, int(p[HEAD.lateral]) * LANES), p[OWN], view(y, int(p[HEAD.lateral]) * LANES))
     drive_and_turn(
-        view(x, forward), view(x, yaw_rate), view(u, int(p[DRIVE]) * LANES), view(u, int(p[STEER]) * LANES),
+        view(x, forward), view(x, yaw_rate), view(u, int(p[HEAD.drive]) * LANES), view(u, int(p[HEAD.steer]) * LANES),
         view(p, PHYSICAL), view(y, forward), view(y, yaw_rate),
     )  # fmt: skip
 
 
 def equation_one(x, u, p, y, scratch):
     """Write the next state of the paper's Equation 1 (a predictor)."""
-    forward, yaw_rate = int(p[FORWARD]) * LANES, int(p[YAW_RATE]) * LANES
-    for i in range(int(p[NX]) * LANES):
+    forward, yaw_rate = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES
+    for i in range(int(p[HEAD.nx]) * LANES):
         y[i] = 0.0
-    drive, steer = view(u, int(p[DRIVE]) * LANES), view(u, int(p[STEER]) * LANES)
-    if p[OLDEST_COMMAND] > 0.0:
-        command = view(x, int(p[OLDEST_COMMAND]) * LANES)
-        drive, steer = view(command, int(p[DRIVE]) * LANES), view(command, int(p[STEER]) * LANES)
+    drive, steer = view(u, int(p[HEAD.drive]) * LANES), view(u, int(p[HEAD.steer]) * LANES)
+    if p[HEAD.oldest_command] > 0.0:
+        command = view(x, int(p[HEAD.oldest_command]) * LANES)
+        drive, steer = view(command, int(p[HEAD.drive]) * LANES), view(command, int(p[HEAD.steer]) * LANES)
     drive_and_turn(
         view(x, forward), view(x, yaw_rate), drive, steer, view(p, PHYSICAL), view(y, forward), view(y, yaw_rate)
     )
-    settle(view(x, forward), drive, p[DT], p[STATIC], p[STATIC + 2], view(y, forward))
-    settle(view(x, yaw_rate), steer, p[DT], p[STATIC + 1], p[STATIC + 3], view(y, yaw_rate))
+    settle(view(x, forward), drive, p[HEAD.dt], p[OWN], p[OWN + 2], view(y, forward))
+    settle(view(x, yaw_rate), steer, p[HEAD.dt], p[OWN + 1], p[OWN + 3], view(y, yaw_rate))
 
 
 def damp(sideways, drag, rate):

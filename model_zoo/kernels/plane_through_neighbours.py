@@ -7,14 +7,13 @@ weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from sysid_evo.arrays import Array, IntArray
+from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, lowest, splat_quarter, store, view, where_less
 from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, split
+from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, packed, split
 from sysid_evo.engine.kernels.stepping import Predictor
 
 HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "ridge")
@@ -31,7 +30,7 @@ def plane_predictor(
     changed by, ``limits`` (2, n_out) the range of the state.
     """
     n, n_out = len(metric), values.shape[1]
-    boxes, near, value = pack(points, values, split(points, np.arange(len(points))))
+    boxes, near, value = packed(points, values, split(points, np.arange(len(points))))
     groups = boxes.shape[2] // BUCKET
     flat = HEAD.pack(
         metric,
@@ -49,22 +48,6 @@ def plane_predictor(
     of_one_lane = n + 2 * count + 3 * BUCKET + groups * BUCKET
     of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
     return Predictor(plane_through_neighbours, flat, n_scratch=-(-(of_one_lane + of_a_quarter * QUARTER) // LANES))
-
-
-def pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
-    """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
-
-    There are as many buckets as fill groups of 16; those without points stand far away.
-    """
-    sides, count = points.shape[1], -(-len(buckets) // BUCKET) * BUCKET
-    boxes = np.full((sides, 2, count), FAR)
-    near = np.full((count, sides, BUCKET), FAR)
-    value = np.zeros((count, BUCKET, values.shape[1]))
-    for number, rows in enumerate(buckets):
-        boxes[:, 0, number], boxes[:, 1, number] = points[rows].min(axis=0), points[rows].max(axis=0)
-        near[number, :, : len(rows)] = points[rows].T
-        value[number, : len(rows)] = values[rows]
-    return boxes, near, value
 
 
 def plane_through_neighbours(x, u, p, y, scratch):

@@ -8,9 +8,10 @@ power 2.5, so that the first steps matter more than the last, which they decide.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from sysid_evo.free_run import chained
 from sysid_evo.lags import CarryLayout
 
 Report: TypeAlias = Callable[[int], None]
-"""Told how many updates are done."""
+"""Told how many more updates are done."""
 
 SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
@@ -35,14 +36,23 @@ FLOOR = 0.002
 """Square of a relative error below which a step gains no more weight (the noise of the measurement)."""
 
 
-class TorchModel(Protocol):
+class TorchModel(ABC):
     """M models with differentiable steps; the carry is (M, B, n), laid out as ``layout`` says."""
 
     layout: CarryLayout
     parameters: list[Tensor]
 
+    @abstractmethod
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         """Return the next carry under ``control`` (M, B, nu)."""
+
+    def augmented(self, batch: list[Tensor]) -> list[Tensor]:
+        """Return what is learned from a batch (past states, past controls, controls, states)."""
+        return batch
+
+    def as_recorded(self) -> None:
+        """Expect data as recorded from here on, to be judged by them."""
+        return
 
 
 @dataclass(frozen=True)
@@ -105,14 +115,12 @@ def train(
     change_scale: Tensor,
     rng: np.random.Generator,
     judge: Callable[[list[Tensor]], Array] | None = None,
-    augment: Callable[[list[Tensor]], list[Tensor]] | None = None,
     report: Report | None = None,
 ) -> list[Tensor]:
     """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters.
 
     ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
-    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. ``augment`` may alter a
-    batch (past states, past controls, controls, states).
+    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise.
     """
     members = len(shots)
     noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
@@ -120,7 +128,7 @@ def train(
     mean = [parameter.detach().clone() for parameter in model.parameters]
     best = [parameter.clone() for parameter in mean]
     lowest = np.full(members, np.inf)
-    longest = min(shot.states.shape[1] for shot in shots)
+    longest, told = min(shot.states.shape[1] for shot in shots), 0
     for update in range(plan.total):
         horizon, size, rate = _schedule(plan, update, longest)
         for group in optimiser.param_groups:
@@ -130,7 +138,7 @@ def train(
             torch.stack([getattr(shot, name)[row] for shot, row in zip(shots, rows, strict=True)])
             for name in ("past_states", "past_controls", "controls", "states")
         ]
-        past, past_controls, controls, states = batch if augment is None else augment(batch)
+        past, past_controls, controls, states = model.augmented(batch)
         if plan.input_noise:
             past = past + plan.input_noise * change_scale * torch.randn(past.shape, generator=noise)
         simulated = free_run(model, past, past_controls, controls[:, :, :horizon])
@@ -154,7 +162,8 @@ def train(
                 for kept, average in zip(best, mean, strict=True):
                     kept[member] = average[member]
         if report is not None and (last or update % TOLD_EVERY == 0):
-            report(update + 1)
+            report(update + 1 - told)
+            told = update + 1
     return mean if judge is None else best
 
 
@@ -171,17 +180,13 @@ def free_run(model: TorchModel, past_states: Tensor, past_controls: Tensor, cont
     return torch.stack([carry[..., :nx] for carry in chained(model.step, start, controls)], dim=2)
 
 
-def moved(layout: CarryLayout, carry: Tensor, control: Tensor, after: Tensor) -> Tensor:
-    """Return the carry whose newest state is ``after``."""
-    return torch.cat(layout.moved(carry, control, after), dim=-1)
-
-
 def judged(model: TorchModel, parameters: Sequence[Tensor], held: Sequence[Shots], state_scale: Tensor) -> Array:
     """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
 
     Infinite where a run is not finite.
     """
     trained, errors = model.parameters, np.empty(len(held))
+    model.as_recorded()
     with torch.no_grad():
         for member, shots in enumerate(held):
             model.parameters = [parameter[member : member + 1] for parameter in parameters]

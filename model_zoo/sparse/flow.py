@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from model_zoo.flows.runge_kutta import rk4
-from model_zoo.sparse.regression import Regression, SparsePolynomial
+from model_zoo.sparse.family import Regression
+from model_zoo.sparse.regression import SparsePolynomial
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels import Predictor
 
 
 class ContinuousSparse(SparsePolynomial):
@@ -40,17 +41,14 @@ class ContinuousSparse(SparsePolynomial):
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
 
-    def kernel(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import runge_kutta_predictor, stepping_kernel, turning_frame
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import runge_kutta_predictor, turning_frame
 
-        polynomial = self.predictor()
+        polynomial = super().predictor()
         if polynomial is None:
             return None
         rate = turning_frame(polynomial, self.system, low=self.state_range_[0], high=self.state_range_[1])
-        if rate is None:
-            return None
-        step = runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
-        return stepping_kernel(step, self.system, output="next_state", lags=self.lags, rest_band=self.rest_band)
+        return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         system = self.system

@@ -9,7 +9,6 @@ import numpy as np
 
 from model_zoo.sparse.units import quotient
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.system import System
 
 
 def monomials(n_inputs: int, degree: int) -> IntArray:
@@ -52,8 +51,3 @@ def equation(
             parts.append(("- " if value < 0 else "+ ") + factor + ("" if name == "1" else f" {name}"))
     right = " ".join(parts) if parts else "0"
     return f"{left} = {right.removeprefix('+ ')}"
-
-
-def left_sides(system: System) -> list[tuple[str, str]]:
-    """Return what a map from step to step says of each state, the change of a periodic one, and its unit."""
-    return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in system.states]

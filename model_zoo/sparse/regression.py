@@ -1,18 +1,17 @@
-"""What the SINDy families share: pysindy fits, simulation of held-out blocks chooses, a batched polynomial steps."""
+"""What the SINDy families share: pysindy fits, simulation of held-out blocks chooses."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from abc import abstractmethod
-from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
 from model_zoo.channels.features import Features
-from model_zoo.sparse.polynomial import equation, evaluate
+from model_zoo.channels.standard import root_mean_square
+from model_zoo.sparse.family import PolynomialFamily, Regression
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
@@ -22,25 +21,9 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 
-if TYPE_CHECKING:
-    from sysid_evo.engine.kernels import Predictor
-
 DEGREES = (2, 3)
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 MOST_TERMS = 250
-
-
-@dataclass(frozen=True)
-class Regression:
-    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx)."""
-
-    regressors: Array
-    targets: Array
-    measured: Array
-    states: Array
-
-    def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows])
 
 
 def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
@@ -68,25 +51,17 @@ def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: 
     return np.asarray(coefficients, dtype=np.float64), exponents
 
 
-def root_mean_square(values: Array) -> Array:
-    """Return the root mean square of each column, 1 for a column of zeros."""
-    size = np.sqrt(np.mean(values**2, axis=0))
-    return np.where(size > 0, size, 1.0)
-
-
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
 """Degree, threshold, lags."""
 
 
-class SparsePolynomial(DynamicsModel):
-    """A family whose right-hand side is a sparse polynomial of features of (carry, control) within the training range.
+class SparsePolynomial(PolynomialFamily):
+    """A polynomial whose terms pysindy finds.
 
     The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
-    ``functions`` asked for, such as "abs(speed)". A subclass says what is regressed on what (`regression`), and
-    steps with `polynomial`. ``degree``, ``threshold`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time: the setting with the fewest terms among those within 5 % of the
-    best. Settings that diverge there are never chosen if one does not. With periodic states or ``functions``
-    there is no compiled form.
+    ``functions`` asked for, such as "abs(speed)". ``degree``, ``threshold`` and lags left at None are chosen by the
+    simulation error over one second on held-out blocks of time: the setting with the fewest terms among those
+    within 5 % of the best. Settings that diverge there are never chosen if one does not.
     """
 
     knowledge = "dark grey"
@@ -94,43 +69,18 @@ class SparsePolynomial(DynamicsModel):
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
 
-    def __init__(
-        self,
-        *,
-        degree: int | None = None,
-        threshold: float | None = None,
-        ridge: float = 1e-3,
-        functions: list[str] | None = None,
-        state_lags: int | None = None,
-        control_lags: int | None = None,
-        rest_hold: bool = False,
-    ) -> None:
-        self.degree = degree
-        self.threshold = threshold
-        self.ridge = ridge
-        self.functions = functions
-        self.state_lags = state_lags
-        self.control_lags = control_lags
-        self.rest_hold = rest_hold
-
-    @abstractmethod
-    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
-        """Return what the polynomial is fitted to."""
-
-    @abstractmethod
-    def left_sides(self) -> list[tuple[str, str]]:
-        """Return the left side of each equation and its unit."""
+    degree: int | None = None
+    threshold: float | None = None
+    ridge: float = 1e-3
+    functions: list[str] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
-        Features(system, (0, 0), tuple(self.functions or ()))
-
-    @property
-    def features(self) -> Features:
-        """What the polynomial sees of (carry, control)."""
-        return self.features_of(self.system, self.lags)
+        self.features_of(system, (0, 0))
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
-        """Return the features before the lags are chosen."""
         return Features(system, lags, tuple(self.functions or ()))
 
     def learn(
@@ -148,14 +98,6 @@ class SparsePolynomial(DynamicsModel):
         """Learn the polynomial by one sparse regression."""
         data = self.regression(dataset, self.lags)
         self.adopt(data, *sparse_coefficients(data, degree, threshold, self.ridge))
-
-    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
-        """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
-        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
-        used = used if len(used) else np.array([0])
-        self.coefficients_ = np.ascontiguousarray(coefficients[used])
-        self.exponents_ = np.ascontiguousarray(exponents[used])
-        self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings, sizes = self._settings(dataset), dict[Setting, int]()
@@ -179,28 +121,6 @@ class SparsePolynomial(DynamicsModel):
         self.learn(dataset, self.degree_, self.threshold_, rng, counter)
         counter.advance()
         return self
-
-    def polynomial(self, carry: Array, control: Array) -> Array:
-        """Return the right-hand side (B, nx), its features clipped to the training range."""
-        inputs = np.clip(self.features(carry, control), self.low_, self.high_)
-        return evaluate(inputs, self.exponents_) @ self.coefficients_
-
-    def predictor(self) -> Predictor | None:
-        """Return `polynomial` as a predictor of the fast engine, if its features are plain."""
-        from sysid_evo.engine.kernels import polynomial_predictor, within
-
-        if not self.features.plain:
-            return None
-        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
-        return within(sums, self.low_, self.high_, self.n_carry)
-
-    def equations(self) -> list[str]:
-        """Return one equation for each state, with the unit of every coefficient in brackets."""
-        features = self.features
-        return [
-            equation(left, unit, self.coefficients_[:, channel], self.exponents_, features.names, features.units)
-            for channel, (left, unit) in enumerate(self.left_sides())
-        ]
 
     def _settings(self, dataset: Dataset) -> list[Setting]:
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""

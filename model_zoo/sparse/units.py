@@ -6,6 +6,8 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 
+from sysid_evo.data.units import written
+
 SYMBOL = re.compile(r"([^\s/*^·()]+)(?:\^(-?\d+))?")
 
 
@@ -29,10 +31,4 @@ def quotient(unit: str, divisors: Iterable[tuple[str, int]]) -> str:
     for divisor, power in divisors:
         for symbol, own in powers(divisor).items():
             left[symbol] -= own * power
-    above = [_power(symbol, power) for symbol, power in left.items() if power > 0]
-    below = ["/" + _power(symbol, -power) for symbol, power in left.items() if power < 0]
-    return (" ".join(above) or ("1" if below else "")) + "".join(below)
-
-
-def _power(symbol: str, power: int) -> str:
-    return symbol if power == 1 else f"{symbol}^{power}"
+    return written(left)

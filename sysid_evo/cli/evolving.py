@@ -21,6 +21,7 @@ from sysid_evo.cli.options import (
     Noise,
     Plugins,
     Preset,
+    Recipe,
     Runs,
     Seed,
     Strategy,
@@ -49,6 +50,7 @@ def evolve(
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
+    recipe: Recipe = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
     preset: Preset = "standard",
     generations: Generations = None,
@@ -67,7 +69,7 @@ def evolve(
     folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
     so that controllers meet it in the models.
     """
-    from evaluation.comparison import EvolveCell, Experiment, RunCell, check_run_folder
+    from evaluation.comparison import Experiment, RunCell, check_run_folder, controller_cell
     from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
     from sysid_evo.plan import Plan, Store, execute
@@ -80,6 +82,7 @@ def evolve(
         task=task,
         controller=controller,
         strategy=strategy,
+        recipe=recipe,
         preset=preset,
         generations=generations,
         trials=trials,
@@ -94,7 +97,7 @@ def evolve(
     columns = tuple(find_column(store, member) for member in members)
     evolution = experiment.evolution
     check_evolution(store, columns, evolution)
-    champion = EvolveCell(columns, evolution, experiment.seed)
+    champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
     delay = evolution.estimator_delay
     claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
     plan = Plan.of([champion, *claims])
@@ -149,6 +152,22 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
             raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
     task = evolution.make_task(system)
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    """Return the models of the run that are of one system with ``columns`` and not among them."""
+    from evaluation.comparison import Column, FitCell
+    from sysid_evo.plan import StoredCell
+
+    system = dynamics_of(store, columns[0]).system
+    taken = {column.model.digest for column in columns if column.model is not None}
+    found = []
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and record.digest not in taken:
+            column = Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+            if not system.differences(dynamics_of(store, column).system):
+                found.append(column)
+    return tuple(found)
 
 
 def is_file(name: str) -> bool:

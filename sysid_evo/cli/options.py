@@ -38,6 +38,10 @@ Caution: TypeAlias = Annotated[
 ]
 Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
 Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
+Recipe: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="recommended (search in each model, choice by others, polish on all) or plain (all at once)."),
+]
 Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]
 
 EstimatorDelay: TypeAlias = Annotated[

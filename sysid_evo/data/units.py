@@ -82,7 +82,7 @@ def to_si(unit: str) -> tuple[str, float]:
             scale *= factor**power
             for name, exponent in units.items():
                 powers[name] = powers.get(name, 0) + exponent * power
-    return _written(powers), scale
+    return written(powers), scale
 
 
 def units_of(si_unit: str) -> tuple[str, ...]:
@@ -105,7 +105,7 @@ def _symbol(text: str, unit: str) -> tuple[str, int]:
     )
 
 
-def _written(powers: dict[str, int]) -> str:
+def written(powers: dict[str, int]) -> str:
     """Return ``{"m": 1, "s": -2}`` as ``m/s^2``."""
 
     def power(name: str, exponent: int) -> str:

@@ -15,6 +15,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.meeting import met
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
@@ -30,17 +31,7 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
-from sysid_evo.wrappers import (
-    DelayedEstimate,
-    Discounted,
-    Doubt,
-    RadicalEnvelope,
-    Switching,
-    cautions,
-    disturbed,
-    noises,
-    one_of_its_members,
-)
+from sysid_evo.wrappers import DelayedEstimate, Doubt, RadicalEnvelope, cautions, noises
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -111,25 +102,27 @@ def evolve_controller(
     settings: ControllerEvolution,
     *,
     seed: int,
-    judges: Mapping[str, Runner] | None = None,
     progress: Progress | None = None,
 ) -> Champion:
-    """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
+    """Evolve a controller against all of ``runners`` at once and return the fittest of all niches and runs.
 
-    ``judges`` are models of other families, on which nothing is evolved: among the finalists of all niches
-    and runs the one with the highest median on them is chosen. Without judges the fittest is. ``progress``
-    is called after every generation. The result depends on ``seed`` alone.
+    Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
+    every generation. The result depends on ``seed`` alone.
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late, judging = met(in_turns(runners, settings), settings), met(judges or {}, replace(settings, caution=""))
-    seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
+    late = met(runners, settings)
+    seeds = selection_seeds(seed, settings.selection_trials)
     total = settings.runs * settings.generations
     ended: list[_Run] = []
     for run in range(settings.runs):
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
         strategy = settings.make_strategy(controller.n_parameters, run_seed)
-        strategy.behaviour_names = behaviour_names(system)
+        strategy.prepare(
+            behaviour_names=behaviour_names(system),
+            control_names=system.control_names,
+            generations=settings.generations,
+        )
         objective = EnsembleObjective(
             tuple(late.values()), controller, task, run_seed, settings.trials, settings.aggregate
         )
@@ -140,11 +133,7 @@ def evolve_controller(
                 progress(run * settings.generations + generation.index + 1, total)
         ended.append(_Run(tuple(_finalists(strategy, objective, run, seeds)), np.array(history), strategy.elite))
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
-    if judging:
-        finalists = _judged(finalists, tuple(judging.values()), controller, task, seeds)
-    best = max(
-        finalists, key=lambda one: one.fitness if one.elsewhere is None else one.elsewhere
-    )  # of equals the first
+    best = max(finalists, key=lambda one: one.fitness)  # of equals the first
     return Champion(
         name=name,
         parameters=best.parameters,
@@ -157,10 +146,14 @@ def evolve_controller(
         estimator_delay=settings.estimator_delay,
         seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
         system=system,
-        judges=tuple(judging),
         finalists=finalists,
         population=ended[best.run].population,
     )
+
+
+def selection_seeds(seed: int, trials: int) -> Seeds:
+    """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
+    return trial_seeds(seed, trials, generation=SELECTION)
 
 
 @dataclass(frozen=True)
@@ -178,58 +171,6 @@ def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: i
         fitness = objective.on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
         yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
-
-
-def _judged(
-    finalists: tuple[Finalist, ...], judges: tuple[Runner, ...], controller: Controller, task: Task, seeds: Seeds
-) -> tuple[Finalist, ...]:
-    """Return the finalists with their median over the ``judges``."""
-    everyone = np.stack([finalist.parameters for finalist in finalists])
-    elsewhere = EnsembleObjective(judges, controller, task, seed=0, aggregate="median").on_trials(everyone, seeds)
-    return tuple(
-        replace(finalist, elsewhere=float(value)) for finalist, value in zip(finalists, elsewhere.fitness, strict=True)
-    )
-
-
-def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` as candidates meet them: doubted, with noise, observed late. Raises `InvalidArgument`."""
-    noise, caution, delay = settings.make_noise(), settings.make_caution(), settings.estimator_delay
-    if noise is None and caution is None:
-        return {label: observed_late(label, runner, delay) for label, runner in runners.items()}
-    models = models_of(runners, "noise and caution")
-    found: dict[str, Runner] = {}
-    for label, runner in models.items():
-        dynamics = runner.dynamics
-        if noise is not None and noise.members:
-            dynamics = one_of_its_members(dynamics)
-        if caution is not None:
-            dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
-        if noise is not None:
-            dynamics = disturbed(dynamics, noise, delay)
-        elif delay:
-            dynamics = DelayedEstimate(dynamics, delay)
-        runner = replace(runner, dynamics=dynamics)
-        found[label] = runner if caution is None else Discounted(runner, caution.most)
-    return found
-
-
-def models_of(runners: Mapping[str, Runner], asked_for: str) -> dict[str, DynamicsRunner]:
-    """Return ``runners`` if all of them run a dynamics here. Raises `InvalidArgument`."""
-    found = {label: runner for label, runner in runners.items() if isinstance(runner, DynamicsRunner)}
-    others = [label for label in runners if label not in found]
-    if others:
-        raise InvalidArgument(f"evolution: {', '.join(others)} is not a model, so that {asked_for} cannot be added")
-    return found
-
-
-def in_turns(runners: Mapping[str, Runner], settings: ControllerEvolution) -> Mapping[str, Runner]:
-    """Return one runner whose models take turns, if the noise lets them switch and there are several."""
-    noise = settings.make_noise()
-    if noise is None or not noise.switching or len(runners) < 2:
-        return runners
-    models = models_of(runners, "switching")
-    together = Switching([runner.dynamics for runner in models.values()], every=noise.switching)
-    return {"|".join(models): replace(next(iter(models.values())), dynamics=together)}
 
 
 def observed_late(name: str, runner: Runner, delay: float) -> Runner:

@@ -20,12 +20,23 @@ class EvolutionStrategy(ABC):
 
     Made with ``n_parameters`` and ``seed``, and parameters of its own. Random numbers are best drawn
     from a generator keyed by (seed, generation), so that no generator is part of the state. Whoever evolves
-    sets ``behaviour_names`` before the first `ask`: what the descriptors of behaviour are called, none if
-    nobody counts them (see `sysid_evo.engine.behaviour_names`).
+    may tell what lies ahead before the first `ask`, see `prepare`.
     """
 
     n_parameters: int
     behaviour_names: tuple[str, ...] = ()
+    control_names: tuple[str, ...] = ()
+    generations: int | None = None
+
+    def prepare(
+        self, *, behaviour_names: tuple[str, ...], control_names: tuple[str, ...], generations: int | None = None
+    ) -> None:
+        """Tell what lies ahead: how many generations, and what the descriptors of behaviour are called.
+
+        Without a call there are no descriptors; see `sysid_evo.engine.behaviour_names`. ``control_names`` are
+        those of the channels that a controller decides on.
+        """
+        self.behaviour_names, self.control_names, self.generations = behaviour_names, control_names, generations
 
     @abstractmethod
     def ask(self) -> Array:

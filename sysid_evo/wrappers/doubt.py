@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sysid_evo.arrays import Array, Seeds
-from sysid_evo.controllers.controller import Controller
-from sysid_evo.dynamics import Dynamics, DynamicsModel
-from sysid_evo.engine import Rollouts, Runner
+from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import Registry
-from sysid_evo.tasks.task import Task
 from sysid_evo.wrappers.cautious import Cautious
 from sysid_evo.wrappers.supported import Supported
+
+if TYPE_CHECKING:
+    from sysid_evo.controllers.controller import Controller
+    from sysid_evo.engine import Rollouts, Runner
+    from sysid_evo.tasks.task import Task
 
 cautions: Registry[Doubt] = Registry("caution", "sysid_evo.cautions")
 """What ``--caution`` may name."""
@@ -51,6 +54,8 @@ class Doubt:
         The ``others`` are further models of the ensemble; what is no model is left out. Raises `InvalidArgument` for
         a model that does not know its training data.
         """
+        from sysid_evo.dynamics import DynamicsModel
+
         if getattr(dynamics, "pairs_", None) is None:
             if isinstance(dynamics, DynamicsModel):
                 raise InvalidArgument(

@@ -37,7 +37,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_model, models
+from sysid_evo.registry import make_model, make_robot, models
 from sysid_evo.system import Channel, System
 from tests.benchmarks.coverage import coverage
 from tests.benchmarks.peers import LaggedOneStepEnsemble
@@ -59,7 +59,7 @@ CAR = System(
 def recording(log: str) -> tuple[Dataset, Dataset]:
     """Return training and test set of one of the cars."""
     if log == EMULATED:
-        return record_dataset(EMULATED, seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
+        return record_dataset(make_robot(EMULATED), seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
     root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
     states, controls, names = [], [], []
     for path in sorted((root / "dart" / log).glob("*.csv")):

@@ -27,6 +27,11 @@ SMALL: dict[str, dict[str, Any]] = {
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history")
 """Families whose every fit takes seconds; on a second system they are tried with --slow."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
+SLOW_TO_LEARN = [name for name in TRAINED if name != "neural_ode"]
+"""Families that learn as the one left out does; how well they do is asked with --slow."""
+ONE_OF_A_KIND = [
+    pytest.param(name, marks=pytest.mark.slow) if name in SLOW_TO_LEARN else name for name in models.names()
+]
 
 
 @pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.slow)])
@@ -84,7 +89,7 @@ def test_every_family_keeps_the_contract_on_what_is_no_car_or_refuses_it(family:
         assert not broken
 
 
-@pytest.mark.parametrize("family", models.names())
+@pytest.mark.parametrize("family", ONE_OF_A_KIND)
 def test_every_family_says_how_much_it_knows_and_predicts_better_than_nothing(family: str, switched: Dataset) -> None:
     """Half a second ahead, a fitted model is nearer to the recording than its last measured state."""
     assert models.get(family).knowledge in ("black", "dark grey", "grey", "white")

@@ -46,3 +46,10 @@ def test_after_a_second_fit_the_kernel_is_made_anew(family: str, switched: Datas
     assert agrees(model, switched)
     model.fit(example_dataset(seed=8, episodes=1), rng=np.random.default_rng(0))
     assert agrees(model, switched)
+
+
+@pytest.mark.parametrize(("family", "precision"), [("linear", "float32"), ("k_neighbours", "float64")])
+def test_a_kernel_asks_for_the_precision_that_its_family_needs(family: str, precision: str, switched: Dataset) -> None:
+    kernel = fitted(family, switched).kernel()
+    assert kernel is not None
+    assert kernel.precision == precision

@@ -89,8 +89,7 @@ def test_hybrid_physics_are_the_same_in_torch_and_numpy(recording: Dataset) -> N
     model.physical_ = np.random.default_rng(1).uniform(0.5, 3.0, 9)
     rng = np.random.default_rng(2)
     state, control = rng.standard_normal((6, 3)), rng.uniform(-1, 1, (6, 2))
-    logarithms = torch.from_numpy(np.log(model.physical_))[None, None]
-    theirs = model._torch_rate(torch.from_numpy(state), torch.from_numpy(control), logarithms)
+    theirs = model.torch_rate(*(torch.from_numpy(array) for array in (state, control, model.physical_)))
     np.testing.assert_allclose(theirs.numpy(), model.known_rate(state, control), atol=1e-12)
 
 

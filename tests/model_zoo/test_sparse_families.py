@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from model_zoo.channels.standard import root_mean_square
 from model_zoo.narx import Narx
 from model_zoo.sindy import Sindy
 from model_zoo.sindy_bagged import SindyBagged
 from model_zoo.sindy_discrete import SindyDiscrete
+from model_zoo.sparse.family import Regression
 from model_zoo.sparse.polynomial import evaluate, monomials
-from model_zoo.sparse.regression import Regression, root_mean_square, sparse_coefficients
+from model_zoo.sparse.regression import sparse_coefficients
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System

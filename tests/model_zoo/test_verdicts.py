@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from model_zoo.evolved3 import Evolved3
-from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, step_weights, train
+from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, TorchModel, step_weights, train
 from model_zoo.validation import spread
 from model_zoo.validation.held_out import DIVERGED, HeldOut
 from sysid_evo.arrays import Array
@@ -130,7 +130,7 @@ def test_the_steps_of_a_free_run_weigh_by_the_inverse_of_their_error_to_the_powe
     assert step_weights(torch.zeros(1, 3)).numpy() == pytest.approx([1 / 3] * 3)
 
 
-class Drifting:
+class Drifting(TorchModel):
     """A model of one number p that predicts p after one step and 4 p after two."""
 
     layout = CarryLayout(1, 0)

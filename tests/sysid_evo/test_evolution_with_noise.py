@@ -11,7 +11,7 @@ from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
-from sysid_evo.evolution.controllers import in_turns, met
+from sysid_evo.evolution.meeting import met
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.tasks import Task
 from sysid_evo.testing import example_dataset
@@ -53,11 +53,11 @@ def test_every_model_is_met_with_noise(models: dict[str, DynamicsRunner]) -> Non
 
 
 def test_models_that_switch_take_turns_in_one_trial(models: dict[str, DynamicsRunner]) -> None:
-    (runner,) = in_turns(models, settings("envelope(switching=10)")).values()
+    (runner,) = met(models, settings("envelope(switching=10)")).values()
     assert isinstance(runner, DynamicsRunner)
     assert isinstance(runner.dynamics, Switching)
     assert runner.dynamics.every == 10
-    assert len(in_turns(models, settings(NOISE))) == 2
+    assert len(met(models, settings(NOISE))) == 2
 
 
 def test_what_is_no_model_cannot_be_met_with_noise() -> None:
@@ -80,17 +80,15 @@ def test_noise_is_checked_where_it_is_given() -> None:
         _ = Experiment(noise="fog").evolution
 
 
-def test_candidates_lose_fitness_where_models_are_doubted_but_judges_do_not_doubt(
+def test_candidates_lose_fitness_where_models_are_doubted(
     models: dict[str, DynamicsRunner],
 ) -> None:
     system = next(iter(models.values())).dynamics.system
     plain, cautious = (
-        evolve_controller("x", models, system, settings("", caution), seed=3, judges=models)
+        evolve_controller("x", models, system, settings("", caution), seed=3)
         for caution in ("", "doubt(outside=100, disagreement=50)")
     )
     assert cautious.history[:, 2].min() < -1.0 <= plain.history[:, 2].min()
-    assert cautious.finalists[0].elsewhere is not None
-    assert cautious.finalists[0].elsewhere >= 0.0
     doubted = met(models, settings("envelope(gain=0.1)", "doubt(outside=1, disagreement=2)"))["a"]
     assert isinstance(doubted, Discounted)
     assert doubted.most == 3.0

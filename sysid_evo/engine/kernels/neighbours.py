@@ -68,7 +68,8 @@ def neighbour_predictor(
     most = 0
     for points, values in tables:
         buckets = split(points, np.arange(len(points)))
-        boxes, near, value = _pack(points, values, buckets)
+        sides_first, near, value = packed(points, values, buckets)
+        boxes = sides_first.reshape(sides_first.shape[0], 2, -1, BUCKET).transpose(2, 0, 1, 3)
         listed.append(TABLE.pack(groups=len(boxes), place=place))
         place += boxes.size + near.size + value.size
         most = max(most, len(boxes))
@@ -108,8 +109,8 @@ def split(points: Array, rows: IntArray) -> list[IntArray]:
     return split(points, order[:half]) + split(points, order[half:])
 
 
-def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
-    """Return boxes (groups, sides, 2, 16), points (buckets, sides, 16), values (buckets, 16, n_out).
+def packed(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
+    """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
 
     There are as many buckets as fill groups of 16; those without points stand far away.
     """
@@ -121,7 +122,7 @@ def _pack(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Ar
         boxes[:, 0, number], boxes[:, 1, number] = points[rows].min(axis=0), points[rows].max(axis=0)
         near[number, :, : len(rows)] = points[rows].T
         value[number, : len(rows)] = values[rows]
-    return boxes.reshape(sides, 2, -1, BUCKET).transpose(2, 0, 1, 3), near, value
+    return boxes, near, value
 
 
 def neighbours(x, u, p, y, scratch):

@@ -169,7 +169,7 @@ def test_records_that_do_not_hold_what_they_should_are_refused(kind, payload, pa
         rewritten(path.read_bytes() + record(kind, payload) + record(2, b""))
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=4), st.integers(0, 10**6))
 def test_flipped_and_cut_journals_are_a_beginning_of_what_was_told_or_invalid_data(tmp_path, flips, cut):
     path = tmp_path / "run.rcj"

@@ -121,7 +121,7 @@ CHANGES = (
     ),
     Change(
         "a state that is not a number stays one although there is an envelope",
-        "sysid_evo/dynamics.py",
+        "sysid_evo/dynamics/stepping.py",
         "np.maximum(np.fmin(value, most), least, out=value)",
         "np.maximum(np.minimum(value, most), least, out=value)",
         ("tests/sysid_evo/test_dynamics.py",),

@@ -17,6 +17,6 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Caller:
+def call(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Caller:
     """Calls the command line in this process, in the test's own folder."""
-    return Caller(tmp_path, monkeypatch, capsys)
+    return Caller(tmp_path, capsys)

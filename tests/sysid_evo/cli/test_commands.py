@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tests.sysid_evo.cli.calling import run
+from tests.sysid_evo.cli.calling import run, run_here
 
 PLUGIN = '''
 """A family outside the repository: the mean acceleration, whatever the state."""
@@ -46,9 +46,9 @@ def test_compare_runs_from_recordings_to_a_report_with_a_family_from_outside(log
 
 
 def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None:
-    fitted = run("fit", logs, "--models", "linear,nearest_neighbour", "--out", "mine", cwd=tmp_path)
+    fitted = run_here("fit", logs, "--models", "linear,nearest_neighbour", "--out", "mine", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
-    evolved = run(
+    evolved = run_here(
         "evolve", "--run", "mine", "--against", "linear,nearest_neighbour", "--aggregate", "min",
         "--generations", "1", "--trials", "2", "--runs", "1", cwd=tmp_path,
     )  # fmt: skip
@@ -60,7 +60,7 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
 
 
 def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Path) -> None:
-    evolved = run(
+    evolved = run_here(
         "evolve", "--against", "emulated_car:4", "--generations", "1", "--trials", "2", "--runs", "1", cwd=tmp_path
     )
     assert evolved.returncode == 0, evolved.stderr
@@ -70,7 +70,7 @@ def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Pa
 
 def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(logs: Path, tmp_path: Path) -> None:
     command = ("compare", "--data", logs, "--models", "linear", "--generations", "1", "--out", "out", "--yardstick")
-    done = run(*command, "--robot", "emulated_car", cwd=tmp_path)
+    done = run_here(*command, "--robot", "emulated_car", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "evolve emulated_car" in done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -78,24 +78,24 @@ def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(logs: Path, tmp_pa
 
 
 def test_models_list_names_every_family_as_table_and_as_json(tmp_path: Path) -> None:
-    table, document = run("models", "list", cwd=tmp_path), run("models", "list", "--json", cwd=tmp_path)
+    table, document = run_here("models", "list", cwd=tmp_path), run_here("models", "list", "--json", cwd=tmp_path)
     rows = json.loads(document.stdout)
     assert {"linear", "nearest_neighbour", "parametrised"} <= {row["name"] for row in rows}
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
 
 
 def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path, tmp_path: Path) -> None:
-    family = run("models", "show", "parametrised", cwd=tmp_path)
+    family = run_here("models", "show", "parametrised", cwd=tmp_path)
     assert family.returncode == 0, family.stderr
     assert "generations" in family.stdout
     assert "thrust" in family.stdout
-    fitted = run("fit", logs, "--models", "linear", "--out", "mine", cwd=tmp_path)
+    fitted = run_here("fit", logs, "--models", "linear", "--out", "mine", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
     (stored,) = (tmp_path / "mine" / "models").glob("linear-*.json")
-    card = json.loads(run("models", "show", stored, "--json", cwd=tmp_path).stdout)
+    card = json.loads(run_here("models", "show", stored, "--json", cwd=tmp_path).stdout)
     assert card["family"] == "linear"
     assert card["timings"]["fit_seconds"] >= 0
     assert card["timings"]["million_steps_per_second"] > 0
     assert card["timings"]["engine"].startswith("compiled")
-    shown = run("models", "show", stored, cwd=tmp_path)
+    shown = run_here("models", "show", stored, cwd=tmp_path)
     assert max(map(len, shown.stdout.splitlines())) <= 80

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluation.transfer import load_measured
-from tests.sysid_evo.cli.calling import run
+from tests.sysid_evo.cli.calling import run_here
 
 UNSEEN = '''
 """A robot that no tracker sees, and one that nothing answers for."""
@@ -55,7 +55,7 @@ def evolved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("evolved")
     (folder / "unseen.py").write_text(UNSEEN)
     (folder / "mine").mkdir()
-    done = run(
+    done = run_here(
         "evolve", "--against", "emulated_car", "--generations", "2", "--trials", "2", "--runs", "1",
         "--estimator-delay", "20", "--run", "mine", cwd=folder,
     )  # fmt: skip
@@ -64,7 +64,7 @@ def evolved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def drive(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return run("drive", "--controller", controller(folder / "mine", "emulated_car"), *arguments, cwd=folder)
+    return run_here("drive", "--controller", controller(folder / "mine", "emulated_car"), *arguments, cwd=folder)
 
 
 def controller(folder: Path, name: str) -> Path:
@@ -111,14 +111,14 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(tmp_path:
     from sysid_evo.testing import example_dataset
 
     data = example_dataset().save(tmp_path / "car")
-    compared = run(
+    compared = run_here(
         "compare", "--data", data, "--test", "episode-2", "--models", "linear,nearest_neighbour",
         "--generations", "1", "--out", "out", cwd=tmp_path,
     )  # fmt: skip
     assert compared.returncode == 0, compared.stderr
     before = json.loads((tmp_path / "out" / "report.json").read_text())
     evolved = controller(tmp_path / "out", "linear")
-    done = run("drive", "--controller", evolved, "--robot", "emulated_car", "--trials", "3", cwd=tmp_path)
+    done = run_here("drive", "--controller", evolved, "--robot", "emulated_car", "--trials", "3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Report:" in done.stdout
     after = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -137,23 +137,23 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(tmp_path:
 
 
 def test_robots_are_listed_as_table_and_as_json(evolved: Path) -> None:
-    listed = run("robots", "list", "--plugin", "unseen.py", cwd=evolved)
+    listed = run_here("robots", "list", "--plugin", "unseen.py", cwd=evolved)
     assert "emulated_car" in listed.stdout
     assert "A car that is not there." in listed.stdout
-    rows = json.loads(run("robots", "list", "--json", cwd=evolved).stdout)
+    rows = json.loads(run_here("robots", "list", "--json", cwd=evolved).stdout)
     assert {"emulated_car"} <= {row["name"] for row in rows}
 
 
 def test_check_says_in_sentences_what_is_right_and_in_its_exit_code_what_is_not(evolved: Path) -> None:
-    right = run("robots", "check", "emulated_car", "--seconds", "1", "--json", cwd=evolved)
+    right = run_here("robots", "check", "emulated_car", "--seconds", "1", "--json", cwd=evolved)
     assert right.returncode == 0, right.stderr
     findings = {finding["what"]: finding for finding in json.loads(right.stdout)}
     assert list(findings) == ["handshake", "link", "tracker", "loop", "estimate"]
     assert findings["tracker"]["figures"]["rate"] == pytest.approx(200.0)
     assert findings["estimate"]["figures"]["delay"] == pytest.approx(0.02, abs=0.002)
-    unseen = run("robots", "check", "unseen", "--plugin", "unseen.py", cwd=evolved)
+    unseen = run_here("robots", "check", "unseen", "--plugin", "unseen.py", cwd=evolved)
     assert unseen.returncode == 4
     assert "wrong" in unseen.stdout
-    absent = run("robots", "check", "absent", "--plugin", "unseen.py", cwd=evolved)
+    absent = run_here("robots", "check", "absent", "--plugin", "unseen.py", cwd=evolved)
     assert absent.returncode == 4
     assert "nothing on the port" in absent.stdout

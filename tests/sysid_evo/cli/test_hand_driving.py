@@ -32,7 +32,7 @@ from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import run
+from tests.sysid_evo.cli.calling import run_here
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "drive"]
 SECONDS = 3.0
@@ -86,13 +86,13 @@ def test_what_is_driven_becomes_a_data_set_that_inspect_reads(tmp_path: Path) ->
     assert dataset.episodes[0].states[:, 0].max() > 1.0
     assert dataset.episodes[0].states[-1, 2] > 1.0
     assert (tmp_path / "mine" / "journal" / "trial-1.rcj").is_file()
-    inspected = run("inspect", "mine", "--json", cwd=tmp_path)
+    inspected = run_here("inspect", "mine", "--json", cwd=tmp_path)
     assert json.loads(inspected.stdout)["episodes"][0]["name"] == "trial-1"
 
 
 def test_a_model_is_recorded_in_the_same_way(tmp_path: Path) -> None:
     data = example_dataset().save(tmp_path / "car")
-    fitted = run("fit", data, "--models", "linear", "--out", "runs/a", cwd=tmp_path)
+    fitted = run_here("fit", data, "--models", "linear", "--out", "runs/a", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
     code, output, errors = drive(
         "--model", "linear", "--out", "felt", cwd=tmp_path, until=lambda _, seconds: seconds > SECONDS
@@ -153,7 +153,7 @@ def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path: Path) -> Non
 def test_what_cannot_be_driven_is_told_in_a_sentence(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "something").write_text("")
-    done = run("drive", *options, cwd=tmp_path)
+    done = run_here("drive", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert said in "".join(done.stderr.split())

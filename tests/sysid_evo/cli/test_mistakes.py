@@ -19,10 +19,10 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.what)
 def test_a_mistake_is_told_before_any_work_and_nothing_is_written(
-    mistake: Mistake, prepared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    mistake: Mistake, prepared: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(prepared.rglob("*"))
-    ended = Caller(prepared, monkeypatch, capsys)(*mistake.arguments)
+    ended = Caller(prepared, capsys)(*mistake.arguments)
     assert ended.says(mistake.said), ended.stderr
     assert ended.code == 2
     assert "Traceback" not in ended.stderr

@@ -14,7 +14,7 @@ from evaluation import compare
 from evaluation.comparison import GivenData
 from sysid_evo.plan import Store, StoredCell
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import Caller, Ended, run
+from tests.sysid_evo.cli.calling import Caller, Ended, run, run_here
 
 BUDGET = ("--generations", "1", "--trials", "1", "--runs", "1", "--strategy", "mu_plus_lambda(parents=2, children=2)")
 SMALL = (*BUDGET, "--task", "point_to_point(horizon=40)", "--only", "prediction")
@@ -71,9 +71,9 @@ def compared(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> Path:
 
 
 @pytest.fixture
-def there(compared: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Caller:
+def there(compared: Path, capsys: pytest.CaptureFixture[str]) -> Caller:
     """Calls the command line in the folder of the finished comparison."""
-    return Caller(compared, monkeypatch, capsys)
+    return Caller(compared, capsys)
 
 
 def test_json_of_a_comparison_is_its_report_and_nothing_else(compared: Path) -> None:
@@ -250,7 +250,7 @@ def half(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> tuple[Path, En
     """A comparison of which one family fails, and how it ended."""
     folder = tmp_path_factory.mktemp("half")
     (folder / "mine.py").write_text(PLUGIN)
-    done = run(
+    done = run_here(
         "compare", "--data", logs, "--plugin", "mine.py", "--models", "linear,never_fits", *SMALL, "--out", "out",
         "--debug", cwd=folder,
     )  # fmt: skip
@@ -277,10 +277,10 @@ def test_the_log_of_a_run_holds_the_traceback_of_every_failure(half: tuple[Path,
 def test_nothing_that_could_be_fitted_is_exit_code_3_too(half: tuple[Path, Ended], logs: Path) -> None:
     folder, _ = half
     command = ("compare", "--data", logs, "--plugin", "mine.py", "--models", "never_fits", *SMALL, "--out", "none")
-    done = run(*command, cwd=folder)
+    done = run_here(*command, cwd=folder)
     assert done.returncode == 3, done.stderr
     assert "no model could be fitted" in " ".join(done.stderr.split())
-    fitted = run(
+    fitted = run_here(
         "fit", logs, "--plugin", "mine.py", "--models", "linear,never_fits", "--json", "--out", "f", cwd=folder
     )
     assert fitted.returncode == 3, fitted.stderr
@@ -294,7 +294,7 @@ def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_a
 ) -> None:
     folder, _ = half
     command = ("compare", "--robot", "absent", "--plugin", "mine.py", "--models", "linear", *SMALL, "--out", "gone")
-    done = run(*command, "--debug", cwd=folder)
+    done = run_here(*command, "--debug", cwd=folder)
     assert done.returncode == 4, done.stderr
     assert "nothing on the port" in done.stderr
     assert "Traceback" in done.stderr

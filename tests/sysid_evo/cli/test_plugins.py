@@ -14,7 +14,7 @@ from sysid_evo.cli.plugins import app
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.plugin_template import PLUGINS, write_plugin
 from sysid_evo.registry import KINDS
-from tests.sysid_evo.cli.calling import run
+from tests.sysid_evo.cli.calling import run_here
 
 OPTIONS = ["-q", "-p", "no:cacheprovider", "--import-mode=prepend", "-c", os.devnull, "--rootdir", "."]
 
@@ -79,14 +79,14 @@ def test_there_is_a_template_for_every_kind_but_that_of_trackers() -> None:
 
 
 def test_new_says_how_to_check_and_overwrites_nothing(tmp_path: Path) -> None:
-    written = run("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
+    written = run_here("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
     assert written.returncode == 0, written.stderr
     command = written.stderr.split("check it with: ")[1].split()
     assert command[:3] == ["sysid-evo", "plugin", "check"]
-    checked = run(*command[1:], cwd=tmp_path)
+    checked = run_here(*command[1:], cwd=tmp_path)
     assert checked.returncode == 0, checked.stdout + checked.stderr
     assert max(map(len, checked.stdout.splitlines())) <= 80
-    again = run("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
+    again = run_here("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
     assert again.returncode == 2
     assert "would be overwritten" in " ".join(again.stderr.split())
 
@@ -97,7 +97,7 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path: Path
     path.write_text(
         path.read_text().replace("return self._regressors(carry", "carry[:] = 0\n        return self._regressors(carry")
     )
-    checked = run("plugin", "check", "my_model", "--plugin", path, cwd=tmp_path)
+    checked = run_here("plugin", "check", "my_model", "--plugin", path, cwd=tmp_path)
     assert checked.returncode == 1
     assert "BROKEN A step changes neither its arguments nor its own later results" in checked.stdout
 
@@ -127,7 +127,7 @@ def test_a_mistake_is_told_before_anything_is_written(
 
 
 def test_a_name_in_use_is_exit_code_2(tmp_path: Path) -> None:
-    done = run("plugin", "new", "linear", cwd=tmp_path)
+    done = run_here("plugin", "new", "linear", cwd=tmp_path)
     assert done.returncode == 2
     assert "model 'linear' is taken by the module model_zoo.linear" in " ".join(done.stderr.split())
 

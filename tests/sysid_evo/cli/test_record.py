@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid_evo.data import Dataset
+from tests.sysid_evo.cli.calling import run_here
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "record"]
 ENVIRONMENT = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}
@@ -40,8 +41,8 @@ def slow_car():
 
 
 def test_recording_leaves_journals_raw_logs_and_a_data_set_and_is_not_overwritten(tmp_path: Path) -> None:
-    arguments = [*COMMAND, "--minutes", "0.4", "--seed", "3", "--out", "car"]
-    done = subprocess.run(arguments, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    arguments = ("record", "--minutes", "0.4", "--seed", "3", "--out", "car")
+    done = run_here(*arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "car"
     dataset = Dataset.load(folder)
@@ -51,7 +52,7 @@ def test_recording_leaves_journals_raw_logs_and_a_data_set_and_is_not_overwritte
         one, other = (next(episode for episode in some.episodes if episode.name == name) for some in (dataset, again))
         assert np.array_equal(one.states, other.states)
         assert np.array_equal(one.controls, other.controls)
-    second = subprocess.run(arguments, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    second = run_here(*arguments, cwd=tmp_path)
     assert second.returncode == 2
     assert "expected a new or an empty folder" in " ".join(second.stderr.split())
     assert "Traceback" not in second.stderr

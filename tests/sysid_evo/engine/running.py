@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
@@ -16,6 +17,8 @@ from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.engine.kernels import Predictor
 
 PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
+EXACT_FIRST = ("float64", pytest.param("float32", marks=pytest.mark.slow))
+"""For functions that are compiled at length: the tighter tolerance always, the other precision with --slow."""
 RTOL: Mapping[str, float] = {"float64": 1e-9, "float32": 2e-4}
 
 

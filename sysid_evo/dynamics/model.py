@@ -1,28 +1,32 @@
-"""The contract of everything that steps: models and emulated robots."""
+"""The contract of model families: what is fitted to recordings and then steps."""
 
 from __future__ import annotations
 
 import functools
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
 from sklearn.base import BaseEstimator, clone
 
-from sysid_evo.arrays import Array, BoolArray, check_shape
+from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics.stepping import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
-from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values
+from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, declare
 from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
     from sysid_evo.data import Dataset
+    from sysid_evo.engine.compiled.dialect import Precision
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.engine.kernels.stepping import Output, Predictor
     from sysid_evo.progress import Progress
     from sysid_evo.system import System
 
@@ -31,54 +35,13 @@ REST_BAND = 0.005
 """Share of the range of the training states, around neutral, that counts as rest."""
 
 
-class Dynamics(ABC):
-    """Anything that steps by one ``system.dt``.
-
-    The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
-    is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
-    numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
-    never drawn inside. What controllers and tasks observe of the state stands in the carry from
-    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
-    counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
-    """
-
-    system: System
-    n_carry: int
-    observed_at: int = 0
-    doubt_at: int | None = None
-    n_lags: int = 0
-    n_noise: int = 0
-    n_draws: int = 0
-
-    @property
-    def envelope(self) -> Array | None:
-        """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
-        return None
-
-    @abstractmethod
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        """Return the carry (B, n_carry) after a history.
-
-        ``states`` (B, n_lags + 1, nx) ends at the present, ``controls`` (B, n_lags, nu) at the
-        sample before it, ``draws`` is (B, n_draws).
-        """
-
-    @abstractmethod
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise).
-
-        Pure: the same arguments give the same result, each row for itself.
-        """
-
-    def kernel(self) -> DynamicsKernel | None:
-        """Return the compiled form of `step`, if it has one."""
-        return None
-
-
+@dataclass_transform(kw_only_default=True, eq_default=False)
 class DynamicsModel(Dynamics, BaseEstimator):
     """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
-    A family writes ``__init__`` (which only stores its arguments), `fit`, and one of
+    A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
+    constructor follows, those of its bases included (one written out, which only stores its arguments, will do
+    as well). It writes `fit` and one of
 
     - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);
     - `next_state`, if it predicts the next state;
@@ -93,7 +56,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
     ``limits`` what numbers they may be (types follow from the constructor's annotations);
-    ``requires`` the optional packages that `fit` imports.
+    ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
+    exact enough.
 
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
@@ -112,6 +76,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
     requires: ClassVar[tuple[str, ...]] = ()
+    precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
@@ -128,6 +93,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
         cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
             cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+        declare(cls)
         if "__init__" in cls.__dict__:
             cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
 
@@ -236,6 +202,22 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score")
         return -simulation_error(self, judging_windows(data, self.n_lags))
+
+    def predictor(self) -> Predictor | None:
+        """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
+        return None
+
+    def kernel(self) -> DynamicsKernel | None:
+        predictor = self.predictor()
+        return None if predictor is None else self.stepping(predictor)
+
+    def stepping(self, predictor: Predictor) -> DynamicsKernel | None:
+        """Return the compiled form of `step` around what is predicted: motion, lags, and rest; None without one."""
+        from sysid_evo.engine.kernels.stepping import stepping_kernel
+
+        output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
+        kernel = stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
+        return None if kernel is None else replace(kernel, precision=self.precision)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return self.lagged(states, controls)
@@ -363,32 +345,6 @@ class DynamicsModel(Dynamics, BaseEstimator):
             for k, carry in enumerate(chained(step, self.start(states, past_controls, draws), controls)):
                 out[:, k] = carry[:, : system.nx]
         return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
-
-
-def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:
-    """Clip the state at the head of ``carry`` to ``envelope``; also return which rows were changed (B,).
-
-    A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
-    """
-    if envelope is None:
-        return carry, np.zeros(len(carry), dtype=bool)
-    low, high = envelope
-    inside = np.ones(len(carry), dtype=bool)
-    for value, least, most in zip(carry.T, low, high, strict=False):
-        inside &= (value >= least) & (value <= most)
-    if inside.all():
-        return carry, ~inside
-    clipped = carry.copy()
-    for value, least, most in zip(clipped.T, low, high, strict=False):
-        np.maximum(np.fmin(value, most), least, out=value)
-    return clipped, ~inside
-
-
-def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:
-    """Return what ``dynamics`` has counted as doubt in the last ``carry``, (B,); 0 where it does not, or diverged."""
-    if dynamics.doubt_at is None:
-        return np.zeros(len(carry))
-    return np.where(diverged, 0.0, carry[:, dynamics.doubt_at])
 
 
 def training_envelope(states: Array, multiple: float) -> Array:

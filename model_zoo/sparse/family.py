@@ -1,0 +1,92 @@
+"""A family whose right-hand side is a polynomial of few terms: what is learned, stepped, compiled and printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from model_zoo.channels.features import Features
+from model_zoo.sparse.polynomial import equation, evaluate
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.kernels import Predictor
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx)."""
+
+    regressors: Array
+    targets: Array
+    measured: Array
+    states: Array
+
+    def __getitem__(self, rows: IntArray) -> Regression:
+        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows])
+
+
+class PolynomialFamily(DynamicsModel):
+    """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
+
+    The polynomial is the next state, or the change of a periodic one; a differential equation says so in its own
+    `regression`, `left_sides`, `next_state` and `predictor`. With periodic states or functions there is no
+    compiled form.
+    """
+
+    def features_of(self, system: System, lags: tuple[int, int]) -> Features:
+        """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
+        return Features(system, lags)
+
+    @property
+    def features(self) -> Features:
+        """What the polynomial sees of (carry, control)."""
+        return self.features_of(self.system, self.lags)
+
+    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
+        """Return what the polynomial is fitted to."""
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        features = self.features_of(dataset.system, lags)
+        seen = features(data.carry, data.control)
+        return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
+
+    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
+        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        used = used if len(used) else np.array([0])
+        self.coefficients_ = np.ascontiguousarray(coefficients[used])
+        self.exponents_ = np.ascontiguousarray(exponents[used])
+        self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
+
+    def polynomial(self, carry: Array, control: Array) -> Array:
+        """Return the right-hand side (B, nx), its features clipped to the training range."""
+        inputs = np.clip(self.features(carry, control), self.low_, self.high_)
+        return evaluate(inputs, self.exponents_) @ self.coefficients_
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return self.features.anchor(carry[:, : self.system.nx]) + self.polynomial(carry, control)
+
+    def predictor(self) -> Predictor | None:
+        from sysid_evo.engine.kernels import polynomial_predictor, within
+
+        if not self.features.plain:
+            return None
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
+        return within(sums, self.low_, self.high_, self.n_carry)
+
+    def left_sides(self) -> list[tuple[str, str]]:
+        """Return the left side of each equation and its unit."""
+        return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in self.system.states]
+
+    def equations(self) -> list[str]:
+        """Return one equation for each state, with the unit of every coefficient in brackets."""
+        features = self.features
+        return [
+            equation(left, unit, self.coefficients_[:, channel], self.exponents_, features.names, features.units)
+            for channel, (left, unit) in enumerate(self.left_sides())
+        ]

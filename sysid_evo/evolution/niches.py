@@ -1,0 +1,287 @@
+"""Islands for different kinds of behaviour, so that a broad basin with a low roof does not take everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.registry import Spec, make_strategy, register_strategy, strategies
+
+ABOVE, BELOW = "above", "below"
+ANYTHING = "anything"
+QUANTILE = 0.8
+LAST = 10
+"""Generations of an island over which its promise is taken."""
+KEPT = 15
+"""Candidates of an island from which its finalist is chosen."""
+USUAL_GENERATIONS = 300
+SURVEY_SHARE = 0.2
+LONGEST_SURVEY = 75
+"""Generations of an island after which its kind of behaviour shows, at the latest."""
+WHOLE_SEARCH = 1000
+"""Generations that one start is given before there is a further one."""
+LAST_SHARE = 0.25
+"""Share of the generations of a kind in which its best start goes on, where there are several."""
+
+
+@dataclass
+class Island:
+    """One search, kept to one side of one channel: ``side`` is +1 above, -1 below, 0 for no such limit.
+
+    ``best`` are the best candidates of its last generation, best first, and ``scores`` what they scored.
+    """
+
+    name: str
+    channel: str
+    side: int
+    strategy: EvolutionStrategy
+    best: Array
+    scores: Array
+    promises: list[float] = field(default_factory=list)
+    behaviour: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def promise(self) -> float:
+        """The 80 % quantile of the fitness of a generation, the mean of the last few; -inf before the first."""
+        return float(np.mean(self.promises[-LAST:])) if self.promises else -np.inf
+
+    def tell(self, population: Array, fitness: Array, behaviour: Array, off: Array) -> None:
+        """Report a generation: fitness (P,), behaviour (P, d), and how far it is ``off`` the niche (P,), 0 inside."""
+        inside = off <= 0.0
+        span = float(fitness.max() - fitness.min()) or 1.0
+        ranked = np.where(inside, fitness, fitness.min() - span * (1.0 + off))
+        order = np.argsort(-ranked, kind="stable")
+        self.best, self.scores = population[order[:KEPT]].copy(), ranked[order[:KEPT]].copy()
+        self.promises.append(float(np.quantile(fitness[inside], QUANTILE)) if inside.any() else -np.inf)
+        self.behaviour = behaviour[order[: max(1, int(inside.sum()) // 2)]].mean(axis=0)
+        self.strategy.tell(population, ranked)
+
+
+@register_strategy("niches")
+class Niches(EvolutionStrategy):
+    """Searches of different kinds of behaviour side by side, each with its share of the budget.
+
+    First a *survey*: one search by ``strategy``, a spec, for each side of each control, kept to candidates
+    whose control is more of the time above its neutral value than below, or the other way round (for a car:
+    forwards, backwards, left, right). A candidate outside the niche of its island ranks below all inside. Of
+    these islands ``slots`` go on: the best, and then the best of those that behave differently from it, so that
+    a kind that climbs slowly is not lost to one that climbs fast. Each of these kinds gets the same share of
+    what is left, in every generation one island of each. Where that is enough for several whole searches, a
+    kind is begun anew ``starts`` times, and its best start goes on at the end. Every start gives a finalist.
+
+    ``channels`` names other channels by which the first niches are told apart, joined by ``+``. Where nobody
+    counts behaviour there is one niche. After niching by clearing (Petrowski 1996), with covariance matrix
+    adaptation in each niche.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_parameters: int,
+        seed: int,
+        strategy: str = "cma_es",
+        slots: int = 2,
+        starts: int | None = None,
+        channels: str = "",
+    ) -> None:
+        if n_parameters < 1 or slots < 1 or (starts is not None and starts < 1):
+            raise InvalidArgument(
+                f"niches: expected n_parameters, starts and slots >= 1, got {n_parameters}, {starts} and {slots}"
+            )
+        strategies.check(strategy)
+        self.n_parameters, self.seed = n_parameters, seed
+        self.spec, self.slots, self.channels = Spec.parse(strategy), slots, channels
+        self._wanted_starts = starts
+        self.generation = 0
+        self._made: list[Island] = []
+        self._kinds: list[int] = []
+        self._asked: list[tuple[int, int]] = []
+
+    @property
+    def islands(self) -> list[Island]:
+        """Every island: those of the survey, then the further starts of each kind."""
+        if not self._made:
+            for number, side in enumerate(self._sides()):
+                self._made.append(self._island(number, *side))
+        return self._made
+
+    @property
+    def going(self) -> list[Island]:
+        """The islands from which the champion may come."""
+        return [
+            self.islands[i] for i in (list(chain.from_iterable(self._starts_of_kinds())) or range(len(self.islands)))
+        ]
+
+    @property
+    def elite(self) -> Array:
+        """The best of the islands that go on, best first."""
+        found = np.concatenate([island.best for island in self.going])
+        scores = np.concatenate([island.scores for island in self.going])
+        return found[np.argsort(-scores, kind="stable")]
+
+    @property
+    def finals(self) -> Mapping[str, Array]:
+        return {island.name: island.best for island in self.going if island.promises}
+
+    @property
+    def status(self) -> str:
+        """What goes on, in a few words."""
+        best = max(self.going, key=lambda island: island.promise)
+        return f"{len(self.going)} niches, best {best.name}"
+
+    @property
+    def state(self) -> StrategyState:
+        found: dict[str, Array | int | float | str] = {
+            "generation": self.generation,
+            "islands": len(self.islands),
+            "kinds": np.array(self._kinds, dtype=np.float64),
+        }
+        for number, island in enumerate(self.islands):
+            own = {
+                "best": island.best.copy(),
+                "scores": island.scores.copy(),
+                "promises": np.array(island.promises[-LAST:], dtype=np.float64),
+                "behaviour": island.behaviour.copy(),
+                **{f"strategy/{name}": value for name, value in island.strategy.state.items()},
+            }
+            found |= {f"{number}/{name}": value for name, value in own.items()}
+        return found
+
+    def restore(self, state: StrategyState) -> None:
+        if not {"generation", "islands", "kinds"} <= set(state):
+            raise InvalidArgument(f"niches: expected a state with generation, islands and kinds, got {sorted(state)}")
+        self._made, self._kinds = [], []
+        surveyed = len(self.islands)
+        kinds = [int(i) for i in check_shape("state: kinds", state["kinds"], (None,))]
+        if any(not 0 <= i < surveyed for i in kinds):
+            raise InvalidArgument(f"niches: expected kinds among {surveyed} islands, got {kinds}")
+        if kinds:
+            self._begin_kinds(kinds)
+        if state["islands"] != len(self.islands):
+            raise InvalidArgument(f"niches: expected a state of {len(self.islands)} islands, got {state['islands']}")
+        for number, island in enumerate(self.islands):
+            own = {name.partition("/")[2]: value for name, value in state.items() if name.startswith(f"{number}/")}
+            if not {"best", "scores", "promises", "behaviour"} <= set(own):
+                raise InvalidArgument(f"niches: the state lacks island {number}")
+            island.best = check_shape("state: best", own.pop("best"), (None, self.n_parameters)).copy()
+            island.scores = check_shape("state: scores", own.pop("scores"), (len(island.best),)).copy()
+            island.promises = check_shape("state: promises", own.pop("promises"), (None,)).tolist()
+            island.behaviour = check_shape("state: behaviour", own.pop("behaviour"), (None,)).copy()
+            island.strategy.restore({name.partition("/")[2]: value for name, value in own.items()})
+        self.generation = int(state["generation"])
+
+    def ask(self) -> Array:
+        turn = self._turn()
+        populations = [self.islands[i].strategy.ask() for i in turn]
+        self._asked = [(i, len(population)) for i, population in zip(turn, populations, strict=True)]
+        return np.concatenate(populations)
+
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        begin = 0
+        for index, count in self._asked:
+            part, island = slice(begin, begin + count), self.islands[index]
+            off = self._off(island, behaviour[part])
+            island.tell(population[part], fitness[part], behaviour[part], off)
+            begin += count
+        self.generation += 1
+        if self.generation == self._survey:
+            self._begin_kinds(self._chosen())
+
+    def _turn(self) -> list[int]:
+        """Return which islands are asked in this generation."""
+        if not self._kinds:
+            count = len(self.islands)
+            first = self.generation * self.slots
+            return sorted({(first + i) % count for i in range(self.slots)})
+        past, begun = self.generation - self._survey, self._starts_of_kinds()
+        number = past // self._life
+        return [
+            starts[number] if number < len(starts) else max(starts, key=lambda i: self.islands[i].promise)
+            for starts in begun
+        ]
+
+    @property
+    def _total(self) -> int:
+        return self.generations or USUAL_GENERATIONS
+
+    @property
+    def _survey(self) -> int:
+        """How many generations the survey takes, all islands together."""
+        count = len(self._sides())
+        turns = -(-count // self.slots)
+        if count <= self.slots:
+            return 1
+        return turns * max(1, min(LONGEST_SURVEY, int(SURVEY_SHARE * self._total) // turns))
+
+    @property
+    def _starts(self) -> int:
+        """How many searches of each kind there are."""
+        return self._wanted_starts or max(1, round((self._total - self._survey) / WHOLE_SEARCH))
+
+    @property
+    def _life(self) -> int:
+        """How many generations a start has before the next one is begun."""
+        left = self._total - self._survey
+        return max(1, left if self._starts == 1 else int((1.0 - LAST_SHARE) * left) // self._starts)
+
+    def _begin_kinds(self, kinds: list[int]) -> None:
+        self._kinds = kinds
+        for kind in kinds:
+            for _ in range(self._starts - 1):
+                first = self.islands[kind]
+                self._made.append(self._island(len(self._made), first.channel, first.side))
+
+    def _starts_of_kinds(self) -> list[list[int]]:
+        """Return the islands of each kind, in the order of their starts."""
+        further, surveyed = self._starts - 1, len(self._sides())
+        return [
+            [kind, *range(surveyed + place * further, surveyed + (place + 1) * further)]
+            for place, kind in enumerate(self._kinds)
+        ]
+
+    def _off(self, island: Island, behaviour: Array) -> Array:
+        """Return how far candidates are on the wrong side (P,), in shares of the time; 0 inside the niche."""
+        if island.side == 0:
+            return np.zeros(len(behaviour))
+        above, below = (behaviour[:, self.behaviour_names.index(f"{island.channel} {side}")] for side in (ABOVE, BELOW))
+        return np.maximum(0.0, -island.side * (above - below))
+
+    def _island(self, number: int, channel: str, side: int) -> Island:
+        seed = int(np.random.SeedSequence(self.seed, spawn_key=(number,)).generate_state(1, np.uint32)[0])
+        strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=seed)
+        niche = ANYTHING if side == 0 else f"{channel} {ABOVE if side > 0 else BELOW}"
+        earlier = sum(island.channel == channel and island.side == side for island in self._made)
+        name = f"{niche} #{earlier + 1}" if earlier else niche
+        elite = strategy.elite
+        return Island(name, channel, side, strategy, elite.copy(), np.full(len(elite), -np.inf))
+
+    def _sides(self) -> list[tuple[str, int]]:
+        """Return the channel and side of each island of the survey, at least one for each slot."""
+        channels = self.channels.split("+") if self.channels else self.control_names
+        counted = [channel for channel in channels if f"{channel} {ABOVE}" in self.behaviour_names]
+        if self.channels and len(counted) < len(channels):
+            there = dict.fromkeys(name.rpartition(" ")[0] for name in self.behaviour_names)
+            raise InvalidArgument(f"niches: channels are {', '.join(there) or 'not counted'}, got {self.channels!r}")
+        sides = [(channel, side) for channel in counted for side in (1, -1)] or [("", 0)]
+        return sides * -(-self.slots // len(sides))
+
+    def _chosen(self) -> list[int]:
+        """Return ``slots`` islands of the survey: the best, then the best of those that behave differently."""
+        order = sorted(range(len(self.islands)), key=lambda i: -self.islands[i].promise)
+        reach = max(self._distance(i, j) for i in order for j in order) / 2.0
+        chosen: list[int] = []
+        for i in order:
+            if all(self._distance(i, j) > reach for j in chosen):
+                chosen.append(i)
+        chosen += [i for i in order if i not in chosen]
+        return chosen[: self.slots]
+
+    def _distance(self, i: int, j: int) -> float:
+        """Return how differently two islands behave: the distance of the means of their better halves."""
+        return float(np.linalg.norm(self.islands[i].behaviour - self.islands[j].behaviour))
