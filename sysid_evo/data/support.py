@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
+from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.errors import InvalidData
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Support:
     limit: float
 
     @classmethod
-    def of(cls, system: System, states: Array, controls: Array, *, moving: Array | None = None) -> Support:
+    def of(cls, system: System, states: Array, controls: Array, *, moving: BoolArray | None = None) -> Support:
         """Build from states (N, nx) and controls (N, nu); ``moving`` (N,) says which rows set scale and limit.
 
         By default all do that differ from every other one. Raises `InvalidData` with fewer than two.

@@ -15,7 +15,7 @@ from sysid_evo.errors import InvalidArgument
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
-CHECKED_EVERY = 5
+CHECKED_EVERY = 10
 """Steps from one look to the next."""
 
 
