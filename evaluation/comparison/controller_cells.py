@@ -19,7 +19,7 @@ from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution, choose, evolve_controller, polish
-from sysid_evo.plan import Cell, Outcome, Work, cell_seed
+from sysid_evo.plan import Cell, Outcome, Work, blocked_by, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
 from sysid_evo.store import load_champion, save_champion
 from sysid_evo.wrappers import cautions, noises
@@ -109,9 +109,11 @@ class ChooseCell(_ControllerFiles):
     """Chooses among the finalists of all ``contenders`` by their median on models of other families.
 
     ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it.
+    What failed among contenders and judges is left out.
     """
 
     kind = "choose"
+    tolerant = True
 
     contenders: tuple[EvolveCell, ...]
     judges: tuple[Column, ...]
@@ -139,19 +141,24 @@ class ChooseCell(_ControllerFiles):
 
     def inputs(self) -> dict[str, Any]:
         return {
-            "contenders": [sorted({member.family for member in one.members}) for one in self.contenders],
-            "judges": [[judge.family, judge.inputs()] for judge in self.judges],
+            "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
+            "judges": [judge.registered for judge in self.judges],
             "trials": self.trials,
             "seed": self.seed,
         }
 
     def compute(self, work: Work) -> Champion:
-        judging = {judge.label: judge.runner(work, delay=0.0) for judge in self.judges}
+        fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
+        judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
         contenders = []
         for contender in self.contenders:
-            own = {member.family for member in contender.members}
-            others = {judge.label: judging[judge.label] for judge in self.judges if judge.family not in own}
-            contenders.append((work.result(contender), others))
+            champion = work.result(contender)
+            if champion is not None:
+                own = {member.registered for member in contender.members}
+                others = {judge.label: judging[judge.label] for judge in fitted if judge.registered not in own}
+                contenders.append((champion, others))
+        if not contenders:
+            raise InvalidData(blocked_by(self.contenders[0]))
         return choose(contenders, seed=cell_seed(self.seed, "choose"), trials=self.trials)
 
     def named(self, value: Champion) -> Champion:
@@ -165,9 +172,13 @@ class ChooseCell(_ControllerFiles):
 
 @dataclass(frozen=True, eq=False)
 class PolishCell(_ControllerFiles):
-    """Polishes the best finalists of ``chosen`` against all of ``members`` at once."""
+    """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
+
+    Members that could not be fitted are left out.
+    """
 
     kind = "polish"
+    tolerant = True
 
     chosen: ChooseCell
     members: tuple[Column, ...]
@@ -204,10 +215,14 @@ class PolishCell(_ControllerFiles):
         }
 
     def compute(self, work: Work) -> Champion:
-        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
+        champion = work.result(self.chosen)
+        if champion is None:
+            raise InvalidData(blocked_by(self.chosen))
+        fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
         return polish(
             self.name,
-            work.result(self.chosen),
+            champion,
             runners,
             self.settings,
             seed=cell_seed(self.seed, "polish"),
@@ -217,7 +232,8 @@ class PolishCell(_ControllerFiles):
         )
 
     def named(self, value: Champion) -> Champion:
-        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+        labels = tuple(member.label for member in self.members)
+        return replace(value, name=self.name, against=labels if len(labels) == len(value.against) else value.against)
 
     def seconds(self) -> float:
         rollouts = self.starts * self.generations * self.settings.trials * len(self.members) * 50

@@ -34,6 +34,7 @@ class Budget(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
+    controller: str = "recurrent(hidden=10)"
     strategy: str = "niches"
     recipe: Recipe = "recommended"
     generations: Positive
@@ -45,7 +46,9 @@ class Budget(BaseModel):
 BUDGETS: dict[str, Budget] = {
     "quick": Budget(generations=300, trials=5, runs=1, polish=60),
     "standard": Budget(generations=1200, trials=5, runs=1),
-    "paper": Budget(generations=300, trials=10, runs=2, strategy="mu_plus_lambda", recipe="plain"),
+    "paper": Budget(
+        generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"
+    ),
 }
 """Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
 
@@ -57,14 +60,13 @@ class Experiment(BaseModel):
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. What is None of ``strategy``, ``recipe``, ``generations``,
-    ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With ``yardstick`` a
-    controller is also evolved on the emulated
-    robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
-    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late,
-    and are evolved with ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet;
-    empty for none.
-    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
+    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With
+    ``yardstick`` a controller is also evolved on the emulated robot itself: what can be achieved there
+    at all. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
+    Controllers know the state ``estimator_delay`` s late, and are evolved with ``noise`` (`RadicalEnvelope`) and
+    ``caution`` (`Doubt`), which their claims do not meet; empty for none. ``data_digest`` is written by the
+    program: the cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -81,7 +83,7 @@ class Experiment(BaseModel):
     preset: Literal["quick", "standard", "paper"] = "quick"
     only: Literal["fit", "prediction"] | None = None
     task: str = "point_to_point"
-    controller: str = "recurrent"
+    controller: str | None = None
     strategy: str | None = None
     recipe: Recipe | None = None
     aggregate: str = "min"
@@ -149,7 +151,7 @@ class Experiment(BaseModel):
             aggregate=self.aggregate,
             selection_trials=self.selection_trials,
             estimator_delay=self.estimator_delay,
-            controller=Spec.parse(self.controller),
+            controller=Spec.parse(budget.controller),
             task=Spec.parse(self.task),
             strategy=Spec.parse(budget.strategy),
             noise=self.noise,

@@ -373,8 +373,13 @@ def controller_cell(experiment: Experiment, members: tuple[Column, ...], *, judg
 
 
 def _chosen(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
-    """Return the choice among the finalists of ``contenders``, where there are models of other families for it."""
-    own = {member.family for cell in contenders for member in cell.members}
-    if len(contenders) == 1 and all(column.family in own for column in judges):
+    """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
+
+    What was evolved on a robot itself is chosen by that robot.
+    """
+    members = [member for cell in contenders for member in cell.members]
+    own = {member.registered for member in members}
+    known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
+    if len(contenders) == 1 and known:
         return contenders[0]
     return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine import Runner
+from sysid_evo.engine import Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.choice import worth
@@ -53,6 +53,11 @@ def polish(
         run_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint32)[0])
         objective = EnsembleObjective(late, controller, task, run_seed, settings.trials, settings.aggregate)
         strategy = CmaEs(n_parameters=controller.n_parameters, seed=run_seed, sigma=sigma, initial=start.parameters)
+        strategy.prepare(
+            behaviour_names=behaviour_names(champion.system),
+            control_names=champion.system.control_names,
+            generations=generations,
+        )
         history = []
         for generation in evolve(strategy, objective, generations):
             history.append(generation.summary)
