@@ -192,6 +192,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
             self.envelope_[:, i] = -np.inf, np.inf
         self.pairs_ = recorded_pairs(dataset)
 
+    def alternatives(self) -> tuple[Dynamics, ...]:
+        """Return models that the data allow as well, such as the members of a mean; none by default."""
+        return ()
+
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.
 

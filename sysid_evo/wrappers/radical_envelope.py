@@ -112,6 +112,8 @@ def disturbed(dynamics: Dynamics, noise: RadicalEnvelope, delay: float = 0.0) ->
 
 
 def one_of_its_members(dynamics: Dynamics) -> Dynamics:
-    """Return ``dynamics`` so that every trial meets one of its ``alternatives()``, if it has several."""
-    alternatives: tuple[Dynamics, ...] = getattr(dynamics, "alternatives", tuple)()
+    """Return ``dynamics`` so that every trial meets one of its `DynamicsModel.alternatives`, if it has several."""
+    from sysid_evo.dynamics import DynamicsModel
+
+    alternatives = dynamics.alternatives() if isinstance(dynamics, DynamicsModel) else ()
     return Switching(alternatives) if len(alternatives) > 1 else dynamics
