@@ -144,6 +144,8 @@ def evolve_controller(
         controller=settings.controller,
         task=settings.task,
         estimator_delay=settings.estimator_delay,
+        noise=settings.noise,
+        caution=settings.caution,
         seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
         system=system,
         finalists=finalists,

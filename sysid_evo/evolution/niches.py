@@ -24,7 +24,7 @@ USUAL_GENERATIONS = 300
 SURVEY_SHARE = 0.2
 LONGEST_SURVEY = 75
 """Generations of an island after which its kind of behaviour shows, at the latest."""
-WHOLE_SEARCH = 1000
+WHOLE_SEARCH = 450
 """Generations that one start is given before there is a further one."""
 LAST_SHARE = 0.25
 """Share of the generations of a kind in which its best start goes on, where there are several."""

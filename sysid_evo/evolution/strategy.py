@@ -74,7 +74,8 @@ class EvolutionStrategy(ABC):
     def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
         """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness.
 
-        ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none.
+        ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none. A
+        strategy that was not told of any is given none.
         """
         population = check_shape("population", population, (None, self.n_parameters))
         fitness = check_shape("fitness", fitness, (len(population),))
@@ -83,5 +84,5 @@ class EvolutionStrategy(ABC):
                 f"tell: expected a fitness for every candidate, got nan for candidate {int(np.isnan(fitness).argmax())}"
             )
         described = (len(population), len(self.behaviour_names))
-        given = np.empty((len(population), 0)) if behaviour is None else behaviour
+        given = np.empty((len(population), 0)) if behaviour is None or not self.behaviour_names else behaviour
         self._update(population, fitness, check_shape("behaviour", given, described))

@@ -37,9 +37,8 @@ STRATEGIES = {
     "plain": ("recurrent", "mu_plus_lambda", 10),
     "CMA-ES, narrow": ("recurrent", "cma_es(sigma=0.5)", 10),
     "CMA-ES, wide": ("recurrent", "cma_es", 10),
-    "niches": ("recurrent", "niches", 10),
-    "niches, ten hidden units": ("recurrent(hidden=10)", "niches", 10),
-    "recommended": ("recurrent(hidden=10)", "niches", 5),
+    "niches, six hidden units": ("recurrent", "niches", 10),
+    "recommended": ("recurrent(hidden=10)", "niches", 10),
 }
 """What is compared: controller, strategy, trials of a candidate in a generation."""
 
