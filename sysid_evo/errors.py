@@ -80,3 +80,11 @@ class PluginWarning(UserWarning):
 
 class DataWarning(UserWarning):
     """Something about a recording that the user should know."""
+
+
+class CheckpointWarning(UserWarning):
+    """A checkpoint was ignored, because it is damaged or belongs to other work."""
+
+
+class EvolutionWarning(UserWarning):
+    """An evolution did not do all that was asked for."""

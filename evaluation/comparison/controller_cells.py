@@ -17,11 +17,11 @@ from evaluation.exploitability import (
 from evaluation.transfer import Cell as MatrixCell
 from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
 from sysid_evo.engine import Runner
-from sysid_evo.errors import InvalidData
-from sysid_evo.evolution import Champion, ControllerEvolution, choose, evolve_controller, polish
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.plan import Cell, Outcome, Work, blocked_by, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
-from sysid_evo.store import load_champion, save_champion
+from sysid_evo.store import CheckpointFile, load_champion, save_champion
 from sysid_evo.wrappers import cautions, noises
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
@@ -52,6 +52,7 @@ class EvolveCell(_ControllerFiles):
     """Evolves one controller against all of ``members`` at once."""
 
     kind = "evolve"
+    resumable = True
 
     members: tuple[Column, ...]
     settings: ControllerEvolution
@@ -84,7 +85,25 @@ class EvolveCell(_ControllerFiles):
             "estimator_delay": settings.estimator_delay,
             "noise": noises.identity(settings.noise) if settings.noise else None,
             "caution": cautions.identity(settings.caution) if settings.caution else None,
+            "schedule": [self._stage(stage) for stage in settings.schedule],
             "seed": self.seed,
+        }
+
+    def _stage(self, stage: Stage) -> dict[str, Any]:
+        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        labels = [member.label for member in self.members]
+        missing = [model for model in stage.models if model not in labels]
+        if missing:
+            raise InvalidArgument(
+                f"schedule: {missing[0]!r} is not among the models of {self.title}. With the recipe 'plain' "
+                "a controller is evolved on all its models at once"
+            )
+        return {
+            "task": None if stage.task is None else tasks.identity(stage.task),
+            "models": sorted(labels.index(model) for model in stage.models),
+            "until": stage.until,
+            "at_most": stage.at_most,
+            "over": stage.over,
         }
 
     def compute(self, work: Work) -> Champion:
@@ -93,7 +112,15 @@ class EvolveCell(_ControllerFiles):
         system = next(iter(dynamics.values())).system
         names = "+".join(member.registered for member in self.members)
         seed = cell_seed(self.seed, f"evolve {names}")
-        return evolve_controller(self.name, runners, system, self.settings, seed=seed, progress=work.progress)
+        return evolve_controller(
+            self.name,
+            runners,
+            system,
+            self.settings,
+            seed=seed,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
 
     def named(self, value: Champion) -> Champion:
         return replace(value, name=self.name, against=tuple(member.label for member in self.members))
@@ -178,6 +205,7 @@ class PolishCell(_ControllerFiles):
     """
 
     kind = "polish"
+    resumable = True
     tolerant = True
 
     chosen: ChooseCell
@@ -228,6 +256,7 @@ class PolishCell(_ControllerFiles):
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
             generations=self.generations,
+            checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
         )
 

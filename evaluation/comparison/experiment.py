@@ -11,7 +11,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution import ControllerEvolution, Stage
 from sysid_evo.files import write_atomically
 from sysid_evo.registry import Spec
 
@@ -61,7 +61,8 @@ class Experiment(BaseModel):
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
-    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
+    holds easier stages that come before the task, see `Stage`. With
     ``yardstick`` a controller is also evolved on the emulated robot itself: what can be achieved there
     at all. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
     Controllers know the state ``estimator_delay`` s late, and are evolved with ``noise`` (`RadicalEnvelope`) and
@@ -89,6 +90,7 @@ class Experiment(BaseModel):
     aggregate: str = "min"
     noise: str = ""
     caution: str = ""
+    schedule: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
@@ -156,6 +158,7 @@ class Experiment(BaseModel):
             strategy=Spec.parse(budget.strategy),
             noise=self.noise,
             caution=self.caution,
+            schedule=Stage.parse_many(self.schedule) if self.schedule else (),
         )
 
 

@@ -154,7 +154,7 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
         return
     session.run = path
     store_experiment(comparison, path)
-    with Bars(path) as bars:
+    with Bars(f"--out {path}") as bars:
         outcomes = execute(comparison.plan, store, observer=bars)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error

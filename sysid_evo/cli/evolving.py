@@ -57,6 +57,10 @@ def evolve(
     trials: Trials = None,
     runs: Runs = None,
     estimator_delay: EstimatorDelay = None,
+    schedule: Annotated[
+        str | None,
+        typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
+    ] = None,
     seed: Seed = None,
     plugin: Plugins = None,
     dry_run: DryRun = False,
@@ -84,6 +88,7 @@ def evolve(
         controller=controller,
         strategy=strategy,
         recipe=recipe,
+        schedule=schedule,
         preset=preset,
         generations=generations,
         trials=trials,
@@ -106,7 +111,7 @@ def evolve(
         print_plan(plan, store, json=json)
         return
     session.run = store.path
-    with Bars(store.path if run is not None else None) as bars:
+    with Bars(f"--run {store.path}") as bars:
         outcomes = execute(plan, store, observer=bars)
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
     file = f"{store.where(champion)}.json"
@@ -156,6 +161,7 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
         if differences:
             raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
     task = evolution.make_task(system)
+    evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
 
 

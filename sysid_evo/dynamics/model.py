@@ -23,6 +23,7 @@ from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values
 from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
+    from sysid_evo.checkpoint import Checkpoint
     from sysid_evo.data import Dataset
     from sysid_evo.engine.compiled.dialect import Precision
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -59,6 +60,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
     exact enough.
 
+    A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
+    there, to the same model.
+
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
@@ -76,11 +80,13 @@ class DynamicsModel(Dynamics, BaseEstimator):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
     requires: ClassVar[tuple[str, ...]] = ()
+    resumable: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
     fit_seconds: float | None = None
+    checkpoint: Checkpoint | None = None
     system_: System
     envelope_: Array
     pairs_: Array

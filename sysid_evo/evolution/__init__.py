@@ -11,6 +11,7 @@ from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.niches import Niches
 from sysid_evo.evolution.polish import polish
+from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
@@ -29,7 +30,9 @@ __all__ = [
     "MuPlusLambda",
     "Niches",
     "Objective",
+    "Schedule",
     "Scores",
+    "Stage",
     "StrategyState",
     "choose",
     "evolve",

@@ -58,6 +58,14 @@ def test_models_that_switch_take_turns_in_one_trial(models: dict[str, DynamicsRu
     assert isinstance(runner.dynamics, Switching)
     assert runner.dynamics.every == 10
     assert len(met(models, settings(NOISE))) == 2
+    system = runner.dynamics.system
+    told: list[str] = []
+    champion = evolve_controller(
+        "x", models, system, settings("envelope(switching=10)"), seed=3, progress=lambda *_, note="": told.append(note)
+    )
+    assert champion.against == ("a", "b")
+    assert champion.noise == "envelope(switching=10)"
+    assert told
 
 
 def test_what_is_no_model_cannot_be_met_with_noise() -> None:
