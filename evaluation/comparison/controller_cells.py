@@ -22,6 +22,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, ev
 from sysid_evo.plan import Cell, Outcome, Work, blocked_by, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
 from sysid_evo.store import CheckpointFile, load_champion, save_champion
+from sysid_evo.wrappers import cautions, noises
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
 RECOMMENDED = "recommended"
@@ -82,6 +83,8 @@ class EvolveCell(_ControllerFiles):
             "runs": settings.runs,
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
             "schedule": [self._stage(stage) for stage in settings.schedule],
             "seed": self.seed,
         }
@@ -232,6 +235,8 @@ class PolishCell(_ControllerFiles):
             "trials": settings.trials,
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
             "generations": self.generations,
             "starts": self.starts,
             "seed": self.seed,

@@ -65,9 +65,9 @@ class Experiment(BaseModel):
     holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
     on the emulated robot itself: what can be achieved there at all; None means where the program records an
     emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
-    prediction errors ("prediction").
-    Controllers know the state ``estimator_delay`` s late. ``data_digest`` is written by the program: the
-    cell of the data, by which a run finds its own again.
+    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -88,6 +88,8 @@ class Experiment(BaseModel):
     strategy: str | None = None
     recipe: Recipe | None = None
     aggregate: str = "min"
+    noise: str = ""
+    caution: str = ""
     schedule: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
@@ -154,6 +156,8 @@ class Experiment(BaseModel):
             controller=Spec.parse(budget.controller),
             task=Spec.parse(self.task),
             strategy=Spec.parse(budget.strategy),
+            noise=self.noise,
+            caution=self.caution,
             schedule=Stage.parse_many(self.schedule) if self.schedule else (),
         )
 

@@ -12,11 +12,13 @@ from sysid_evo.cli.console import out, session
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
+    Caution,
     Controller,
     DryRun,
     EstimatorDelay,
     Generations,
     Json,
+    Noise,
     Plugins,
     Preset,
     Recipe,
@@ -43,6 +45,8 @@ CLAIM_TRIALS = 100
 def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
     aggregate: Aggregate = None,
+    noise: Noise = None,
+    caution: Caution = None,
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
@@ -72,11 +76,14 @@ def evolve(
     from evaluation.comparison import Experiment, RunCell, check_run_folder, controller_cell
     from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
+    from sysid_evo.cli.unrecorded import print_regions, regions_of
     from sysid_evo.plan import Plan, Store, execute
 
     load_plugins(plugin)
     settings = given(
         aggregate=aggregate,
+        noise=noise,
+        caution=caution,
         task=task,
         controller=controller,
         strategy=strategy,
@@ -116,12 +123,16 @@ def evolve(
             if value is not None:
                 unit = value.unit
                 found["claims"][cell.column.label] = {"mean": value.mean, "std": value.std, "trials": value.trials}
+        models = {column.label: dynamics_of(store, column) for column in columns}
+        regions = regions_of(store.outcome(champion).value, models)
         if json:
-            out.print_json(json_format.dumps({**found, "unit": unit}))
+            unrecorded = [region.sentence for region in regions]
+            out.print_json(json_format.dumps({**found, "unit": unit, "record_next": unrecorded}))
         else:
             for label, claim in found["claims"].items():
                 spread = f"{claim['mean']:.1f} ± {claim['std']:.1f} {unit} in {claim['trials']} fresh trials"
                 out.print(f"{label}: {spread}", highlight=False, markup=False)
+            print_regions(champion.name, regions)
             out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
     if failed:
         raise typer.Exit(SOME_FAILED)

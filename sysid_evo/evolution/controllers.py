@@ -15,6 +15,7 @@ from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.meeting import met
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy
@@ -32,7 +33,7 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
-from sysid_evo.wrappers import DelayedEstimate
+from sysid_evo.wrappers import DelayedEstimate, Doubt, RadicalEnvelope, cautions, noises
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -48,6 +49,9 @@ class ControllerEvolution:
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
     see `DelayedEstimate`. The ``schedule`` holds easier stages, or their text, which come before the task in
     every run.
+    ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
+    `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
+    the models that they are evolved in cannot be believed.
     """
 
     generations: int = 300
@@ -60,6 +64,8 @@ class ControllerEvolution:
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
+    noise: str = ""
+    caution: str = ""
 
     def __post_init__(self) -> None:
         for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
@@ -68,6 +74,8 @@ class ControllerEvolution:
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
         aggregates.check(self.aggregate)
+        self.make_noise()
+        self.make_caution()
         schedule: object = self.schedule
         if isinstance(schedule, str):
             object.__setattr__(self, "schedule", Stage.parse_many(schedule))
@@ -100,6 +108,14 @@ class ControllerEvolution:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
         return make_controller(self.controller).bind(len(task.observations), task.system.nu)
 
+    def make_noise(self) -> RadicalEnvelope | None:
+        """Return the noise, None without any."""
+        return noises.make(self.noise) if self.noise else None
+
+    def make_caution(self) -> Doubt | None:
+        """Return what a trial loses where models are doubted, None for nothing."""
+        return cautions.make(self.caution) if self.caution else None
+
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
         """Return the strategy, which searches ``n_parameters`` numbers."""
         return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
@@ -125,14 +141,16 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
+    late = met(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
     models = tuple(late)
     stages = settings.stages(task, models)
 
-    def objective(run: int, of_stage: Task, met: tuple[str, ...]) -> EnsembleObjective:
-        on = tuple(late[label] for label in met)
-        return EnsembleObjective(on, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate)
+    def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
+        disturbed = tuple(late[label] for label in on)
+        return EnsembleObjective(
+            disturbed, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate
+        )
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = settings.make_strategy(controller.n_parameters, run_seed(seed, run))
@@ -141,7 +159,7 @@ def evolve_controller(
             control_names=system.control_names,
             generations=settings.generations,
         )
-        easier = [(stage, objective(run, of_stage, met)) for stage, of_stage, met in stages]
+        easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
         return strategy, Schedule(easier, objective(run, task, models))
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
@@ -152,7 +170,7 @@ def evolve_controller(
         settings.generations,
         begun,
         finals,
-        models=(*(met for _, _, met in stages), models),
+        models=(*(on for _, _, on in stages), models),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
     ).to_the_end(progress)
@@ -168,6 +186,8 @@ def evolve_controller(
         controller=settings.controller,
         task=settings.task,
         estimator_delay=settings.estimator_delay,
+        noise=settings.noise,
+        caution=settings.caution,
         seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
         system=system,
         finalists=finalists,

@@ -16,6 +16,7 @@ from sysid_evo.evolution.choice import worth
 from sysid_evo.evolution.cma_es import CmaEs
 from sysid_evo.evolution.controllers import ControllerEvolution, observed_late, run_seed, selection_seeds
 from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.meeting import met
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.schedule import Schedule
 from sysid_evo.evolution.strategy import EvolutionStrategy
@@ -59,10 +60,10 @@ def polish(
     by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
     assert by_model is not None
     used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
-    met = tuple(late[label] for label in used)
+    believed = tuple(met({label: runners[label] for label in used}, settings).values())
 
     def objective(run: int) -> EnsembleObjective:
-        return EnsembleObjective(met, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
+        return EnsembleObjective(believed, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = CmaEs(
