@@ -74,6 +74,10 @@ class ArtefactError(SysidEvoError, ValueError):
     """A stored file is damaged, of another version, or not what it claims to be."""
 
 
+class Blocked(SysidEvoError, RuntimeError):
+    """A piece of work had nothing to do, because what it needs failed."""
+
+
 class PluginWarning(UserWarning):
     """A plugin was left out of a list because it cannot be loaded."""
 

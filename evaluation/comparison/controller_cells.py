@@ -17,7 +17,7 @@ from evaluation.exploitability import (
 from evaluation.transfer import Cell as MatrixCell
 from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
 from sysid_evo.engine import Runner
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import Blocked, InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.plan import Cell, Outcome, Work, blocked_by, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
@@ -185,7 +185,7 @@ class ChooseCell(_ControllerFiles):
                 others = {judge.label: judging[judge.label] for judge in fitted if judge.registered not in own}
                 contenders.append((champion, others))
         if not contenders:
-            raise InvalidData(blocked_by(self.contenders[0]))
+            raise Blocked(blocked_by(self.contenders[0]))
         return choose(contenders, seed=cell_seed(self.seed, "choose"), trials=self.trials)
 
     def named(self, value: Champion) -> Champion:
@@ -214,6 +214,7 @@ class PolishCell(_ControllerFiles):
     generations: int
     starts: int
     seed: int
+    label: str = RECOMMENDED
 
     @property
     def title(self) -> str:
@@ -221,7 +222,7 @@ class PolishCell(_ControllerFiles):
 
     @property
     def name(self) -> str:
-        return RECOMMENDED
+        return self.label
 
     @property
     def needs(self) -> tuple[Cell, ...]:
@@ -245,7 +246,7 @@ class PolishCell(_ControllerFiles):
     def compute(self, work: Work) -> Champion:
         champion = work.result(self.chosen)
         if champion is None:
-            raise InvalidData(blocked_by(self.chosen))
+            raise Blocked(blocked_by(self.chosen))
         fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
         return polish(

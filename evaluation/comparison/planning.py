@@ -8,6 +8,7 @@ from typing import Any
 
 from evaluation.comparison.columns import Column, emulated
 from evaluation.comparison.controller_cells import (
+    RECOMMENDED,
     ChampionCell,
     ChooseCell,
     EvolveCell,
@@ -15,6 +16,7 @@ from evaluation.comparison.controller_cells import (
     Matrix,
     PolishCell,
     RunCell,
+    ensemble_name,
 )
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
@@ -350,7 +352,7 @@ def _matrix(
     if experiment.budget.recipe == "recommended":
         champions = tuple(_chosen(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
-            champions += (controller_cell(experiment, models, judges=models),)
+            champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED),)
     runs = tuple(
         RunCell(
             champion,
@@ -366,11 +368,14 @@ def _matrix(
     return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
 
 
-def controller_cell(experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...]) -> ChampionCell:
+def controller_cell(
+    experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...], label: str | None = None
+) -> ChampionCell:
     """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
 
     By the recommended one each member is searched alone, the best are chosen by their median on those of
-    ``judges`` that are models of other families, and polished on all members at once.
+    ``judges`` that are models of other families, and polished on all members at once. Such a controller is
+    called ``label``, by default after its members.
     """
     evolution = experiment.evolution
     if experiment.budget.recipe == "plain":
@@ -380,7 +385,8 @@ def controller_cell(experiment: Experiment, members: tuple[Column, ...], *, judg
     if len(members) == 1:
         return _chosen(experiment, singles, models)
     chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
-    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed)
+    name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name)
 
 
 def _chosen(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:

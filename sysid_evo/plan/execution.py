@@ -8,7 +8,7 @@ from collections.abc import Collection
 from functools import partial
 from typing import Any, Protocol
 
-from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
+from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
@@ -116,6 +116,9 @@ class _Execution:
         work = Work(self._result, partial(self.observer.progress, cell), self.store.place(cell), checkpoint)
         try:
             value = cell.compute(work)
+        except Blocked as blocked:  # no failure of its own, so that none is stored
+            self._end(cell, str(blocked), 0.0)
+            return
         except Exception as error:  # whatever a plugin does, the other cells go on
             self._fail(cell, error, time.perf_counter() - began)
             return
