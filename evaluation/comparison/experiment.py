@@ -62,12 +62,12 @@ class Experiment(BaseModel):
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
     ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
-    holds easier stages that come before the task, see `Stage`. With
-    ``yardstick`` a controller is also evolved on the emulated robot itself: what can be achieved there
-    at all. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
-    Controllers know the state ``estimator_delay`` s late, and are evolved with ``noise`` (`RadicalEnvelope`) and
-    ``caution`` (`Doubt`), which their claims do not meet; empty for none. ``data_digest`` is written by the
-    program: the cell of the data, by which a run finds its own again.
+    holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
+    on the emulated robot itself: what can be achieved there at all; None means where the program records an
+    emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
+    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -99,7 +99,7 @@ class Experiment(BaseModel):
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
     traces: Annotated[int, Field(ge=0)] = 10
-    yardstick: bool = False
+    yardstick: bool | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     plugins: tuple[str, ...] = ()
     data_digest: str | None = None

@@ -127,7 +127,15 @@ def plan_comparison(
     matrix, exploitability = None, None
     if experiment.only is None:
         columns = tuple(Column(label, fit.spec.name, model=fit) for label, fit in fits.items())
-        matrix = _matrix(experiment, evolution, columns, column, ensembles, tuple(measured))
+        matrix = _matrix(
+            experiment,
+            evolution,
+            columns,
+            column,
+            ensembles,
+            tuple(measured),
+            recorded=isinstance(data, RecordedData),
+        )
         exploitability = ExploitCell(matrix, data)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
     if matrix is not None and exploitability is not None:
@@ -327,12 +335,15 @@ def _matrix(
     robot: Column | None,
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[Measured, ...],
+    *,
+    recorded: bool,
 ) -> Matrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Column, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
-    if experiment.yardstick and robot is not None:
+    usual = recorded and experiment.budget.recipe == "recommended"
+    if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
     evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
     champions: tuple[ChampionCell, ...] = evolved

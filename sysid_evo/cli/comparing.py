@@ -73,7 +73,8 @@ def compare(
     runs: Runs = None,
     estimator_delay: EstimatorDelay = None,
     yardstick: Annotated[
-        bool | None, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")
+        bool | None,
+        typer.Option("--yardstick/--no-yardstick", help="Also evolve on the emulated robot itself."),
     ] = None,
     seed: Seed = None,
     folder: Out = None,

@@ -141,11 +141,13 @@ def evolve_controller(
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
+    late = met(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
-    stages = settings.stages(task, tuple(runners))
+    models = tuple(late)
+    stages = settings.stages(task, models)
 
-    def objective(run: int, of_stage: Task, models: tuple[str, ...]) -> EnsembleObjective:
-        disturbed = tuple(met({model: runners[model] for model in models}, settings).values())
+    def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
+        disturbed = tuple(late[label] for label in on)
         return EnsembleObjective(
             disturbed, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate
         )
@@ -157,18 +159,18 @@ def evolve_controller(
             control_names=system.control_names,
             generations=settings.generations,
         )
-        easier = [(stage, objective(run, of_stage, models)) for stage, of_stage, models in stages]
-        return strategy, Schedule(easier, objective(run, task, tuple(runners)))
+        easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
+        return strategy, Schedule(easier, objective(run, task, models))
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        return tuple(_finalists(strategy, objective(run, task, tuple(runners)), run, seeds))
+        return tuple(_finalists(strategy, objective(run, task, models), run, seeds))
 
     ended = Runs(
         settings.runs,
         settings.generations,
         begun,
         finals,
-        models=(*(models for _, _, models in stages), tuple(runners)),
+        models=(*(on for _, _, on in stages), models),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
     ).to_the_end(progress)

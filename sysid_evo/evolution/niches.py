@@ -23,12 +23,12 @@ USUAL_GENERATIONS = 300
 SURVEY_SHARE = 0.2
 LONGEST_SURVEY = 75
 """Generations of an island after which its kind of behaviour shows, at the latest."""
-PATIENCE = 100
+PATIENCE = 150
 """Generations without a rise after which a start is over, and another begins."""
 RISE = 0.01
 """Share of the promise that counts as a rise."""
-UNKNOWN_SPREAD = 0.25
-"""What starts of a kind are taken to differ by while there is only one, as a share of what it reached."""
+ALIKE = 0.03
+"""Share of what was reached within which several starts of a kind are taken to have reached the same."""
 LAST_SHARE = 0.2
 """Share of the generations after the survey in which the best starts go on."""
 
@@ -89,9 +89,8 @@ class Niches(EvolutionStrategy):
     these islands ``slots`` go on, one of each *kind*: the best, and then the best of those that behave
     differently from it, so that a kind that climbs slowly is not lost to one that climbs fast. In every
     generation ``slots`` islands are asked. One that has not risen for long is over, and its slot goes to a new
-    start, of the kind from which most can be hoped: those with fewer starts first, then the highest sum of the
-    best that was reached and of the spread from start to start. At the end the best starts of all go on.
-    Every start gives a finalist.
+    start, of the kind with the fewest starts; not of one whose starts all reached the same, for there nothing
+    more is to be found. At the end the best starts of all go on. Every start gives a finalist.
 
     ``channels`` names other channels by which the first niches are told apart, joined by ``+``. Where nobody
     counts behaviour there is one niche. After niching by clearing (Petrowski 1996), with covariance matrix
@@ -261,9 +260,9 @@ class Niches(EvolutionStrategy):
 
     def _hoped(self) -> int:
         """Return the kind of which a further start promises most."""
-        reached = {kind: [island.peak for island in self.islands if island.kind == kind] for kind in self._chosen}
-        alone = [kind for kind in self._chosen if len(reached[kind]) == 1]
-        return max(alone or self._chosen, key=lambda kind: _hope(reached[kind]))
+        starts = {kind: [island for island in self.islands if island.kind == kind] for kind in self._chosen}
+        open_ones = [kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over])]
+        return min(open_ones or self._chosen, key=lambda kind: (len(starts[kind]), -_best(starts[kind])))
 
     def _off(self, island: Island, behaviour: Array) -> Array:
         """Return how far candidates are on the wrong side (P,), in shares of the time; 0 inside the niche."""
@@ -308,7 +307,10 @@ class Niches(EvolutionStrategy):
         return float(np.linalg.norm(self.islands[i].behaviour - self.islands[j].behaviour))
 
 
-def _hope(reached: list[float]) -> float:
-    """Return the best of several starts and how much they differ; one alone could have gone otherwise by much."""
-    spread = float(np.std(reached, ddof=1)) if len(reached) > 1 else UNKNOWN_SPREAD * abs(reached[0])
-    return max(reached) + spread
+def _best(starts: list[Island]) -> float:
+    return max(island.peak for island in starts)
+
+
+def _known(reached: list[float]) -> bool:
+    """Whether several starts that are over reached the same, so that another one would as well."""
+    return len(reached) > 1 and max(reached) - min(reached) <= ALIKE * abs(max(reached))

@@ -126,6 +126,23 @@ def test_the_stages_of_a_controller_meet_their_own_task_and_models(
     assert ["linear" in note for note in notes] == [False] * 2 + [True] * 4
 
 
+def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(
+    runners: dict[str, DynamicsRunner], recording: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    run = DynamicsRunner.run
+
+    def noted(self: DynamicsRunner, *given: Array, record: bool = False) -> object:
+        asked.append(len(given[1]))
+        return run(self, *given, record=record)
+
+    monkeypatch.setattr(DynamicsRunner, "run", noted)
+    strategy = "mu_plus_lambda(parents=4, children=3, reevaluate=false)"
+    settings = replace(SETTINGS, generations=5, strategy=strategy, schedule=(Stage(at_most=3),))
+    evolve_controller("c", {"linear": runners["linear"]}, recording.system, settings, seed=3)
+    assert asked == [7, 3, 3, 7, 3, 4]  # at last the finalists
+
+
 @pytest.mark.parametrize("after", range(1, 7))
 def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(
     after: int, runners: dict[str, DynamicsRunner], recording: Dataset, tmp_path: Path
