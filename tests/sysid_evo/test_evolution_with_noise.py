@@ -10,7 +10,7 @@ from sysid_evo.arrays import Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution, evolve_controller
+from sysid_evo.evolution import ControllerEvolution, evolve_controller, polish
 from sysid_evo.evolution.meeting import met
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.tasks import Task
@@ -43,6 +43,16 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(
     )
     np.testing.assert_array_equal(first.parameters, again.parameters)
     assert not np.array_equal(first.history, other.history)
+
+
+def test_a_polish_meets_noise_and_caution_too(models: dict[str, DynamicsRunner]) -> None:
+    system = next(iter(models.values())).dynamics.system
+    start = evolve_controller("x", models, system, settings(""), seed=3)
+    plain, doubted = (
+        polish("x", start, models, settings(NOISE, caution), seed=3, generations=1)
+        for caution in ("", "doubt(outside=100)")
+    )
+    assert doubted.history.min() < 0.0 <= plain.history.min()
 
 
 def test_every_model_is_met_with_noise(models: dict[str, DynamicsRunner]) -> None:

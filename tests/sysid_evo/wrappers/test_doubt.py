@@ -112,6 +112,14 @@ def test_little_of_another_recording_lies_outside_the_data_and_all_that_is_elsew
     assert (support.distances(other[:, :3] + [6.0, 0.0, 0.0], other[:, 3:]) > support.limit).all()
 
 
+def test_standing_still_for_half_of_a_recording_does_not_make_its_limit_tighter() -> None:
+    moving = np.linspace(0.0, 10.0, 101)
+    standing = np.concatenate([moving, np.zeros(5000)])
+    between = line(standing).limit * line(standing).scale[0]
+    np.testing.assert_allclose(between, line(moving).limit * line(moving).scale[0])
+    np.testing.assert_allclose(between, 0.1)
+
+
 def test_a_model_keeps_as_many_pairs_as_are_needed_from_the_whole_recording() -> None:
     data = Dataset.from_arrays(LINE, [np.arange(10_001.0)[:, None]], [np.zeros((10_000, 1))])
     pairs = recorded_pairs(data, most=100)

@@ -146,6 +146,26 @@ def test_scale_changes_where_a_state_ends_and_gain_only_how_soon() -> None:
     assert 0.15 < np.log(ends["scale"][1]).std() < 0.25
 
 
+def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_a_state_in_every_step(
+    rng: np.random.Generator,
+) -> None:
+    off_centre = System((Channel("height", "m"),), (Channel("climb", "m", 0.0, 1.0, neutral=0.5),), 0.1)
+    noisy = Perturbed(Climber(off_centre), RadicalEnvelope(effect=0.2), np.ones(1))
+    carry = started(noisy, 500, rng)
+    factor = carry[:, 4]
+    assert 0.17 < np.log(factor).std() < 0.23
+    np.testing.assert_allclose(noisy.step(carry, np.full((500, 1), 0.9))[:, 0], 0.5 + 0.4 * factor)
+    shaken = Perturbed(Climber(LINE), RadicalEnvelope(process=0.5), np.array([4.0]))
+    carry, moved = started(shaken, 500, rng), []
+    for _ in range(200):
+        after = shaken.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
+        moved.append((after - carry)[:, 0])
+        carry = after
+    size = np.std(moved, axis=0)
+    assert size.min() < 0.05
+    assert 1.8 < size.max() < 2.3, "half of 4"
+
+
 def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng: np.random.Generator) -> None:
     noisy = NoisySensors(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), np.array([4.0]))
     carry, shown = started(noisy, 500, rng), []
