@@ -131,7 +131,7 @@ class Restarts(EvolutionStrategy):
         return self._search.ask()
 
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
-        self._search.tell(population, fitness, behaviour)
+        self._search.tell(population, fitness, behaviour, self.by_model)
         order = np.argsort(-fitness, kind="stable")[:KEPT]
         self._now.best, self._now.scores = population[order].copy(), fitness[order].copy()
         self._recent = [*self._recent, float(fitness.max())][-LAST:]

@@ -118,6 +118,17 @@ def test_a_search_that_goes_on_from_a_state_after_a_restart_ends_the_same() -> N
         assert whole.status == second.status
 
 
+def test_the_strategy_inside_is_told_the_behaviour_and_the_fitness_on_each_model() -> None:
+    by_model = np.array([[1.0, 0.0, 0.9, 0.0], [0.0, 1.0, 0.9, 0.0]])
+    strategy = made(strategy="nsga2(population=4)")
+    for _ in range(2):
+        population = strategy.ask()
+        strategy.tell(population, np.zeros(len(population)), by_model=np.tile(by_model, len(population) // 4))
+    kept = strategy.state["strategy/parents"]
+    assert isinstance(kept, np.ndarray)
+    assert not (kept[:, None] == population[[3, 7]]).all(axis=2).any()  # those that are beaten on both models
+
+
 def test_what_makes_no_sense_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="restarts: expected n_parameters, patience, growth >= 1"):
         made(growth=0.5)
