@@ -17,11 +17,12 @@ from evaluation.exploitability import (
 from evaluation.transfer import Cell as MatrixCell
 from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
 from sysid_evo.engine import Runner
-from sysid_evo.errors import InvalidData
-from sysid_evo.evolution import Champion, ControllerEvolution, choose, evolve_controller, polish
+from sysid_evo.errors import Blocked, InvalidArgument, InvalidData
+from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.plan import Cell, Outcome, Work, blocked_by, cell_seed
 from sysid_evo.registry import aggregates, controllers, strategies, tasks
-from sysid_evo.store import load_champion, save_champion
+from sysid_evo.store import CheckpointFile, load_champion, save_champion
+from sysid_evo.wrappers import cautions, noises
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
 RECOMMENDED = "recommended"
@@ -51,6 +52,7 @@ class EvolveCell(_ControllerFiles):
     """Evolves one controller against all of ``members`` at once."""
 
     kind = "evolve"
+    resumable = True
 
     members: tuple[Column, ...]
     settings: ControllerEvolution
@@ -81,7 +83,27 @@ class EvolveCell(_ControllerFiles):
             "runs": settings.runs,
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
+            "schedule": [self._stage(stage) for stage in settings.schedule],
             "seed": self.seed,
+        }
+
+    def _stage(self, stage: Stage) -> dict[str, Any]:
+        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        labels = [member.label for member in self.members]
+        missing = [model for model in stage.models if model not in labels]
+        if missing:
+            raise InvalidArgument(
+                f"schedule: {missing[0]!r} is not among the models of {self.title}. With the recipe 'plain' "
+                "a controller is evolved on all its models at once"
+            )
+        return {
+            "task": None if stage.task is None else tasks.identity(stage.task),
+            "models": sorted(labels.index(model) for model in stage.models),
+            "until": stage.until,
+            "at_most": stage.at_most,
+            "over": stage.over,
         }
 
     def compute(self, work: Work) -> Champion:
@@ -90,7 +112,15 @@ class EvolveCell(_ControllerFiles):
         system = next(iter(dynamics.values())).system
         names = "+".join(member.registered for member in self.members)
         seed = cell_seed(self.seed, f"evolve {names}")
-        return evolve_controller(self.name, runners, system, self.settings, seed=seed, progress=work.progress)
+        return evolve_controller(
+            self.name,
+            runners,
+            system,
+            self.settings,
+            seed=seed,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
 
     def named(self, value: Champion) -> Champion:
         return replace(value, name=self.name, against=tuple(member.label for member in self.members))
@@ -155,7 +185,7 @@ class ChooseCell(_ControllerFiles):
                 others = {judge.label: judging[judge.label] for judge in fitted if judge.registered not in own}
                 contenders.append((champion, others))
         if not contenders:
-            raise InvalidData(blocked_by(self.contenders[0]))
+            raise Blocked(blocked_by(self.contenders[0]))
         return choose(contenders, seed=cell_seed(self.seed, "choose"), trials=self.trials)
 
     def named(self, value: Champion) -> Champion:
@@ -175,6 +205,7 @@ class PolishCell(_ControllerFiles):
     """
 
     kind = "polish"
+    resumable = True
     tolerant = True
 
     chosen: ChooseCell
@@ -183,6 +214,7 @@ class PolishCell(_ControllerFiles):
     generations: int
     starts: int
     seed: int
+    label: str = RECOMMENDED
 
     @property
     def title(self) -> str:
@@ -190,7 +222,7 @@ class PolishCell(_ControllerFiles):
 
     @property
     def name(self) -> str:
-        return RECOMMENDED
+        return self.label
 
     @property
     def needs(self) -> tuple[Cell, ...]:
@@ -204,6 +236,8 @@ class PolishCell(_ControllerFiles):
             "trials": settings.trials,
             "selection_trials": settings.selection_trials,
             "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
             "generations": self.generations,
             "starts": self.starts,
             "seed": self.seed,
@@ -212,7 +246,7 @@ class PolishCell(_ControllerFiles):
     def compute(self, work: Work) -> Champion:
         champion = work.result(self.chosen)
         if champion is None:
-            raise InvalidData(blocked_by(self.chosen))
+            raise Blocked(blocked_by(self.chosen))
         fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
         return polish(
@@ -223,6 +257,7 @@ class PolishCell(_ControllerFiles):
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
             generations=self.generations,
+            checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
         )
 

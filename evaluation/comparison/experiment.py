@@ -11,7 +11,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution import ControllerEvolution, Stage
 from sysid_evo.files import write_atomically
 from sysid_evo.registry import Spec
 
@@ -44,8 +44,8 @@ class Budget(BaseModel):
 
 
 BUDGETS: dict[str, Budget] = {
-    "quick": Budget(generations=300, trials=5, runs=1, polish=60),
-    "standard": Budget(generations=1200, trials=5, runs=1),
+    "quick": Budget(generations=300, trials=10, runs=1, polish=60),
+    "standard": Budget(generations=600, trials=10, runs=1),
     "paper": Budget(
         generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"
     ),
@@ -61,11 +61,13 @@ class Experiment(BaseModel):
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
-    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. With
-    ``yardstick`` a controller is also evolved on the emulated robot itself: what can be achieved there
-    at all. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
-    Controllers know the state ``estimator_delay`` s late. ``data_digest`` is written by the program: the
-    cell of the data, by which a run finds its own again.
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
+    holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
+    on the emulated robot itself: what can be achieved there at all; None means where the program records an
+    emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
+    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -86,6 +88,9 @@ class Experiment(BaseModel):
     strategy: str | None = None
     recipe: Recipe | None = None
     aggregate: str = "min"
+    noise: str = ""
+    caution: str = ""
+    schedule: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
@@ -94,7 +99,7 @@ class Experiment(BaseModel):
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
     traces: Annotated[int, Field(ge=0)] = 10
-    yardstick: bool = False
+    yardstick: bool | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     plugins: tuple[str, ...] = ()
     data_digest: str | None = None
@@ -151,6 +156,9 @@ class Experiment(BaseModel):
             controller=Spec.parse(budget.controller),
             task=Spec.parse(self.task),
             strategy=Spec.parse(budget.strategy),
+            noise=self.noise,
+            caution=self.caution,
+            schedule=Stage.parse_many(self.schedule) if self.schedule else (),
         )
 
 

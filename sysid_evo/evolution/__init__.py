@@ -2,7 +2,7 @@
 
 from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion, Finalist
-from sysid_evo.evolution.choice import choose, judge
+from sysid_evo.evolution.choice import choose, judge, worth
 from sysid_evo.evolution.cma_es import CmaEs
 from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -11,6 +11,7 @@ from sysid_evo.evolution.loop import Generation, Objective, Scores, evolve
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.niches import Niches
 from sysid_evo.evolution.polish import polish
+from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
@@ -29,7 +30,9 @@ __all__ = [
     "MuPlusLambda",
     "Niches",
     "Objective",
+    "Schedule",
     "Scores",
+    "Stage",
     "StrategyState",
     "choose",
     "evolve",
@@ -37,4 +40,5 @@ __all__ = [
     "judge",
     "observed_late",
     "polish",
+    "worth",
 ]

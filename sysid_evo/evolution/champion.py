@@ -39,8 +39,9 @@ class Champion:
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history``
     (G, 3) holds the best, mean and worst fitness of each generation, as evolution saw them, with states
-    observed ``estimator_delay`` s late. ``seed_fitness`` holds the fitness of the champion of each run,
-    from different evolution seeds, on the same fresh trials. The champion is one of the ``finalists``: the
+    observed ``estimator_delay`` s late, and with ``noise`` and ``caution`` (specs, empty for none).
+    ``seed_fitness`` holds the fitness of the champion of each run, from different evolution seeds, on the
+    same fresh trials. The champion is one of the ``finalists``: the
     one with the highest median on the models that ``judges`` names, of families that it was not evolved
     in; without judges the fittest. ``system`` is the one that it was evolved for; None for somebody who
     drives by hand. ``population`` (P, n) holds the last candidates of its run, best first.
@@ -55,6 +56,8 @@ class Champion:
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     estimator_delay: float = 0.0
+    noise: str = ""
+    caution: str = ""
     seed_fitness: tuple[float, ...] = ()
     system: System | None = None
     judges: tuple[str, ...] = ()
@@ -87,6 +90,8 @@ class Champion:
             "controller": self.controller.text,
             "task": self.task.text,
             "estimator_delay": self.estimator_delay,
+            "noise": self.noise,
+            "caution": self.caution,
             "seed_fitness": list(self.seed_fitness),
             "system": None if self.system is None else self.system.to_dict(),
             "judges": list(self.judges),
@@ -121,6 +126,8 @@ class Champion:
             controller=Spec.parse(value["controller"]),
             task=Spec.parse(value["task"]),
             estimator_delay=value["estimator_delay"],
+            noise=value["noise"],
+            caution=value["caution"],
             seed_fitness=tuple(value["seed_fitness"]),
             system=None if system is None else System.from_dict(system),
             judges=tuple(value["judges"]),

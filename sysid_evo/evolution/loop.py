@@ -44,9 +44,14 @@ class Generation:
         return float(self.fitness.max()), float(self.fitness.mean()), float(self.fitness.min())
 
 
-def evolve(strategy: EvolutionStrategy, objective: Objective, generations: int) -> Iterator[Generation]:
-    """Run ``generations`` ask-tell cycles and yield each one."""
-    for index in range(generations):
+def evolve(
+    strategy: EvolutionStrategy, objective: Objective, generations: int, *, start: int = 0
+) -> Iterator[Generation]:
+    """Run ask-tell cycles up to ``generations`` in all, and yield each one.
+
+    A strategy that was restored goes on from the generation ``start``, the number of those it has behind it.
+    """
+    for index in range(start, generations):
         population = strategy.ask()
         scored = objective(population, index)
         scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))

@@ -70,9 +70,14 @@ class MapElites(EvolutionStrategy):
         self._leans, self._times = np.empty((0, 1)), np.empty(0)
         self._cells: IntArray = np.empty((0, 1), dtype=np.int64)
 
+    def forget_fitness(self) -> None:
+        """Forget what the cells scored: all are asked again, some in every generation, before the best are."""
+        self._scores, self._times = np.full(len(self._scores), -LARGEST), np.zeros(len(self._times))
+
     @property
     def elite(self) -> Array:
-        best = self._best_first()[:KEPT]
+        best = self._best_first()
+        best = best[(self._times[best] > 0) | (self._times.max(initial=0.0) == 0)][:KEPT]
         return self._candidates[best].copy() if len(best) else self._centre[None].copy()
 
     @property
@@ -155,7 +160,8 @@ class MapElites(EvolutionStrategy):
         self._cells = np.asarray(self._archive.int_to_grid_index(found["index"][order]), dtype=np.int64)
 
     def _asked_again(self) -> IntArray:
-        return self._best_first()[: self.again]
+        best = self._best_first()
+        return best[np.argsort(self._times[best] > 0, kind="stable")][: self.again]
 
     def _best_first(self) -> IntArray:
         return np.argsort(-self._scores, kind="stable")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 
 import numpy as np
 
@@ -24,10 +23,14 @@ USUAL_GENERATIONS = 300
 SURVEY_SHARE = 0.2
 LONGEST_SURVEY = 75
 """Generations of an island after which its kind of behaviour shows, at the latest."""
-WHOLE_SEARCH = 450
-"""Generations that one start is given before there is a further one."""
-LAST_SHARE = 0.25
-"""Share of the generations of a kind in which its best start goes on, where there are several."""
+PATIENCE = 150
+"""Generations without a rise after which a start is over, and another begins."""
+RISE = 0.01
+"""Share of the promise that counts as a rise."""
+ALIKE = 0.03
+"""Share of what was reached within which several starts of a kind are taken to have reached the same."""
+LAST_SHARE = 0.2
+"""Share of the generations after the survey in which the best starts go on."""
 
 
 @dataclass
@@ -43,13 +46,22 @@ class Island:
     strategy: EvolutionStrategy
     best: Array
     scores: Array
+    kind: int
     promises: list[float] = field(default_factory=list)
+    age: int = 0
+    peak: float = -np.inf
+    peak_age: int = 0
     behaviour: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def promise(self) -> float:
         """The 80 % quantile of the fitness of a generation, the mean of the last few; -inf before the first."""
-        return float(np.mean(self.promises[-LAST:])) if self.promises else -np.inf
+        return float(np.mean(self.promises)) if self.promises else -np.inf
+
+    @property
+    def over(self) -> bool:
+        """Whether it has not risen for so long that another start is worth more."""
+        return self.age - self.peak_age >= PATIENCE
 
     def tell(self, population: Array, fitness: Array, behaviour: Array, off: Array) -> None:
         """Report a generation: fitness (P,), behaviour (P, d), and how far it is ``off`` the niche (P,), 0 inside."""
@@ -58,7 +70,11 @@ class Island:
         ranked = np.where(inside, fitness, fitness.min() - span * (1.0 + off))
         order = np.argsort(-ranked, kind="stable")
         self.best, self.scores = population[order[:KEPT]].copy(), ranked[order[:KEPT]].copy()
-        self.promises.append(float(np.quantile(fitness[inside], QUANTILE)) if inside.any() else -np.inf)
+        promise = float(np.quantile(fitness[inside], QUANTILE)) if inside.any() else -np.inf
+        self.promises = [*self.promises, promise][-LAST:]
+        self.age += 1
+        if self.promise > self.peak + RISE * abs(self.peak) or not np.isfinite(self.peak):
+            self.peak, self.peak_age = self.promise, self.age
         self.behaviour = behaviour[order[: max(1, int(inside.sum()) // 2)]].mean(axis=0)
         self.strategy.tell(population, ranked)
 
@@ -70,14 +86,15 @@ class Niches(EvolutionStrategy):
     First a *survey*: one search by ``strategy``, a spec, for each side of each control, kept to candidates
     whose control is more of the time above its neutral value than below, or the other way round (for a car:
     forwards, backwards, left, right). A candidate outside the niche of its island ranks below all inside. Of
-    these islands ``slots`` go on: the best, and then the best of those that behave differently from it, so that
-    a kind that climbs slowly is not lost to one that climbs fast. Each of these kinds gets the same share of
-    what is left, in every generation one island of each. Where that is enough for several whole searches, a
-    kind is begun anew ``starts`` times, and its best start goes on at the end. Every start gives a finalist.
+    these islands ``slots`` go on, one of each *kind*: the best, and then the best of those that behave
+    differently from it, so that a kind that climbs slowly is not lost to one that climbs fast. In every
+    generation ``slots`` islands are asked. One that has not risen for long is over, and its slot goes to a new
+    start, of the kind with the fewest starts; not of one whose starts all reached the same, for there nothing
+    more is to be found. At the end the best starts of all go on. Every start gives a finalist.
 
     ``channels`` names other channels by which the first niches are told apart, joined by ``+``. Where nobody
     counts behaviour there is one niche. After niching by clearing (Petrowski 1996), with covariance matrix
-    adaptation in each niche.
+    adaptation and restarts (Auger and Hansen 2005) in each niche.
     """
 
     def __init__(
@@ -87,25 +104,22 @@ class Niches(EvolutionStrategy):
         seed: int,
         strategy: str = "cma_es",
         slots: int = 2,
-        starts: int | None = None,
         channels: str = "",
     ) -> None:
-        if n_parameters < 1 or slots < 1 or (starts is not None and starts < 1):
-            raise InvalidArgument(
-                f"niches: expected n_parameters, starts and slots >= 1, got {n_parameters}, {starts} and {slots}"
-            )
+        if n_parameters < 1 or slots < 1:
+            raise InvalidArgument(f"niches: expected n_parameters and slots >= 1, got {n_parameters} and {slots}")
         strategies.check(strategy)
         self.n_parameters, self.seed = n_parameters, seed
         self.spec, self.slots, self.channels = Spec.parse(strategy), slots, channels
-        self._wanted_starts = starts
         self.generation = 0
         self._made: list[Island] = []
-        self._kinds: list[int] = []
+        self._chosen: list[int] = []
+        self._running: list[int] = []
         self._asked: list[tuple[int, int]] = []
 
     @property
     def islands(self) -> list[Island]:
-        """Every island: those of the survey, then the further starts of each kind."""
+        """Every island: those of the survey, then the further starts."""
         if not self._made:
             for number, side in enumerate(self._sides()):
                 self._made.append(self._island(number, *side))
@@ -113,10 +127,8 @@ class Niches(EvolutionStrategy):
 
     @property
     def going(self) -> list[Island]:
-        """The islands from which the champion may come."""
-        return [
-            self.islands[i] for i in (list(chain.from_iterable(self._starts_of_kinds())) or range(len(self.islands)))
-        ]
+        """The islands from which the champion may come: all starts of the kinds that were chosen."""
+        return [island for island in self.islands if island.kind in self._chosen] if self._chosen else self.islands
 
     @property
     def elite(self) -> Array:
@@ -127,7 +139,12 @@ class Niches(EvolutionStrategy):
 
     @property
     def finals(self) -> Mapping[str, Array]:
-        return {island.name: island.best for island in self.going if island.promises}
+        return {island.name: island.best for island in self.going if island.age}
+
+    def forget_fitness(self) -> None:
+        for island in self.islands:
+            island.promises, island.scores = [], np.full(len(island.scores), -np.inf)
+            island.strategy.forget_fitness()
 
     @property
     def status(self) -> str:
@@ -139,42 +156,53 @@ class Niches(EvolutionStrategy):
     def state(self) -> StrategyState:
         found: dict[str, Array | int | float | str] = {
             "generation": self.generation,
-            "islands": len(self.islands),
-            "kinds": np.array(self._kinds, dtype=np.float64),
+            "kinds": np.array([island.kind for island in self.islands], dtype=np.float64),
+            "chosen": np.array(self._chosen, dtype=np.float64),
+            "running": np.array(self._running, dtype=np.float64),
         }
         for number, island in enumerate(self.islands):
             own = {
                 "best": island.best.copy(),
                 "scores": island.scores.copy(),
-                "promises": np.array(island.promises[-LAST:], dtype=np.float64),
+                "promises": np.array(island.promises, dtype=np.float64),
                 "behaviour": island.behaviour.copy(),
+                "age": island.age,
+                "peak": island.peak,
+                "peak_age": island.peak_age,
                 **{f"strategy/{name}": value for name, value in island.strategy.state.items()},
             }
             found |= {f"{number}/{name}": value for name, value in own.items()}
         return found
 
     def restore(self, state: StrategyState) -> None:
-        if not {"generation", "islands", "kinds"} <= set(state):
-            raise InvalidArgument(f"niches: expected a state with generation, islands and kinds, got {sorted(state)}")
-        self._made, self._kinds = [], []
+        if not {"generation", "kinds", "chosen", "running"} <= set(state):
+            raise InvalidArgument(
+                f"niches: expected a state with generation, kinds, chosen, running, got {sorted(state)}"
+            )
+        self._made = []
         surveyed = len(self.islands)
         kinds = [int(i) for i in check_shape("state: kinds", state["kinds"], (None,))]
-        if any(not 0 <= i < surveyed for i in kinds):
-            raise InvalidArgument(f"niches: expected kinds among {surveyed} islands, got {kinds}")
-        if kinds:
-            self._begin_kinds(kinds)
-        if state["islands"] != len(self.islands):
-            raise InvalidArgument(f"niches: expected a state of {len(self.islands)} islands, got {state['islands']}")
+        running, chosen = (
+            [int(i) for i in check_shape(f"state: {name}", state[name], (None,))] for name in ("running", "chosen")
+        )
+        if kinds[:surveyed] != list(range(surveyed)) or any(not 0 <= kind < surveyed for kind in kinds):
+            raise InvalidArgument(f"niches: expected islands that begin with a survey of {surveyed}, got kinds {kinds}")
+        if any(not 0 <= i < len(kinds) for i in (*running, *chosen)):
+            raise InvalidArgument(f"niches: expected some of {len(kinds)} islands to run, got {running} and {chosen}")
+        for kind in kinds[surveyed:]:
+            self._start(kind)
         for number, island in enumerate(self.islands):
             own = {name.partition("/")[2]: value for name, value in state.items() if name.startswith(f"{number}/")}
-            if not {"best", "scores", "promises", "behaviour"} <= set(own):
+            if not {"best", "scores", "promises", "behaviour", "age", "peak", "peak_age"} <= set(own):
                 raise InvalidArgument(f"niches: the state lacks island {number}")
             island.best = check_shape("state: best", own.pop("best"), (None, self.n_parameters)).copy()
             island.scores = check_shape("state: scores", own.pop("scores"), (len(island.best),)).copy()
             island.promises = check_shape("state: promises", own.pop("promises"), (None,)).tolist()
             island.behaviour = check_shape("state: behaviour", own.pop("behaviour"), (None,)).copy()
+            island.age, island.peak_age = int(own.pop("age")), int(own.pop("peak_age"))
+            island.peak = float(own.pop("peak"))
             island.strategy.restore({name.partition("/")[2]: value for name, value in own.items()})
-        self.generation = int(state["generation"])
+        self.generation, self._running, self._chosen = int(state["generation"]), running, chosen
 
     def ask(self) -> Array:
         turn = self._turn()
@@ -191,20 +219,20 @@ class Niches(EvolutionStrategy):
             begin += count
         self.generation += 1
         if self.generation == self._survey:
-            self._begin_kinds(self._chosen())
+            self._chosen = self._choose()
+            self._running = list(self._chosen)
+        elif self.generation == self._end:
+            going = [i for i, island in enumerate(self.islands) if island.kind in self._chosen]
+            self._running = sorted(going, key=lambda i: -self.islands[i].promise)[: self.slots]
+        elif self._survey < self.generation < self._end:
+            self._running = [self._start(self._hoped()) if self.islands[i].over else i for i in self._running]
 
     def _turn(self) -> list[int]:
         """Return which islands are asked in this generation."""
-        if not self._kinds:
-            count = len(self.islands)
-            first = self.generation * self.slots
-            return sorted({(first + i) % count for i in range(self.slots)})
-        past, begun = self.generation - self._survey, self._starts_of_kinds()
-        number = past // self._life
-        return [
-            starts[number] if number < len(starts) else max(starts, key=lambda i: self.islands[i].promise)
-            for starts in begun
-        ]
+        if self._running:
+            return self._running
+        count, first = len(self.islands), self.generation * self.slots
+        return sorted({(first + i) % count for i in range(self.slots)})
 
     @property
     def _total(self) -> int:
@@ -220,30 +248,21 @@ class Niches(EvolutionStrategy):
         return turns * max(1, min(LONGEST_SURVEY, int(SURVEY_SHARE * self._total) // turns))
 
     @property
-    def _starts(self) -> int:
-        """How many searches of each kind there are."""
-        return self._wanted_starts or max(1, round((self._total - self._survey) / WHOLE_SEARCH))
+    def _end(self) -> int:
+        """The generation from which no further start begins."""
+        return self._total - int(LAST_SHARE * (self._total - self._survey))
 
-    @property
-    def _life(self) -> int:
-        """How many generations a start has before the next one is begun."""
-        left = self._total - self._survey
-        return max(1, left if self._starts == 1 else int((1.0 - LAST_SHARE) * left) // self._starts)
+    def _start(self, kind: int) -> int:
+        """Begin a further search of a kind; return its number."""
+        first = self.islands[kind]
+        self._made.append(self._island(len(self._made), first.channel, first.side, kind))
+        return len(self._made) - 1
 
-    def _begin_kinds(self, kinds: list[int]) -> None:
-        self._kinds = kinds
-        for kind in kinds:
-            for _ in range(self._starts - 1):
-                first = self.islands[kind]
-                self._made.append(self._island(len(self._made), first.channel, first.side))
-
-    def _starts_of_kinds(self) -> list[list[int]]:
-        """Return the islands of each kind, in the order of their starts."""
-        further, surveyed = self._starts - 1, len(self._sides())
-        return [
-            [kind, *range(surveyed + place * further, surveyed + (place + 1) * further)]
-            for place, kind in enumerate(self._kinds)
-        ]
+    def _hoped(self) -> int:
+        """Return the kind of which a further start promises most."""
+        starts = {kind: [island for island in self.islands if island.kind == kind] for kind in self._chosen}
+        open_ones = [kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over])]
+        return min(open_ones or self._chosen, key=lambda kind: (len(starts[kind]), -_best(starts[kind])))
 
     def _off(self, island: Island, behaviour: Array) -> Array:
         """Return how far candidates are on the wrong side (P,), in shares of the time; 0 inside the niche."""
@@ -252,14 +271,15 @@ class Niches(EvolutionStrategy):
         above, below = (behaviour[:, self.behaviour_names.index(f"{island.channel} {side}")] for side in (ABOVE, BELOW))
         return np.maximum(0.0, -island.side * (above - below))
 
-    def _island(self, number: int, channel: str, side: int) -> Island:
+    def _island(self, number: int, channel: str, side: int, kind: int | None = None) -> Island:
         seed = int(np.random.SeedSequence(self.seed, spawn_key=(number,)).generate_state(1, np.uint32)[0])
         strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=seed)
         niche = ANYTHING if side == 0 else f"{channel} {ABOVE if side > 0 else BELOW}"
         earlier = sum(island.channel == channel and island.side == side for island in self._made)
         name = f"{niche} #{earlier + 1}" if earlier else niche
         elite = strategy.elite
-        return Island(name, channel, side, strategy, elite.copy(), np.full(len(elite), -np.inf))
+        best, scores = elite.copy(), np.full(len(elite), -np.inf)
+        return Island(name, channel, side, strategy, best, scores, number if kind is None else kind)
 
     def _sides(self) -> list[tuple[str, int]]:
         """Return the channel and side of each island of the survey, at least one for each slot."""
@@ -271,7 +291,7 @@ class Niches(EvolutionStrategy):
         sides = [(channel, side) for channel in counted for side in (1, -1)] or [("", 0)]
         return sides * -(-self.slots // len(sides))
 
-    def _chosen(self) -> list[int]:
+    def _choose(self) -> list[int]:
         """Return ``slots`` islands of the survey: the best, then the best of those that behave differently."""
         order = sorted(range(len(self.islands)), key=lambda i: -self.islands[i].promise)
         reach = max(self._distance(i, j) for i in order for j in order) / 2.0
@@ -285,3 +305,12 @@ class Niches(EvolutionStrategy):
     def _distance(self, i: int, j: int) -> float:
         """Return how differently two islands behave: the distance of the means of their better halves."""
         return float(np.linalg.norm(self.islands[i].behaviour - self.islands[j].behaviour))
+
+
+def _best(starts: list[Island]) -> float:
+    return max(island.peak for island in starts)
+
+
+def _known(reached: list[float]) -> bool:
+    """Whether several starts that are over reached the same, so that another one would as well."""
+    return len(reached) > 1 and max(reached) - min(reached) <= ALIKE * abs(max(reached))

@@ -8,14 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.choice import worth
 from sysid_evo.evolution.cma_es import CmaEs
-from sysid_evo.evolution.controllers import ControllerEvolution, observed_late, selection_seeds
+from sysid_evo.evolution.controllers import ControllerEvolution, observed_late, run_seed, selection_seeds
 from sysid_evo.evolution.ensemble import EnsembleObjective
-from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.meeting import met
+from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.schedule import Schedule
+from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 
 POLISHED = "polished"
@@ -33,6 +37,7 @@ def polish(
     starts: int = 2,
     generations: int = 120,
     sigma: float = 0.1,
+    checkpoint: Checkpoint | None = None,
     progress: Progress | None = None,
 ) -> Champion:
     """Return the fittest of what CMA-ES finds near the ``starts`` best finalists of ``champion`` on all of ``runners``.
@@ -41,7 +46,8 @@ def polish(
     controller. The step is short, ``sigma`` at the start, since the starts are good drivers already: what
     changes is what they owe to the faults of single models. A start that nothing beats stays as it is. Models
     that deny the best start, on which it has less than `CREDIBLE` of its median over all, are left out, so that
-    one bad model does not forbid good driving; ``against`` names those that were used.
+    one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` as for
+    `evolve_controller`.
     """
     if not champion.finalists or champion.system is None:
         raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
@@ -53,38 +59,51 @@ def polish(
     everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
     by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
     assert by_model is not None
-    used = [label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept]
-    met = tuple(late[label] for label in used)
-    histories: list[Array] = []
-    found: list[tuple[Finalist, Array]] = []
-    for number, start in enumerate(chosen):
-        run_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint32)[0])
-        objective = EnsembleObjective(met, controller, task, run_seed, settings.trials, settings.aggregate)
-        strategy = CmaEs(n_parameters=controller.n_parameters, seed=run_seed, sigma=sigma, initial=start.parameters)
-        history = []
-        for generation in evolve(strategy, objective, generations):
-            history.append(generation.summary)
-            if progress is not None:
-                progress(number * generations + generation.index + 1, len(chosen) * generations)
-        candidates = np.concatenate([start.parameters[None], strategy.elite])
-        fitness = objective.on_trials(candidates, seeds).fitness
+    used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
+    believed = tuple(met({label: runners[label] for label in used}, settings).values())
+
+    def objective(run: int) -> EnsembleObjective:
+        return EnsembleObjective(believed, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
+
+    def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
+        strategy = CmaEs(
+            n_parameters=controller.n_parameters,
+            seed=run_seed(seed, run),
+            sigma=sigma,
+            initial=chosen[run].parameters,
+        )
+        return strategy, Schedule((), objective(run))
+
+    def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
+        fitness = objective(run).on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
-        histories.append(np.array(history).reshape(-1, 3))
-        label = f"{POLISHED} {start.niche}".strip()
-        found.append((Finalist(label, number, float(fitness[winner]), candidates[winner]), strategy.elite))
-    best, population = max(found, key=lambda pair: pair[0].fitness)  # of equals the first
+        label = f"{POLISHED} {chosen[run].niche}".strip()
+        return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)
+
+    told = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
+    ended = Runs(
+        len(chosen),
+        generations,
+        begun,
+        finals,
+        models=(used,),
+        checkpoint=checkpoint,
+        identity="" if checkpoint is None else identity(told, runners, controller, task, seed),
+    ).to_the_end(progress)
+    best = max((run.finalists[0] for run in ended), key=lambda one: one.fitness)  # of equals the first
     return replace(
         champion,
         name=name,
         parameters=best.parameters,
-        against=tuple(used),
+        against=used,
         aggregate=settings.aggregate,
         seed=seed,
-        history=histories[best.run],
+        history=ended[best.run].history,
         seed_fitness=(),
         judges=(),
-        finalists=tuple(finalist for finalist, _ in found),
-        population=population,
+        finalists=tuple(run.finalists[0] for run in ended),
+        population=ended[best.run].population,
     )
 
 

@@ -76,6 +76,13 @@ class Restarts(EvolutionStrategy):
         self._recent: list[float] = []
         self._begin(0)
 
+    def forget_fitness(self) -> None:
+        """Forget earlier starts, and what the present one scored; it goes on."""
+        self._search.forget_fitness()
+        self._now.scores = np.full(len(self._now.best), -np.inf)
+        self._ended, self._recent = [], []
+        self._mark, self._waited = -math.inf, 0
+
     def prepare(
         self, *, behaviour_names: tuple[str, ...], control_names: tuple[str, ...], generations: int | None = None
     ) -> None:

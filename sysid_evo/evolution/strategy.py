@@ -9,10 +9,11 @@ from typing import TypeAlias
 import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
+from sysid_evo.checkpoint import State
 from sysid_evo.errors import InvalidArgument
 
-StrategyState: TypeAlias = Mapping[str, Array | int | float | str]
-"""All that changes in a strategy, by name: float64 arrays, numbers and text, which can be stored."""
+StrategyState: TypeAlias = State
+"""All that changes in a strategy."""
 
 
 class EvolutionStrategy(ABC):
@@ -60,6 +61,17 @@ class EvolutionStrategy(ABC):
         By default there is one niche without a name, that of the `elite`.
         """
         return {"": self.elite}
+
+    def forget_fitness(self) -> None:  # noqa: B027  # most have nothing to forget
+        """Forget what candidates scored: from now on the task is another; where they are found still counts.
+
+        Does nothing by default, which is right for a strategy that compares nobody with what it was told before.
+        """
+
+    @property
+    def status(self) -> str:
+        """What to say beside the fitness while it runs, in a few words: how many niches are filled, for example."""
+        return ""
 
     @property
     @abstractmethod

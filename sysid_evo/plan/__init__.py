@@ -4,9 +4,10 @@ from sysid_evo.plan.cell import CONTRACT, Cell, Work
 from sysid_evo.plan.execution import Observer, Silent, execute
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.seeds import cell_seed
-from sysid_evo.plan.store import Outcome, Record, Store, StoredCell, blocked_by
+from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, StoredCell, blocked_by
 
 __all__ = [
+    "CHECKPOINT",
     "CONTRACT",
     "Cell",
     "Observer",

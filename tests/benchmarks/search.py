@@ -39,9 +39,8 @@ STRATEGIES = {
     "CMA-ES, wide": ("recurrent", "cma_es", 10),
     "CMA-ES, restarts": ("recurrent", "restarts", 10),
     "MAP-Elites": ("recurrent", "map_elites", 10),
-    "niches": ("recurrent", "niches", 10),
-    "niches, ten hidden units": ("recurrent(hidden=10)", "niches", 10),
-    "recommended": ("recurrent(hidden=10)", "niches", 5),
+    "niches, six hidden units": ("recurrent", "niches", 10),
+    "recommended": ("recurrent(hidden=10)", "niches", 10),
 }
 """What is compared: controller, strategy, trials of a candidate in a generation."""
 

@@ -88,7 +88,7 @@ def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest() -> Non
     told: list[tuple[int, int]] = []
     better = polish(
         "better", start, {"a": Hill(0.0), "b": Hill(2.0)}, SETTINGS,
-        seed=3, starts=1, generations=60, progress=lambda done, total: told.append((done, total)),
+        seed=3, starts=1, generations=60, progress=lambda done, total, _="": told.append((done, total)),
     )  # fmt: skip
     assert better.parameters[0] == pytest.approx(1.0, abs=0.05)
     assert (better.name, better.against, better.aggregate) == ("better", ("a", "b"), "min")

@@ -208,6 +208,12 @@ def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(
 
 def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
     told: list[tuple[int, int]] = []
+    notes: list[str] = []
+
+    def progress(done: int, total: int, note: str = "") -> None:
+        told.append((done, total))
+        notes.append(note)
+
     settings = ControllerEvolution(
         generations=3,
         trials=2,
@@ -218,9 +224,7 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
         task=Spec.parse("point_to_point(horizon=15)"),
         strategy=Spec.parse("mu_plus_lambda(parents=4, children=4)"),
     )
-    champion = evolve_controller(
-        "both", runners, recording.system, settings, seed=3, progress=lambda done, total: told.append((done, total))
-    )
+    champion = evolve_controller("both", runners, recording.system, settings, seed=3, progress=progress)
     assert champion.name == "both"
     assert champion.against == ("linear", "nearest_neighbour")
     assert (champion.aggregate, champion.seed) == ("mean", 3)
@@ -231,6 +235,10 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
     assert champion.task == Spec("point_to_point", {"horizon": 15})
     assert champion.system == recording.system
     assert told == [(i, 6) for i in range(1, 7)]
+    best, mean, _ = champion.history[0]
+    first = [note for note in notes if note.startswith(f"best {best:.1f}, mean {mean:.1f}; linear ")]
+    assert first
+    assert all("nearest_neighbour" in note and note.endswith(("run 1 of 2", "run 2 of 2")) for note in notes)
 
 
 def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:

@@ -70,6 +70,20 @@ def test_the_best_are_asked_again_and_their_mean_counts() -> None:
     np.testing.assert_array_equal(strategy.ask()[2:], steady)
 
 
+def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_then() -> None:
+    strategy = made(again=1, population=2)
+    population = np.arange(6.0).reshape(2, 3)
+    strategy.tell(population, np.array([90.0, 60.0]), shares((0.9, 0.9), (-0.9, -0.9)))
+    strategy.forget_fitness()
+    for place in (1, 0):  # in the order of the cells
+        asked = strategy.ask()
+        np.testing.assert_array_equal(asked[2], population[place])
+        where = (0.9, 0.9) if place == 0 else (-0.9, -0.9)
+        strategy.tell(asked, np.array([-1.0, -1.0, 4.0 - place]), shares((0.1, 0.1), (0.1, 0.1), where))
+    np.testing.assert_array_equal(strategy.elite[:2], population)
+    assert sorted(strategy.state["scores"].tolist()) == [-1.0, 3.0, 4.0]  # type: ignore[union-attr]
+
+
 def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both() -> None:
     strategy = made(channels="drive")
     for _ in evolve(strategy, trap, 100):

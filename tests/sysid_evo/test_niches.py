@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Niches, Scores, evolve
-from sysid_evo.evolution.niches import Island
+from sysid_evo.evolution.niches import Island, _known
 from sysid_evo.testing import check_strategy
 
 NAMES = ("speed above", "speed below", "drive above", "drive below", "steer above", "steer below")
@@ -29,9 +29,9 @@ def trap(population: Array, _: int = 0) -> Scores:
     return Scores(np.maximum(broad, steep), described(population))
 
 
-def prepared(**arguments: object) -> Niches:
+def prepared(generations: int = 100, **arguments: object) -> Niches:
     strategy = Niches(n_parameters=3, seed=1, **{"strategy": "cma_es(population=20, sigma=2.0)", **arguments})  # type: ignore[arg-type]
-    strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=100)
+    strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=generations)
     return strategy
 
 
@@ -59,7 +59,7 @@ def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on() 
     kept = [island.name for island in strategy.going]
     assert len(kept) == 2
     assert "drive above" in kept  # the slow kind is not lost: the others all went backwards
-    ages = {island.name: len(island.promises) for island in strategy.islands}
+    ages = {island.name: island.age for island in strategy.islands}
     assert set(ages.values()) == {10}  # every island of the survey had the same
 
 
@@ -72,7 +72,7 @@ def test_an_island_ranks_what_leaves_its_niche_below_all_inside() -> None:
         def tell(self, population: Array, fitness: Array) -> None:
             told.append(fitness)
 
-    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1))  # type: ignore[arg-type]
+    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)  # type: ignore[arg-type]
     fitness = np.array([1.0, 9.0, 8.0, -3.0])
     island.tell(np.arange(12.0).reshape(4, 3), fitness, np.zeros((4, 6)), np.array([0.0, 0.1, 0.4, 0.0]))
     assert list(np.argsort(-told[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
@@ -94,18 +94,41 @@ def test_an_empty_niche_promises_nothing() -> None:
     assert "drive below" not in [island.name for island in strategy.going]
 
 
-def test_with_a_long_budget_each_kind_is_begun_anew_and_its_best_start_goes_on() -> None:
-    strategy = prepared(starts=2)
-    for _ in evolve(strategy, trap, 100):
-        pass
-    going = {island.name: len(island.promises) for island in strategy.going}
-    assert len(going) == 4
-    assert {name for name in going if name.endswith("#2")} >= {"drive above #2"}
-    left = 100 - 20  # after the survey: three quarters for two starts, the last quarter for the better one
-    ages = [going[name] - (0 if name.endswith("#2") else 10) for name in going]
-    assert sum(ages) == 2 * left
-    assert sorted(ages) == [30, 30, 50, 50]
-    assert len(strategy.finals) == 4
+def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end() -> None:
+    strategy = prepared(generations=400)
+    for generation in evolve(strategy, trap, 400):
+        if generation.index == 300:
+            begun = {island.name: island.age for island in strategy.going}
+    assert {"drive above", "drive above #2"} <= set(begun)  # the first was at the top long ago
+    asked = {island.name: island.age for island in strategy.going}
+    last = [name for name in asked if asked[name] != begun[name]]
+    assert len(last) <= 4  # those that ran on, and the two that are best at the end
+    assert any(name.startswith("drive above") for name in last)
+    assert set(strategy.finals) == set(asked)
+
+
+def test_a_kind_is_known_when_several_of_its_starts_reached_the_same() -> None:
+    assert not _known([])
+    assert not _known([12.0])
+    assert _known([12.0, 11.7])
+    assert not _known([12.0, 11.5])
+    assert _known([-10.0, -10.2])
+
+
+def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open() -> None:
+    strategy = prepared()
+    strategy.islands  # noqa: B018  # the survey begins
+    strategy._chosen = [0, 1]
+    for kind, peaks in ((0, (5.0, 9.0, 7.0)), (1, (10.0, 10.1))):
+        numbers = [kind, *(strategy._start(kind) for _ in peaks[1:])]
+        for number, peak in zip(numbers, peaks, strict=True):
+            island = strategy.islands[number]
+            island.age, island.peak, island.peak_age = 1000, peak, 100
+    assert strategy._hoped() == 0  # although it has more starts and reached less
+    strategy.islands[1].peak = 12.0  # its two starts differ now
+    assert strategy._hoped() == 1  # fewer starts
+    strategy._start(1)
+    assert strategy._hoped() == 1  # as many, and it reached more
 
 
 def test_other_channels_can_tell_niches_apart() -> None:
@@ -123,22 +146,22 @@ def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot() -> 
 
 def test_a_state_of_another_plan_is_refused() -> None:
     state = dict(prepared().state)
-    with pytest.raises(InvalidArgument, match="expected a state with generation, islands and kinds"):
+    with pytest.raises(InvalidArgument, match="expected a state with generation, kinds, chosen, running"):
         prepared().restore({"generation": 3})
-    with pytest.raises(InvalidArgument, match="expected a state of 2 islands, got 4"):
+    with pytest.raises(InvalidArgument, match="expected islands that begin with a survey of 2, got kinds"):
         prepared(channels="speed").restore(state)
-    with pytest.raises(InvalidArgument, match="expected kinds among 4 islands"):
-        prepared().restore({**state, "kinds": np.array([9.0])})
+    with pytest.raises(InvalidArgument, match="expected some of 4 islands to run"):
+        prepared().restore({**state, "running": np.array([9.0])})
 
 
 def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_ends_the_same() -> None:
-    for before in (3, 20, 47, 81):
-        whole, first, second = prepared(starts=2), prepared(starts=2), prepared(starts=2)
-        for _ in evolve(whole, trap, 95):
+    for before in (3, 20, 150, 330):
+        whole, first, second = (prepared(generations=400) for _ in range(3))
+        for _ in evolve(whole, trap, 340):
             pass
         for _ in evolve(first, trap, before):
             pass
         second.restore(first.state)
-        for _ in evolve(second, trap, 95 - before):
+        for _ in evolve(second, trap, 340 - before):
             pass
         np.testing.assert_array_equal(whole.elite, second.elite)

@@ -87,6 +87,18 @@ def test_of_many_starts_the_best_are_remembered() -> None:
     assert "start 10" not in strategy.finals
 
 
+def test_on_another_task_what_earlier_starts_scored_is_forgotten() -> None:
+    strategy = made(patience=2)
+    while strategy.status.startswith("start 1"):
+        population = strategy.ask()
+        strategy.tell(population, np.full(len(population), 90.0))
+    strategy.forget_fitness()
+    population = strategy.ask()
+    strategy.tell(population, np.linspace(1.0, 0.0, len(population)))
+    assert list(strategy.finals) == ["start 2"]
+    np.testing.assert_array_equal(strategy.elite[0], population[0])
+
+
 def test_no_start_begins_where_too_little_is_left_for_it() -> None:
     strategy = made(patience=5)
     strategy.prepare(behaviour_names=(), control_names=(), generations=9)

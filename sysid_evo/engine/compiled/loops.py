@@ -13,7 +13,7 @@ from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
-    "pose_row", "n_pose", "seen",
+    "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
@@ -25,7 +25,7 @@ def closed_loop(
     theta_of, start, task_start, trial_data, noise_of, envelope, actuation, centre, first, last,
     carry, control, noise, memory, observation, raw, before, task, theta, kept, tally, scratch, controller_scratch,
     trials, dead,
-    fitness, survived, clipped, diverged, final_task, counts, states, controls, poses,
+    fitness, survived, clipped, diverged, final_task, counts, doubts, states, controls, poses,
 ):  # fmt: skip
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
     horizon, nx, nu = sizes[CLOSED.horizon], sizes[CLOSED.nx], sizes[CLOSED.nu]
@@ -126,6 +126,8 @@ def closed_loop(
                     final_task[rollout * n_task + row] = task[row * LANES + lane]
                 for row in range(2 * (nx + nu)):
                     counts[rollout * 2 * (nx + nu) + row] = tally[row * LANES + lane]
+                if sizes[CLOSED.doubt_at] >= 0:
+                    doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
                 if dead[lane] == 0:
                     survived[rollout] = horizon
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.dynamics import Dynamics, clip_state
+from sysid_evo.dynamics import Dynamics, clip_state, doubted
 from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
@@ -155,6 +155,7 @@ def run(
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
         "behaviour": behaviour.shares(counts, survived, diverged).reshape(*grid, -1),
+        "doubt": doubted(dynamics, carry, diverged).reshape(grid),
         "task_state": task_kernel.state(tiled, final),
         "engine": ENGINE,
     }

@@ -174,6 +174,7 @@ def run(
         pose_row=kernels.task.pose_row,
         n_pose=kernels.task.n_pose,
         seen=dynamics.observed_at,
+        doubt_at=-1 if dynamics.doubt_at is None else dynamics.doubt_at,
     )
     functions = {
         "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
@@ -197,7 +198,7 @@ def run(
     shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
-    counts = np.zeros(rollouts * 2 * (system.nx + system.nu), real)
+    counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
     kept = rollouts if record else 0
     tape = {
         "states": np.zeros(max(1, kept * (task.horizon + 1) * system.nx), real),
@@ -206,7 +207,7 @@ def run(
     }
     results = {
         "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final,
-        "counts": counts, **tape,
+        "counts": counts, "doubts": doubts, **tape,
     }  # fmt: skip
     room = {
         "carry": carry.shape[1],
@@ -245,6 +246,7 @@ def run(
         "behaviour": behaviour.shares(counts.reshape(rollouts, -1).astype(np.float64), survived, diverged > 0).reshape(
             *grid, -1
         ),
+        "doubt": np.where(diverged > 0, 0.0, doubts.astype(np.float64)).reshape(grid),
         "task_state": kernels.task.state(began.tile(candidates), final_rows),
         "engine": f"compiled {precision}",
         "trajectories": _trajectories(list(tape.values()), survived, began.pose, task, system, trials)

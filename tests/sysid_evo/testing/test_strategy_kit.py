@@ -116,6 +116,25 @@ class Unstorable(Climber):
         return {**super().state, "random": np.random.default_rng(0)}  # type: ignore[dict-item]  # what is tested
 
 
+class Nostalgic(Climber):
+    """Keeps the best it ever met, whatever the task."""
+
+    best = -np.inf
+
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        if fitness.max() > self.best:
+            super()._update(population, fitness, behaviour)
+            self.best = float(fitness.max())
+
+    @property
+    def state(self) -> StrategyState:
+        return {**super().state, "best": self.best}
+
+    def restore(self, state: StrategyState) -> None:
+        super().restore(state)
+        self.best = float(state["best"])
+
+
 BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (
         SinglePrecision,
@@ -130,6 +149,7 @@ BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (Scaling, kit.a_plateau_is_no_end, "it asks candidates that are not finite"),
     (Forgetful, kit.a_restored_strategy_goes_on, "it goes on otherwise after 4 generations"),
     (Aliasing, kit.a_restored_strategy_goes_on, "a state changes after it was taken"),
+    (Nostalgic, kit.what_is_forgotten_does_not_count, "60 generations later, on another hill, 1 of the elite"),
     (Unstorable, kit.a_restored_strategy_goes_on, "numbers and text, 'random' is a Generator"),
 ]
 
