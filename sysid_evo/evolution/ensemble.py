@@ -42,20 +42,32 @@ class EnsembleObjective:
             )
 
     def __call__(self, population: Array, generation: int) -> Scores:
-        """Return what ``population`` (P, n) scores in ``generation``."""
-        return self.on_trials(population, trial_seeds(self.seed, self.trials, generation=generation))
+        """Return what ``population`` (P, n) scores in ``generation``: what the aggregate has evolution climb.
+
+        On a model that the aggregate does not run in this generation the fitness is nan.
+        """
+        seeds = trial_seeds(self.seed, self.trials, generation=generation)
+        chosen = self._rule.models(len(self.runners), generation)
+        fitness, behaviour = self._run([self.runners[i] for i in chosen], population, seeds)
+        by_model = np.full((len(self.runners), len(population)), np.nan)
+        by_model[chosen] = fitness.mean(axis=2)
+        return Scores(self._rule.in_population(fitness), behaviour, by_model)
 
     def on_trials(self, population: Array, seeds: Seeds) -> Scores:
-        """Return what ``population`` scores in the trials of these seeds; the behaviour is the mean over all.
+        """Return what ``population`` scores on all models in the trials of these seeds: what each candidate claims.
 
-        Raises `ShapeError` if a runner leaves trials out.
+        The behaviour is the mean over all. Raises `ShapeError` if a runner leaves trials out.
         """
+        fitness, behaviour = self._run(self.runners, population, seeds)
+        return Scores(self._rule(fitness), behaviour, fitness.mean(axis=2))
+
+    def _run(self, runners: Sequence[Runner], population: Array, seeds: Seeds) -> tuple[Array, Array]:
+        """Return fitness (M, P, trials) and behaviour (P, d) of ``population`` on ``runners``."""
         shape = (len(population), len(seeds))
-        runs = [runner.run(self.controller, population, self.task, seeds) for runner in self.runners]
+        runs = [runner.run(self.controller, population, self.task, seeds) for runner in runners]
         fitness = np.stack([check_shape("fitness in every trial", run.fitness, shape) for run in runs])
         described = [run.behaviour.mean(axis=1) for run in runs if run.behaviour.shape[:2] == shape]
-        behaviour = np.mean(described, axis=0) if described else np.empty((len(population), 0))
-        return Scores(self._rule(fitness), behaviour, fitness.mean(axis=2))
+        return fitness, np.mean(described, axis=0) if described else np.empty((len(population), 0))
 
     @cached_property
     def _rule(self) -> Aggregate:

@@ -16,7 +16,8 @@ from sysid_evo.evolution.strategy import EvolutionStrategy
 class Scores:
     """What P candidates scored: their fitness (P,), and what is known beside it.
 
-    ``behaviour`` (P, d) holds descriptors, ``by_model`` (M, P) the fitness on each of several models.
+    ``behaviour`` (P, d) holds descriptors, ``by_model`` (M, P) the fitness on each of several models,
+    nan on one that was not run.
     """
 
     fitness: Array
@@ -54,5 +55,5 @@ def evolve(
         population = strategy.ask()
         scored = objective(population, index)
         scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))
-        strategy.tell(population, scores.fitness, scores.behaviour)
+        strategy.tell(population, scores.fitness, scores.behaviour, scores.by_model)
         yield Generation(index, population, scores.fitness, scores.by_model)

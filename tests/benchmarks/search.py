@@ -37,6 +37,8 @@ STRATEGIES = {
     "plain": ("recurrent", "mu_plus_lambda", 10),
     "CMA-ES, narrow": ("recurrent", "cma_es(sigma=0.5)", 10),
     "CMA-ES, wide": ("recurrent", "cma_es", 10),
+    "CMA-ES, restarts": ("recurrent", "restarts", 10),
+    "MAP-Elites": ("recurrent", "map_elites", 10),
     "niches, six hidden units": ("recurrent", "niches", 10),
     "recommended": ("recurrent(hidden=10)", "niches", 10),
 }
@@ -81,7 +83,7 @@ def run(strategy: str, car: int, seed: int, generations: int) -> Run:
         asking += time.process_time() - before
         scores = objective(population, generation)
         before = time.process_time()
-        search.tell(population, scores.fitness, scores.behaviour)
+        search.tell(population, scores.fitness, scores.behaviour, scores.by_model)
         asking += time.process_time() - before
         spent += len(population) * trials
         generation += 1
