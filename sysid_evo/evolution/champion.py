@@ -44,7 +44,8 @@ class Champion:
     same fresh trials. The champion is one of the ``finalists``: the
     one with the highest median on the models that ``judges`` names, of families that it was not evolved
     in; without judges the fittest. ``system`` is the one that it was evolved for; None for somebody who
-    drives by hand. ``population`` (P, n) holds the last candidates of its run, best first.
+    drives by hand. It is ``polished`` if it was chosen among those of single models and then polished on several,
+    see `polish`. ``population`` (P, n) holds the last candidates of its run, best first.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Champion:
     seed_fitness: tuple[float, ...] = ()
     system: System | None = None
     judges: tuple[str, ...] = ()
+    polished: bool = False
     finalists: tuple[Finalist, ...] = ()
     population: Array = field(default_factory=lambda: np.empty((0, 0)))
 
@@ -95,6 +97,7 @@ class Champion:
             "seed_fitness": list(self.seed_fitness),
             "system": None if self.system is None else self.system.to_dict(),
             "judges": list(self.judges),
+            "polished": self.polished,
             "finalists": [finalist.to_dict() for finalist in self.finalists],
         }
 
@@ -131,6 +134,7 @@ class Champion:
             seed_fitness=tuple(value["seed_fitness"]),
             system=None if system is None else System.from_dict(system),
             judges=tuple(value["judges"]),
+            polished=bool(value["polished"]),
             finalists=tuple(
                 Finalist(**finalist, parameters=row) for finalist, row in zip(value["finalists"], found, strict=True)
             ),

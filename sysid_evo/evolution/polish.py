@@ -102,6 +102,7 @@ def polish(
         history=ended[best.run].history,
         seed_fitness=(),
         judges=(),
+        polished=True,
         finalists=tuple(run.finalists[0] for run in ended),
         population=ended[best.run].population,
     )

@@ -68,8 +68,8 @@ CHANGES = (
     Change(
         "the champion is chosen on trials that evolution has met",
         "sysid_evo/evolution/controllers.py",
-        "return trial_seeds(seed, trials, generation=SELECTION)",
-        "return trial_seeds(seed, trials, generation=0)",
+        "    seeds = selection_seeds(seed, settings.selection_trials)\n    models",
+        "    seeds = trial_seeds(run_seed(seed, 0), settings.selection_trials, generation=0)\n    models",
         TEST_EVOLUTION,
     ),
     Change(
