@@ -49,9 +49,9 @@ class MapElites(EvolutionStrategy):
         again: int = 10,
         channels: str = "",
         bins: int = 10,
-        sigma: float = 0.3,
+        sigma: float = 0.1,
         line: float = 0.2,
-        spread: float = 3.0,
+        spread: float = 1.0,
         finalists: int = 6,
         initial: Array | None = None,
     ) -> None:

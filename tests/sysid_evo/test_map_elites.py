@@ -85,7 +85,7 @@ def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_th
 
 
 def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both() -> None:
-    strategy = made(channels="drive")
+    strategy = made(channels="drive", sigma=0.3, spread=3.0)
     for _ in evolve(strategy, trap, 100):
         pass
     assert float(trap(strategy.elite[:1]).fitness[0]) > 9.5
