@@ -36,6 +36,7 @@ class Evolved3(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 150},
         "paper": {"weights": "paper"},
@@ -70,6 +71,7 @@ class Evolved3(DynamicsModel):
             spread=self.spread,
             rng=rng,
             progress=progress,
+            checkpoint=self.checkpoint,
             kernel=self._kernels,
             start=self.lagged,
             history=self.n_lags,

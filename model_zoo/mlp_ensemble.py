@@ -137,6 +137,14 @@ class MlpEnsemble(DynamicsModel):
             return None
         return network_predictor(self.network.members(), self.n_carry, self.system.nu)
 
+    def alternatives(self) -> tuple[MlpEnsemble, ...]:
+        """Return every member by itself, without noise."""
+        return tuple(self._alone(member) for member in range(self.members)) if self.members > 1 else ()
+
+    def _alone(self, member: int) -> MlpEnsemble:
+        own = slice(member, member + 1)
+        return self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
+
     def _deterministic(self, network: Network) -> MlpEnsemble:
         """Return this model without noise and with the members of ``network``."""
         other = self.variant(stochastic=False)
@@ -154,8 +162,7 @@ class MlpEnsemble(DynamicsModel):
         for member in range(self.members):
             still()
             windows = judging_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
-            own = slice(member, member + 1)
-            alone = self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
+            alone = self._alone(member)
             history = windows.past_states, windows.past_controls, windows.controls
             error = windows.states - alone.simulate(*history)
             residuals.append(error[:, 0])

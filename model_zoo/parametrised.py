@@ -47,6 +47,7 @@ class Parametrised(CarFamily):
     """
 
     knowledge = "grey"
+    resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 300},
         "paper": {"weights": "paper"},
@@ -72,6 +73,7 @@ class Parametrised(CarFamily):
             spread=0.2,
             rng=rng,
             progress=progress,
+            checkpoint=self.checkpoint,
             kernel=lambda population: self._kernels(np.abs(population) * scale),
             start=self.lagged,
             history=self.n_lags,

@@ -51,4 +51,16 @@ class SindyBagged(ContinuousSparse):
             fits.append(coefficients)
             errors.append(simulation_error(self, windows))
         best = np.argsort(errors, kind="stable")[: max(1, round(self.kept * self.bags))]
-        self.adopt(data, np.mean([fits[index] for index in best], axis=0), exponents)
+        kept = np.stack([fits[index] for index in best])
+        self.adopt(data, kept.mean(axis=0), exponents)
+        used = np.flatnonzero(np.any(kept.mean(axis=0) != 0, axis=1))
+        self.bags_ = kept[:, used if len(used) else [0]]
+
+    def alternatives(self) -> tuple[SindyBagged, ...]:
+        """Return every fit that was kept, by itself."""
+        found = []
+        for coefficients in self.bags_ if len(self.bags_) > 1 else ():
+            other = self.variant()
+            other.coefficients_ = coefficients.copy()
+            found.append(other)
+        return tuple(found)

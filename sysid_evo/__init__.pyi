@@ -10,6 +10,8 @@ from .evolution import (
     ControllerEvolution,
     EvolutionStrategy,
     MuPlusLambda,
+    Schedule,
+    Stage,
     evolve,
     evolve_controller,
 )
@@ -35,7 +37,7 @@ from .registry import (
     register_strategy,
     register_task,
 )
-from .store import load_champion, load_model, save_champion, save_model
+from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState
 
@@ -43,6 +45,7 @@ __all__ = [
     "Aggregate",
     "Champion",
     "Channel",
+    "CheckpointFile",
     "Controller",
     "ControllerEvolution",
     "Dataset",
@@ -58,7 +61,9 @@ __all__ = [
     "RecurrentNetwork",
     "Rollouts",
     "Runner",
+    "Schedule",
     "Spec",
+    "Stage",
     "System",
     "SysidEvoError",
     "Task",

@@ -74,9 +74,21 @@ class ArtefactError(SysidEvoError, ValueError):
     """A stored file is damaged, of another version, or not what it claims to be."""
 
 
+class Blocked(SysidEvoError, RuntimeError):
+    """A piece of work had nothing to do, because what it needs failed."""
+
+
 class PluginWarning(UserWarning):
     """A plugin was left out of a list because it cannot be loaded."""
 
 
 class DataWarning(UserWarning):
     """Something about a recording that the user should know."""
+
+
+class CheckpointWarning(UserWarning):
+    """A checkpoint was ignored, because it is damaged or belongs to other work."""
+
+
+class EvolutionWarning(UserWarning):
+    """An evolution did not do all that was asked for."""

@@ -53,7 +53,7 @@ def _kept(
     before = dict(vars(self))
     began, told = time.perf_counter(), (0, 1)
 
-    def report(done: int, total: int) -> None:
+    def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
         nonlocal told
         told = done, total
         if progress is not None:

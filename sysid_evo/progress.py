@@ -8,12 +8,12 @@ from typing import Protocol
 
 
 class Progress(Protocol):
-    """Called now and then with the steps done and the steps in all.
+    """Called now and then with the steps done and the steps in all; ``note`` is what else there is to say.
 
     What it raises stops the work, which leaves things as they were before it began.
     """
 
-    def __call__(self, done: int, total: int) -> None: ...
+    def __call__(self, done: int, total: int, note: str = "") -> None: ...
 
 
 class Counter:
@@ -41,4 +41,8 @@ def shown(title: str) -> Iterator[Progress]:
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"))
     with Bars(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
         task = bars.add_task(title, total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+        def update(done: int, total: int, note: str = "") -> None:
+            bars.update(task, completed=done, total=total, description=f"{title}: {note}" if note else title)
+
+        yield update

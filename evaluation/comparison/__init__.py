@@ -6,7 +6,7 @@ from evaluation.comparison.controller_cells import EvolveCell, ExploitCell, Matr
 from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
-from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison, unsettled
+from evaluation.comparison.planning import Comparison, check_experiment, controller_cell, plan_comparison, unsettled
 
 __all__ = [
     "BUDGETS",
@@ -29,6 +29,7 @@ __all__ = [
     "check_experiment",
     "check_run_folder",
     "compare",
+    "controller_cell",
     "emulated",
     "ensemble_name",
     "finished",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution import ControllerEvolution, Stage
 from sysid_evo.files import write_atomically
 from sysid_evo.registry import Spec
 
@@ -21,20 +21,34 @@ DEFAULT_ROBOT = "emulated_car"
 Positive = Annotated[int, Field(ge=1)]
 
 
+Recipe: TypeAlias = Literal["recommended", "plain"]
+"""How a controller comes about: searched in single models, chosen by others and polished on all, or evolved at once."""
+
+
 class Budget(BaseModel):
-    """How long controller evolution may think; see `ControllerEvolution`."""
+    """How controllers are evolved, and how long evolution may think; see `ControllerEvolution`.
+
+    With the ``recipe`` "recommended" controllers are chosen by models of other families, and one more is made
+    of the best of all, by ``polish`` generations against all models at once.
+    """
 
     model_config = ConfigDict(frozen=True)
 
+    controller: str = "recurrent(hidden=10)"
+    strategy: str = "niches"
+    recipe: Recipe = "recommended"
     generations: Positive
     trials: Positive
     runs: Positive
+    polish: Positive = 120
 
 
 BUDGETS: dict[str, Budget] = {
-    "quick": Budget(generations=150, trials=10, runs=1),
-    "standard": Budget(generations=300, trials=10, runs=3),
-    "paper": Budget(generations=300, trials=10, runs=2),
+    "quick": Budget(generations=300, trials=10, runs=1, polish=60),
+    "standard": Budget(generations=600, trials=10, runs=1),
+    "paper": Budget(
+        generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"
+    ),
 }
 """Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
 
@@ -46,10 +60,13 @@ class Experiment(BaseModel):
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
     back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. What is None of ``generations``, ``trials`` and
-    ``runs`` is that of the ``preset``. With ``yardstick`` a controller is also evolved on the emulated
-    robot itself: what can be achieved there at all. ``only`` stops after the models ("fit") or after
-    their prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late.
+    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
+    holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
+    on the emulated robot itself: what can be achieved there at all; None means where the program records an
+    emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
+    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
@@ -67,17 +84,22 @@ class Experiment(BaseModel):
     preset: Literal["quick", "standard", "paper"] = "quick"
     only: Literal["fit", "prediction"] | None = None
     task: str = "point_to_point"
-    controller: str = "recurrent"
-    strategy: str = "mu_plus_lambda"
+    controller: str | None = None
+    strategy: str | None = None
+    recipe: Recipe | None = None
     aggregate: str = "min"
+    noise: str = ""
+    caution: str = ""
+    schedule: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
     runs: Positive | None = None
-    selection_trials: Positive = 50
+    polish: Positive | None = None
+    selection_trials: Positive = 100
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
     traces: Annotated[int, Field(ge=0)] = 10
-    yardstick: bool = False
+    yardstick: bool | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     plugins: tuple[str, ...] = ()
     data_digest: str | None = None
@@ -123,14 +145,20 @@ class Experiment(BaseModel):
     @property
     def evolution(self) -> ControllerEvolution:
         """How controllers are evolved. Raises what the registries say about wrong names and parameters."""
+        budget = self.budget
         return ControllerEvolution(
-            **self.budget.model_dump(),
+            generations=budget.generations,
+            trials=budget.trials,
+            runs=budget.runs,
             aggregate=self.aggregate,
             selection_trials=self.selection_trials,
             estimator_delay=self.estimator_delay,
-            controller=Spec.parse(self.controller),
+            controller=Spec.parse(budget.controller),
             task=Spec.parse(self.task),
-            strategy=Spec.parse(self.strategy),
+            strategy=Spec.parse(budget.strategy),
+            noise=self.noise,
+            caution=self.caution,
+            schedule=Stage.parse_many(self.schedule) if self.schedule else (),
         )
 
 

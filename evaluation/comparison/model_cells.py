@@ -24,7 +24,7 @@ from evaluation.prediction import (
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.plan import Cell, Work, cell_seed
 from sysid_evo.registry import Spec, make_model, models
-from sysid_evo.store import load_model, save_model
+from sysid_evo.store import CheckpointFile, load_model, save_model
 from sysid_evo.store.manifest import Manifest, read_artefact
 
 DIGEST = re.compile(r"-[0-9a-f]{8}$")
@@ -76,7 +76,15 @@ class FitCell(Cell):
     def compute(self, work: Work) -> DynamicsModel:
         training = work.result(self.data).training
         rng = np.random.default_rng(cell_seed(self.seed, f"fit {self.spec.name}"))
-        return make_model(self.spec).fit(training, rng=rng, progress=work.progress)
+        model = make_model(self.spec)
+        model.checkpoint = CheckpointFile(work.checkpoint)
+        model.fit(training, rng=rng, progress=work.progress)
+        model.checkpoint = None
+        return model
+
+    @property
+    def resumable(self) -> bool:  # type: ignore[override]  # that of the family
+        return bool(getattr(models.get(self.spec.name), "resumable", False))
 
     def save(self, value: DynamicsModel, path: Path) -> list[Path]:
         return files_of(save_model(value, path, seed=self.seed, data=self.data.digest))

@@ -31,17 +31,15 @@ def recommended(matrix: TransferMatrix, summary: TransferSummary) -> tuple[str, 
         answers.append("No controller can be judged by models of other families; add a family to choose by.")
     else:
         pick = summary.controller(summary.pick)
-        assert pick.other_families is not None
-        judges = f"{len(pick.judges)} {'model' if len(pick.judges) == 1 else 'models'}"
         answers.append(
-            f"Chosen without the robot: {pick.name}, the highest median on models of other families "
-            f"({pick.other_families.value:.1f} on {judges})"
+            f"Chosen without the robot: {pick.name}, {_why(pick)}"
             + (f"; it achieves {pick.achieved.value:.1f} on the robot." if pick.achieved is not None else ".")
         )
     if matrix.robot is not None:
-        best = summary.best_on.get(matrix.robot)
-        if best is not None and best != summary.pick:
-            answers.append(f"Chosen with the robot: {best}, {matrix.cell(best, matrix.robot).mean:.1f} on it.")
+        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
+        best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
+        if best is not None and best.achieved is not None and best.name != summary.pick:
+            answers.append(f"Chosen with the robot: {best.name}, {best.achieved.value:.1f} on it.")
         answers += [
             f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
             f"({correlation.controllers} controllers)."
@@ -49,6 +47,16 @@ def recommended(matrix: TransferMatrix, summary: TransferSummary) -> tuple[str, 
             if correlation.value is not None
         ]
     return tuple(answers)
+
+
+def _why(pick: ControllerSummary) -> str:
+    """Say by what a controller is chosen without the robot."""
+    if pick.polished:
+        claims = "" if pick.claimed is None else f", which claims {pick.claimed.value:.1f}"
+        return f"the best of all niches on models of other families, polished on {len(pick.against)} models{claims}"
+    assert pick.other_families is not None
+    judges = f"{len(pick.judges)} {'model' if len(pick.judges) == 1 else 'models'}"
+    return f"the highest median on models of other families ({pick.other_families.value:.1f} on {judges})"
 
 
 def unknown(summary: TransferSummary) -> tuple[str, ...]:
@@ -68,7 +76,11 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     )
     if not tested:
         return ("No controller could be run on the robot.",)
-    answers = [f"Most on the robot: {_achieved(tested[0], unit)}."]
+    moved = [c for c in tested if not c.on_robot]
+    answers = [f"Most on the robot: {_achieved(moved[0], unit)}."] if moved else []
+    yardstick = next((c for c in tested if c.on_robot), None)
+    if yardstick is not None:
+        answers.append(f"Evolved on the robot itself: {_achieved(yardstick, unit)}.")
     shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]

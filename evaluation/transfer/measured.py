@@ -44,8 +44,7 @@ class Measured:
         value = {
             "cell": self.cell.to_dict(),
             "champion": self.champion.to_dict(),
-            "parameters": self.champion.parameters.tolist(),
-            "history": self.champion.history.tolist(),
+            "tensors": {name: array.tolist() for name, array in self.champion.tensors.items()},
             "on_robot": self.on_robot,
             "physical": self.physical,
         }
@@ -55,7 +54,7 @@ class Measured:
     def from_json(cls, text: str) -> Measured:
         """Undo `to_json`."""
         value = json.loads(text)
-        champion = Champion.from_dict(value["champion"], value["parameters"], value["history"])
+        champion = Champion.from_dict(value["champion"], value["tensors"])
         return cls(champion, Cell.from_dict(value["cell"]), value["on_robot"], value["physical"])
 
 

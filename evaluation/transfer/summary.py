@@ -21,7 +21,8 @@ class ControllerSummary:
     ``others`` the mean over all other models; ``other_families`` the median over the
     ``judges``, the models of families that it was not evolved against; ``achieved`` that on the
     robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
-    None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run.
+    None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run;
+    ``polished`` as in `Champion`.
     """
 
     name: str
@@ -36,6 +37,7 @@ class ControllerSummary:
     judges: tuple[str, ...]
     on_robot: bool
     seed_fitness: tuple[float, ...] = ()
+    polished: bool = False
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -69,9 +71,10 @@ class RankCorrelation:
 class TransferSummary:
     """All controllers, the one to pick without the robot, and what would have predicted success.
 
-    ``pick`` has the highest median fitness on models of other families; controllers evolved on the
-    robot itself, people, and those that no other family can judge, are left out; all but the last also of
-    the correlations: what the first claim is what they achieve, and people claim nothing.
+    ``pick`` is the controller that was polished, by the recommended recipe. Where there is none it has the highest
+    median fitness on models of other families; controllers evolved on the robot itself, people, and those that
+    no other family can judge, are left out; all but the last also of the correlations: what the first claim is
+    what they achieve, and people claim nothing.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -88,14 +91,14 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
     judged = [c for c in elsewhere if c.other_families is not None]
-    pick = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
+    best = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
     correlations = tuple(
         _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])
         for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))
     )
     return TransferSummary(
         controllers=controllers,
-        pick=None if pick is None else pick.name,
+        pick=next((c.name for c in controllers if c.polished), None if best is None else best.name),
         best_on={column: matrix.best(column) for column in matrix.columns},
         correlations=correlations if matrix.robot is not None else (),
     )
@@ -129,6 +132,7 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
         judges=tuple(column for column in judges if not matrix.cell(name, column).failed),
         on_robot=matrix.robot is not None and matrix.robot in against,
         seed_fitness=tuple(champion.seed_fitness),
+        polished=champion.polished,
     )
 
 

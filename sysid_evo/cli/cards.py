@@ -53,7 +53,7 @@ def model_card(path: Path) -> dict[str, Any]:
         "family": manifest.name,
         "knowledge": model.knowledge,
         "hyper_parameters": manifest.parameters,
-        "numbers": int(sum(tensor.size for tensor in tensors.values())),
+        "numbers": int(sum(tensor.size for name, tensor in tensors.items() if name != "pairs_")),
         "state_lags": state_lags,
         "control_lags": control_lags,
         "states": [f"{c.name} ({c.unit})" for c in model.system.states],

@@ -12,15 +12,18 @@ from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
+    Caution,
     Columns,
     Controller,
     DryRun,
     EstimatorDelay,
     Generations,
     Json,
+    Noise,
     Out,
     Plugins,
     Preset,
+    Recipe,
     Runs,
     Seed,
     Strategy,
@@ -61,13 +64,17 @@ def compare(
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
+    recipe: Recipe = None,
     aggregate: Aggregate = None,
+    noise: Noise = None,
+    caution: Caution = None,
     generations: Generations = None,
     trials: Trials = None,
     runs: Runs = None,
     estimator_delay: EstimatorDelay = None,
     yardstick: Annotated[
-        bool | None, typer.Option("--yardstick", help="Also evolve on the emulated robot itself.")
+        bool | None,
+        typer.Option("--yardstick/--no-yardstick", help="Also evolve on the emulated robot itself."),
     ] = None,
     seed: Seed = None,
     folder: Out = None,
@@ -105,7 +112,10 @@ def compare(
         task=task,
         controller=controller,
         strategy=strategy,
+        recipe=recipe,
         aggregate=aggregate,
+        noise=noise,
+        caution=caution,
         generations=generations,
         trials=trials,
         runs=runs,
@@ -145,7 +155,7 @@ def run_experiment(experiment: Any, folder: Path | None, *, dry_run: bool, json:
         return
     session.run = path
     store_experiment(comparison, path)
-    with Bars(path) as bars:
+    with Bars(f"--out {path}") as bars:
         outcomes = execute(comparison.plan, store, observer=bars)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error

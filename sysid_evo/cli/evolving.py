@@ -12,13 +12,16 @@ from sysid_evo.cli.console import out, session
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
+    Caution,
     Controller,
     DryRun,
     EstimatorDelay,
     Generations,
     Json,
+    Noise,
     Plugins,
     Preset,
+    Recipe,
     Runs,
     Seed,
     Strategy,
@@ -42,15 +45,22 @@ CLAIM_TRIALS = 100
 def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
     aggregate: Aggregate = None,
+    noise: Noise = None,
+    caution: Caution = None,
     task: Task = None,
     controller: Controller = None,
     strategy: Strategy = None,
+    recipe: Recipe = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
     preset: Preset = "standard",
     generations: Generations = None,
     trials: Trials = None,
     runs: Runs = None,
     estimator_delay: EstimatorDelay = None,
+    schedule: Annotated[
+        str | None,
+        typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
+    ] = None,
     seed: Seed = None,
     plugin: Plugins = None,
     dry_run: DryRun = False,
@@ -63,17 +73,22 @@ def evolve(
     folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
     so that controllers meet it in the models.
     """
-    from evaluation.comparison import EvolveCell, Experiment, RunCell, check_run_folder
+    from evaluation.comparison import Experiment, RunCell, check_run_folder, controller_cell
     from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
+    from sysid_evo.cli.unrecorded import print_regions, regions_of
     from sysid_evo.plan import Plan, Store, execute
 
     load_plugins(plugin)
     settings = given(
         aggregate=aggregate,
+        noise=noise,
+        caution=caution,
         task=task,
         controller=controller,
         strategy=strategy,
+        recipe=recipe,
+        schedule=schedule,
         preset=preset,
         generations=generations,
         trials=trials,
@@ -88,7 +103,7 @@ def evolve(
     columns = tuple(find_column(store, member) for member in members)
     evolution = experiment.evolution
     check_evolution(store, columns, evolution)
-    champion = EvolveCell(columns, evolution, experiment.seed)
+    champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
     delay = evolution.estimator_delay
     claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
     plan = Plan.of([champion, *claims])
@@ -96,7 +111,7 @@ def evolve(
         print_plan(plan, store, json=json)
         return
     session.run = store.path
-    with Bars(store.path if run is not None else None) as bars:
+    with Bars(f"--run {store.path}") as bars:
         outcomes = execute(plan, store, observer=bars)
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
     file = f"{store.where(champion)}.json"
@@ -108,12 +123,16 @@ def evolve(
             if value is not None:
                 unit = value.unit
                 found["claims"][cell.column.label] = {"mean": value.mean, "std": value.std, "trials": value.trials}
+        models = {column.label: dynamics_of(store, column) for column in columns}
+        regions = regions_of(store.outcome(champion).value, models)
         if json:
-            out.print_json(json_format.dumps({**found, "unit": unit}))
+            unrecorded = [region.sentence for region in regions]
+            out.print_json(json_format.dumps({**found, "unit": unit, "record_next": unrecorded}))
         else:
             for label, claim in found["claims"].items():
                 spread = f"{claim['mean']:.1f} ± {claim['std']:.1f} {unit} in {claim['trials']} fresh trials"
                 out.print(f"{label}: {spread}", highlight=False, markup=False)
+            print_regions(champion.name, regions)
             out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
     if failed:
         raise typer.Exit(SOME_FAILED)
@@ -142,7 +161,24 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
         if differences:
             raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
     task = evolution.make_task(system)
+    evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    """Return the models of the run that are of one system with ``columns`` and not among them."""
+    from evaluation.comparison import Column, FitCell
+    from sysid_evo.plan import StoredCell
+
+    system = dynamics_of(store, columns[0]).system
+    taken = {column.model.digest for column in columns if column.model is not None}
+    found = []
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and record.digest not in taken:
+            column = Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+            if not system.differences(dynamics_of(store, column).system):
+                found.append(column)
+    return tuple(found)
 
 
 def is_file(name: str) -> bool:

@@ -26,8 +26,22 @@ Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved
 Aggregate: TypeAlias = Annotated[
     str | None, typer.Option(help="How the fitnesses on several models become one: min, mean, median or a plugin's.")
 ]
+Noise: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="What evolution must cope with, such as envelope(sensor=0.1, latency=2, gain=0.15); see the docs."
+    ),
+]
+Caution: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="What a trial loses in evolution where models cannot be believed, such as doubt(outside=5)."),
+]
 Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
 Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
+Recipe: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="recommended (search in each model, choice by others, polish on all) or plain (all at once)."),
+]
 Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]
 
 EstimatorDelay: TypeAlias = Annotated[

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from rich.console import RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
@@ -22,12 +24,12 @@ SHORTEST = 20  # characters of a title
 class Bars:
     """An `Observer` of an execution that draws two bars, or writes plain lines without a terminal.
 
-    ``folder`` is the run folder with which an interrupted command goes on, if it can.
+    ``go_on`` are the options with which an interrupted command goes on, if it can.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._folder = folder
-        self._bars = Progress(
+    def __init__(self, go_on: str | None = None) -> None:
+        self._go_on = go_on
+        self._bars = _Bars(
             TextColumn("{task.description}"),
             BarColumn(bar_width=12),
             TextColumn("{task.fields[note]}", justify="right"),
@@ -37,7 +39,7 @@ class Bars:
             disable=not err.is_terminal or err.quiet,
         )
         self._all: TaskID | None = None
-        self._current: tuple[str, TaskID, float] | None = None
+        self._current: _Current | None = None
         self._cells = self._ended = 0
         self._expected: dict[str, float] = {}
         self._left = self._spent = self._foreseen = 0.0
@@ -52,9 +54,13 @@ class Bars:
     ) -> None:
         self._bars.stop()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
-            what = "between two cells" if self._current is None else self._current[0]
-            on = "" if self._folder is None else f"; go on with --out {self._folder}"
-            tell(f"interrupted: {what}. Nothing unfinished is kept{on}")
+            current = self._current
+            what = "between two cells" if current is None else current.title
+            kept = "Nothing unfinished is kept"
+            if current is not None and current.resumable and current.done:
+                kept = f"The {current.done} of {current.total} generations that are done are kept"
+            on = "" if self._go_on is None else f"; go on with {self._go_on}"
+            tell(f"interrupted: {what}. {kept}{on}")
 
     def plan(self, cells: int, kept: int, seconds: float) -> None:
         self._cells, self._left = cells, seconds
@@ -63,28 +69,30 @@ class Bars:
         self._all = self._bars.add_task("all", total=cells, completed=0, note="")
 
     def start(self, cell: Cell) -> None:
-        self.begin(cell.title)
+        self.begin(cell.title, resumable=cell.resumable)
         self._expected[cell.title] = cell.seconds()
 
-    def begin(self, title: str) -> None:
+    def begin(self, title: str, *, resumable: bool = False) -> None:
         """A piece of work that is no cell of a plan begins."""
-        self._current = (title, self._bars.add_task(_short(title), total=None, note=""), time.monotonic())
+        self._current = _Current(title, self._bars.add_task(_short(title), total=None, note=""), resumable)
 
-    def progress(self, cell: Cell, done: int, total: int) -> None:
-        self.advance(done, total)
+    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
+        self.advance(done, total, note)
 
-    def advance(self, done: int, total: int) -> None:
-        """The present piece of work has done so many of its steps."""
-        if self._current is None:
+    def advance(self, done: int, total: int, note: str = "") -> None:
+        """The present piece of work has done so many of its steps; ``note`` is what else there is to say."""
+        current = self._current
+        if current is None:
             return
-        title, bar, began = self._current
+        current.advance(done, total)
+        pace = current.pace()
+        self._bars.remark = note
+        self._bars.update(current.bar, completed=done, total=total, note=pace)
         now = time.monotonic()
-        rate = done / max(now - began, 1e-9)
-        self._bars.update(bar, completed=done, total=total, note=f"{rate:,.1f}/s")
         if not err.is_terminal and now - self._told > REPORT_EVERY:
             self._told = now
-            left = f", {rate:,.1f}/s, {(total - done) / rate:.0f} s left" if done else ""
-            tell(f"{self._where()}{title}: {done}/{total}{left}")
+            told = ", ".join(filter(None, (f"{done}/{total}", pace)))
+            tell("; ".join(filter(None, (f"{self._where()}{current.title}: {told}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
@@ -104,8 +112,8 @@ class Bars:
         """The present piece of work is done, or failed for ``reason``."""
         seconds = self._passed()
         if self._current is not None:
-            self._bars.remove_task(self._current[1])
-            self._current = None
+            self._bars.remove_task(self._current.bar)
+            self._current, self._bars.remark = None, ""
         if reason is not None:
             err.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
         elif not err.is_terminal:
@@ -115,10 +123,57 @@ class Bars:
         tell(sentence, label="note: ", style="dim")
 
     def _passed(self) -> float:
-        return 0.0 if self._current is None else time.monotonic() - self._current[2]
+        return 0.0 if self._current is None else time.monotonic() - self._current.began
 
     def _where(self) -> str:
         return f"{self._ended} of {self._cells}: " if self._cells else ""
+
+
+class _Bars(Progress):
+    """Bars, and below them a ``remark`` on the present piece of work."""
+
+    remark = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        if self.remark:
+            yield Text("\n".join(packed(self.remark, self.console.width - 2)), style="dim")
+
+
+@dataclass
+class _Current:
+    """A piece of work that goes on: its bar, when it began, and how far it is."""
+
+    title: str
+    bar: TaskID
+    resumable: bool = False
+    began: float = field(default_factory=time.monotonic)
+    done: int = 0
+    total: int = 0
+    _first: tuple[int, float] | None = None
+
+    def advance(self, done: int, total: int) -> None:
+        self.done, self.total = done, total
+        self._first = self._first or (done, time.monotonic())
+
+    def pace(self) -> str:
+        """Return rate and time left, as they are since the first step that was told; what was resumed was quick."""
+        done, since = self._first or (0, self.began)
+        steps, seconds = self.done - done, time.monotonic() - since
+        if steps < 1 or seconds <= 0.0:
+            return ""
+        return f"{steps / seconds:,.1f}/s, {_duration((self.total - self.done) * seconds / steps)} left"
+
+
+def packed(remark: str, width: int) -> list[str]:
+    """Return ``remark`` in lines that break at its semicolons where that is possible."""
+    lines = [""]
+    for part in remark.split("; "):
+        if lines[-1] and len(lines[-1]) + 2 + len(part) <= width:
+            lines[-1] += f"; {part}"
+        else:
+            lines.append(part)
+    return [f"  {line}" for line in lines[1:]]
 
 
 def _duration(seconds: float) -> str:

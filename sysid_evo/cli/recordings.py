@@ -47,12 +47,18 @@ def inspect(
         list[Path], typer.Argument(help="A data set's folder, or log files or folders of them.", show_default=False)
     ],
     columns: Columns = None,
+    controller: Annotated[
+        Path | None,
+        typer.Option(help="Controller of a run: also say where it drives that the recording does not cover."),
+    ] = None,
     json: Json = False,
     plugin: Plugins = None,
 ) -> None:
     """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
     from sysid_evo.cli.advice_tables import advice_as_json, advice_tables
+    from sysid_evo.cli.unrecorded import inspected, print_regions
     from sysid_evo.data import advise
+    from sysid_evo.data.support import Support, recorded_pairs, split_pairs
 
     load_plugins(plugin)
     dataset, raw, doubts = _open(logs, columns)
@@ -62,6 +68,9 @@ def inspect(
         out.print_json(advice_as_json(dataset, advice))
     else:
         out.print(advice_tables(dataset, advice))
+    if controller is not None and not json:
+        support = Support.of(dataset.system, *split_pairs(dataset.system, recorded_pairs(dataset)))
+        print_regions(*inspected(controller, support))
 
 
 def record(

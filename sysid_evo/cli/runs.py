@@ -126,9 +126,14 @@ def clean(
 
 
 def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
+    from sysid_evo.plan import CHECKPOINT
+
     name = file.relative_to(run)
     if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
         return False
+    if file.suffix == CHECKPOINT:
+        owner = store.find(file.stem)
+        return owner is not None and owner.status == "done"
     if name.parts[0] != "cells":
         return name.as_posix() not in kept
     record = store.find(file.stem) if file.suffix == ".json" else None

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
+from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics.stepping import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
@@ -22,6 +23,7 @@ from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values
 from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
+    from sysid_evo.checkpoint import Checkpoint
     from sysid_evo.data import Dataset
     from sysid_evo.engine.compiled.dialect import Precision
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -58,6 +60,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
     exact enough.
 
+    A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
+    there, to the same model.
+
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
@@ -66,7 +71,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped (a periodic state has no limits); ``fit_seconds`` is how long it took.
+    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``pairs_``, states and controls
+    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -74,13 +80,16 @@ class DynamicsModel(Dynamics, BaseEstimator):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
     requires: ClassVar[tuple[str, ...]] = ()
+    resumable: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
     fit_seconds: float | None = None
+    checkpoint: Checkpoint | None = None
     system_: System
     envelope_: Array
+    pairs_: Array
 
     _derived: ClassVar[frozenset[str]] = frozenset()
 
@@ -181,12 +190,17 @@ class DynamicsModel(Dynamics, BaseEstimator):
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
     def record(self, dataset: Dataset) -> None:
-        """Record the system and the envelope of ``dataset``, as every `fit` does first."""
+        """Record the system, the envelope and some pairs of ``dataset``, as every `fit` does first."""
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.envelope_ = training_envelope(states, self.envelope_multiple)
         for i in dataset.system.periods:
             self.envelope_[:, i] = -np.inf, np.inf
+        self.pairs_ = recorded_pairs(dataset)
+
+    def alternatives(self) -> tuple[Dynamics, ...]:
+        """Return models that the data allow as well, such as the members of a mean; none by default."""
+        return ()
 
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.

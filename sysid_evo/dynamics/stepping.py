@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, BoolArray
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -21,12 +21,14 @@ class Dynamics(ABC):
     is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
     numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
     never drawn inside. What controllers and tasks observe of the state stands in the carry from
-    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it.
+    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
+    counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
     """
 
     system: System
     n_carry: int
     observed_at: int = 0
+    doubt_at: int | None = None
     n_lags: int = 0
     n_noise: int = 0
     n_draws: int = 0
@@ -73,3 +75,10 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
     for value, least, most in zip(clipped.T, low, high, strict=False):
         np.maximum(np.fmin(value, most), least, out=value)
     return clipped, ~inside
+
+
+def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:
+    """Return what ``dynamics`` has counted as doubt in the last ``carry``, (B,); 0 where it does not, or diverged."""
+    if dynamics.doubt_at is None:
+        return np.zeros(len(carry))
+    return np.where(diverged, 0.0, carry[:, dynamics.doubt_at])

@@ -1,3 +1,4 @@
+from .behaviour import behaviour_names
 from .compiled.dialect import KernelSource, Lifted
 from .compiled.kernel import (
     ADVANCE,
@@ -48,6 +49,7 @@ __all__ = [
     "TaskKernel",
     "added",
     "available_processors",
+    "behaviour_names",
     "command_network_predictor",
     "gaussian_predictor",
     "kernel_step",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
 
 from sysid_evo.arrays import Array, IntArray, Seeds, check_shape
 from sysid_evo.controllers.controller import Controller
@@ -23,7 +25,9 @@ class Rollouts:
 
     ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
     horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
-    steps whose state was clipped to the model's envelope. ``trajectories`` (only when recorded)
+    steps whose state was clipped to the model's envelope. ``behaviour`` (P, E, d) says what the controller
+    did, see `behaviour_names`; d is 0 where nobody counted. ``doubt`` (P, E) is what the dynamics counted of it, in
+    steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
     stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
     that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
     """
@@ -33,6 +37,8 @@ class Rollouts:
     clipped: IntArray
     task_state: TaskState
     engine: str
+    behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
     trajectories: tuple[Trajectory, ...] = ()
     missing: tuple[str, ...] = ()
 

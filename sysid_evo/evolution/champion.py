@@ -15,14 +15,37 @@ from sysid_evo.system import System
 
 
 @dataclass(frozen=True)
+class Finalist:
+    """The best candidate (n,) of one niche of one run, from which the champion is chosen.
+
+    ``fitness`` is what it claims, on fresh trials; ``elsewhere`` its median on the models of other
+    families, None where there were none. ``niche`` is empty for a strategy that keeps no kinds apart.
+    """
+
+    niche: str
+    run: int
+    fitness: float
+    parameters: Array
+    elsewhere: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the parameters, as strict JSON."""
+        return {"niche": self.niche, "run": self.run, "fitness": self.fitness, "elsewhere": self.elsewhere}
+
+
+@dataclass(frozen=True)
 class Champion:
     """One evolved parameter vector (n,) of a registered ``controller`` at a registered ``task``.
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history``
     (G, 3) holds the best, mean and worst fitness of each generation, as evolution saw them, with states
-    observed ``estimator_delay`` s late. ``seed_fitness`` holds the fitness of the champion of each run,
-    from different evolution seeds, on the same fresh trials: this champion is the best of them.
-    ``system`` is the one that it was evolved for; None for somebody who drives by hand.
+    observed ``estimator_delay`` s late, and with ``noise`` and ``caution`` (specs, empty for none).
+    ``seed_fitness`` holds the fitness of the champion of each run, from different evolution seeds, on the
+    same fresh trials. The champion is one of the ``finalists``: the
+    one with the highest median on the models that ``judges`` names, of families that it was not evolved
+    in; without judges the fittest. ``system`` is the one that it was evolved for; None for somebody who
+    drives by hand. It is ``polished`` if it was chosen among those of single models and then polished on several,
+    see `polish`. ``population`` (P, n) holds the last candidates of its run, best first.
     """
 
     name: str
@@ -34,8 +57,14 @@ class Champion:
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     estimator_delay: float = 0.0
+    noise: str = ""
+    caution: str = ""
     seed_fitness: tuple[float, ...] = ()
     system: System | None = None
+    judges: tuple[str, ...] = ()
+    polished: bool = False
+    finalists: tuple[Finalist, ...] = ()
+    population: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", check_shape("parameters", self.parameters, (None,)))
@@ -63,24 +92,51 @@ class Champion:
             "controller": self.controller.text,
             "task": self.task.text,
             "estimator_delay": self.estimator_delay,
+            "noise": self.noise,
+            "caution": self.caution,
             "seed_fitness": list(self.seed_fitness),
             "system": None if self.system is None else self.system.to_dict(),
+            "judges": list(self.judges),
+            "polished": self.polished,
+            "finalists": [finalist.to_dict() for finalist in self.finalists],
+        }
+
+    @property
+    def tensors(self) -> dict[str, Array]:
+        """Return what `to_dict` leaves out: the arrays."""
+        n = len(self.parameters)
+        return {
+            "parameters": self.parameters,
+            "history": self.history,
+            "finalists": np.array([finalist.parameters for finalist in self.finalists]).reshape(len(self.finalists), n),
+            "population": self.population.reshape(len(self.population), n),
         }
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any], parameters: Array, history: Array) -> Champion:
-        """Undo `to_dict`; ``parameters`` is (n,), ``history`` (G, 3)."""
+    def from_dict(cls, value: Mapping[str, Any], tensors: Mapping[str, Array]) -> Champion:
+        """Undo `to_dict` and `tensors`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
         system = value["system"]
+        parameters, history, found, population = (
+            np.asarray(tensors[name], dtype=np.float64) for name in ("parameters", "history", "finalists", "population")
+        )
         return cls(
             name=value["name"],
-            parameters=np.asarray(parameters, dtype=np.float64),
+            parameters=parameters,
             against=tuple(value["against"]),
             aggregate=value["aggregate"],
             seed=value["seed"],
-            history=np.asarray(history, dtype=np.float64).reshape(-1, 3),
+            history=history.reshape(-1, 3),
             controller=Spec.parse(value["controller"]),
             task=Spec.parse(value["task"]),
             estimator_delay=value["estimator_delay"],
+            noise=value["noise"],
+            caution=value["caution"],
             seed_fitness=tuple(value["seed_fitness"]),
             system=None if system is None else System.from_dict(system),
+            judges=tuple(value["judges"]),
+            polished=bool(value["polished"]),
+            finalists=tuple(
+                Finalist(**finalist, parameters=row) for finalist, row in zip(value["finalists"], found, strict=True)
+            ),
+            population=population,
         )

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
+from sysid_evo.arrays import Seeds
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.champion import Champion
+from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
-from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.meeting import met
+from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import trial_seeds
@@ -28,7 +33,7 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
-from sysid_evo.wrappers import DelayedEstimate
+from sysid_evo.wrappers import DelayedEstimate, Doubt, RadicalEnvelope, cautions, noises
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -38,22 +43,29 @@ SELECTION = 2**31
 class ControllerEvolution:
     """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
 
-    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds, of
-    which the best counts (paper: 2); the champion is the best of the last parents on
-    ``selection_trials`` fresh trials. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds (paper: 2).
+    Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
+    champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
-    see `DelayedEstimate`.
+    see `DelayedEstimate`. The ``schedule`` holds easier stages, or their text, which come before the task in
+    every run.
+    ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
+    `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
+    the models that they are evolved in cannot be believed.
     """
 
     generations: int = 300
     trials: int = 10
     runs: int = 1
     aggregate: str = "min"
-    selection_trials: int = 50
+    selection_trials: int = 100
     estimator_delay: float = 0.0
+    schedule: tuple[Stage, ...] = ()
     controller: Spec = field(default_factory=lambda: Spec("recurrent"))
     task: Spec = field(default_factory=lambda: Spec("point_to_point"))
     strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
+    noise: str = ""
+    caution: str = ""
 
     def __post_init__(self) -> None:
         for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
@@ -62,6 +74,11 @@ class ControllerEvolution:
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
         aggregates.check(self.aggregate)
+        self.make_noise()
+        self.make_caution()
+        schedule: object = self.schedule
+        if isinstance(schedule, str):
+            object.__setattr__(self, "schedule", Stage.parse_many(schedule))
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -69,9 +86,35 @@ class ControllerEvolution:
         """Return the task, bound to ``system``."""
         return make_task(self.task).bind(system)
 
+    def stages(self, task: Task, models: tuple[str, ...]) -> tuple[tuple[Stage, Task, tuple[str, ...]], ...]:
+        """Return every stage before ``task``, which is bound: with its own task, and on which of ``models`` it is met.
+
+        Raises `InvalidArgument` if a stage wants another controller, or models that are not there.
+        """
+        found = []
+        for stage in self.schedule:
+            of_stage = task if stage.task is None else make_task(stage.task).bind(task.system)
+            if of_stage.observations != task.observations:
+                raise InvalidArgument(
+                    f"schedule: {stage.task} shows other things than {self.task}, so that no controller can do both"
+                )
+            missing = [model for model in stage.models if model not in models]
+            if missing:
+                raise InvalidArgument(f"schedule: {missing[0]!r} is not among the models: {', '.join(models)}")
+            found.append((stage, of_stage, stage.models or models))
+        return tuple(found)
+
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
         return make_controller(self.controller).bind(len(task.observations), task.system.nu)
+
+    def make_noise(self) -> RadicalEnvelope | None:
+        """Return the noise, None without any."""
+        return noises.make(self.noise) if self.noise else None
+
+    def make_caution(self) -> Doubt | None:
+        """Return what a trial loses where models are doubted, None for nothing."""
+        return cautions.make(self.caution) if self.caution else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
         """Return the strategy, which searches ``n_parameters`` numbers."""
@@ -85,47 +128,89 @@ def evolve_controller(
     settings: ControllerEvolution,
     *,
     seed: int,
+    checkpoint: Checkpoint | None = None,
     progress: Progress | None = None,
 ) -> Champion:
-    """Evolve a controller against all of ``runners`` at once and return the champion of all runs.
+    """Evolve a controller against all of ``runners`` at once and return the fittest of all niches and runs.
 
-    ``progress`` is called after every generation. The result depends on ``seed`` alone.
+    Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
+    every generation, with a note of what it reached. The result depends on ``seed`` alone.
+
+    With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
+    it was, to the champion that it would have had.
     """
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    met = {name: observed_late(name, runner, settings.estimator_delay) for name, runner in runners.items()}
-    total = settings.runs * settings.generations
-    champions: list[tuple[float, Champion]] = []
-    for run in range(settings.runs):
-        run_seed = int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
-        strategy = settings.make_strategy(controller.n_parameters, run_seed)
-        objective = EnsembleObjective(
-            tuple(met.values()), controller, task, run_seed, settings.trials, settings.aggregate
+    late = met(runners, settings)
+    seeds = selection_seeds(seed, settings.selection_trials)
+    models = tuple(late)
+    stages = settings.stages(task, models)
+
+    def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
+        disturbed = tuple(late[label] for label in on)
+        return EnsembleObjective(
+            disturbed, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate
         )
-        history = []
-        for generation in evolve(strategy, objective, settings.generations):
-            history.append(generation.summary)
-            if progress is not None:
-                progress(run * settings.generations + generation.index + 1, total)
-        elite = strategy.elite
-        seeds = trial_seeds(seed, settings.selection_trials, generation=SELECTION)
-        fitness = objective.on_trials(elite, seeds)
+
+    def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
+        strategy = settings.make_strategy(controller.n_parameters, run_seed(seed, run))
+        strategy.prepare(
+            behaviour_names=behaviour_names(system),
+            control_names=system.control_names,
+            generations=settings.generations,
+        )
+        easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
+        return strategy, Schedule(easier, objective(run, task, models))
+
+    def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        return tuple(_finalists(strategy, objective(run, task, models), run, seeds))
+
+    ended = Runs(
+        settings.runs,
+        settings.generations,
+        begun,
+        finals,
+        models=(*(on for _, _, on in stages), models),
+        checkpoint=checkpoint,
+        identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
+    ).to_the_end(progress)
+    finalists = tuple(chain.from_iterable(run.finalists for run in ended))
+    best = max(finalists, key=lambda one: one.fitness)  # of equals the first
+    return Champion(
+        name=name,
+        parameters=best.parameters,
+        against=tuple(runners),
+        aggregate=settings.aggregate,
+        seed=seed,
+        history=ended[best.run].history,
+        controller=settings.controller,
+        task=settings.task,
+        estimator_delay=settings.estimator_delay,
+        noise=settings.noise,
+        caution=settings.caution,
+        seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
+        system=system,
+        finalists=finalists,
+        population=ended[best.run].population,
+    )
+
+
+def selection_seeds(seed: int, trials: int) -> Seeds:
+    """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
+    return trial_seeds(seed, trials, generation=SELECTION)
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Return the seed of one of several runs."""
+    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
+
+
+def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
+    """Yield the best of every niche on the trials of ``seeds``."""
+    for niche, candidates in strategy.finals.items():
+        fitness = objective.on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
-        champion = Champion(
-            name=name,
-            parameters=elite[winner],
-            against=tuple(runners),
-            aggregate=settings.aggregate,
-            seed=seed,
-            history=np.array(history),
-            controller=settings.controller,
-            task=settings.task,
-            estimator_delay=settings.estimator_delay,
-            system=system,
-        )
-        champions.append((float(fitness[winner]), champion))
-    best = max(champions, key=lambda pair: pair[0])[1]  # of equals the first
-    return replace(best, seed_fitness=tuple(value for value, _ in champions))
+        yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
 
 
 def observed_late(name: str, runner: Runner, delay: float) -> Runner:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -9,10 +11,14 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from sysid_evo.arrays import Array
+from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidData
-from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.champion import Finalist
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.runs import Runs
+from sysid_evo.evolution.schedule import Schedule
+from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.free_run import chained
 from sysid_evo.progress import Progress
 
@@ -62,6 +68,7 @@ class ModelEvolution:
         spread: float,
         rng: np.random.Generator,
         progress: Progress | None = None,
+        checkpoint: Checkpoint | None = None,
         kernel: PopulationKernel | None = None,
         start: Start | None = None,
         history: int = 0,
@@ -69,7 +76,8 @@ class ModelEvolution:
         """Return the best parameters found, (n,), starting around ``initial`` (n,).
 
         With ``kernel``, the compiled form of ``step``, generations run compiled. A simulation starts
-        from what ``start`` makes of ``history`` earlier samples, by default from the measured state.
+        from what ``start`` makes of ``history`` earlier samples, by default from the measured state. What was
+        stopped or killed goes on from its ``checkpoint``, to the same parameters.
         """
         every = dataset.windows(self.horizon, history=history)
         if not len(every):
@@ -79,15 +87,6 @@ class ModelEvolution:
             )
         weight = state_weights(every, self.weights)
         seed = int(rng.integers(2**32))
-        strategy = MuPlusLambda(
-            n_parameters=len(initial),
-            seed=seed,
-            parents=self.parents,
-            children=self.children,
-            sigma=self.sigma,
-            spread=spread,
-            initial=initial,
-        )
 
         def objective(population: Array, generation: int) -> Array:
             draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
@@ -97,11 +96,44 @@ class ModelEvolution:
                 return -final_error(step, population, chosen, start, weight=weight)
             return -kernel_error(*compiled, chosen, start, weight=weight)
 
-        for generation in evolve(strategy, objective, self.generations):
+        def begun(_: int) -> tuple[EvolutionStrategy, Schedule]:
+            strategy = MuPlusLambda(
+                n_parameters=len(initial),
+                seed=seed,
+                parents=self.parents,
+                children=self.children,
+                sigma=self.sigma,
+                spread=spread,
+                initial=initial,
+            )
+            return strategy, Schedule((), objective)
+
+        def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+            evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
+            error = final_error(step, strategy.elite, every[evenly], start, weight=weight)
+            winner = int(np.argmin(error))
+            return (Finalist("", run, -float(error[winner]), strategy.elite[winner]),)
+
+        def identity() -> str:
+            """Return the digest of what is asked for, the data, and how the first candidates do."""
+            first = objective(begun(0)[0].ask(), 0)
+            asked = [repr(self), seed, spread, dataset.fingerprint, initial.tolist(), first.tolist()]
+            return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+
+        def told(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
             if progress is not None:
-                progress(generation.index + 1, self.generations)
-        evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
-        return strategy.elite[int(np.argmin(final_error(step, strategy.elite, every[evenly], start, weight=weight)))]
+                progress(done, total)
+
+        (run,) = Runs(
+            1,
+            self.generations,
+            begun,
+            finals,
+            models=((),),
+            checkpoint=checkpoint,
+            identity="" if checkpoint is None else identity(),
+        ).to_the_end(told)
+        return run.finalists[0].parameters
 
 
 def starting_carries(windows: Windows, start: Start | None) -> Array:

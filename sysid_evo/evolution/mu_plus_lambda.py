@@ -76,7 +76,10 @@ class MuPlusLambda(EvolutionStrategy):
             return children
         return np.concatenate([self._parents, children])
 
-    def _update(self, population: Array, fitness: Array) -> None:
+    def forget_fitness(self) -> None:
+        self._parents_fitness = None
+
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         if self._parents_fitness is not None and not self.reevaluate:
             population = np.concatenate([self._parents, population])
             fitness = np.concatenate([self._parents_fitness, fitness])

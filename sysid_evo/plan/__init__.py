@@ -4,9 +4,10 @@ from sysid_evo.plan.cell import CONTRACT, Cell, Work
 from sysid_evo.plan.execution import Observer, Silent, execute
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.seeds import cell_seed
-from sysid_evo.plan.store import Outcome, Record, Store, StoredCell
+from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, StoredCell, blocked_by
 
 __all__ = [
+    "CHECKPOINT",
     "CONTRACT",
     "Cell",
     "Observer",
@@ -17,6 +18,7 @@ __all__ = [
     "Store",
     "StoredCell",
     "Work",
+    "blocked_by",
     "cell_seed",
     "execute",
 ]

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from sysid_evo.progress import Progress
 
-CONTRACT = 2
+CONTRACT = 3
 """Raised whenever the same inputs give another result than before: every stored result is then computed anew."""
 
 
@@ -22,24 +22,28 @@ class Work:
     """What a cell may use while it computes.
 
     ``result(cell)`` is the value of a cell that it needs, None if that one failed and this one is
-    `Cell.tolerant`; ``place`` is the path, without suffix, at which its result will be stored.
+    `Cell.tolerant`; ``place`` is the path, without suffix, at which its result will be stored. What it keeps in
+    the file ``checkpoint`` is there when it is computed again after an interruption, and goes when it is done.
     """
 
     result: Callable[[Cell], Any]
     progress: Progress
     place: Path
+    checkpoint: Path
 
 
 class Cell(ABC):
     """One piece of work of a plan; concrete cells are frozen dataclasses without ``eq``: equal digests are equal.
 
     ``kind`` says what it computes; results stand in the folder ``place`` of a run. A cell that is
-    ``tolerant`` is computed although some of the cells that it needs failed.
+    ``tolerant`` is computed although some of the cells that it needs failed. One that is ``resumable`` goes on
+    after an interruption where it was.
     """
 
     kind: ClassVar[str]
     place: ClassVar[str] = "results"
     tolerant: ClassVar[bool] = False
+    resumable: ClassVar[bool] = False
 
     @property
     @abstractmethod

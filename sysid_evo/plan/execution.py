@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Collection
+from functools import partial
 from typing import Any, Protocol
 
-from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
+from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
@@ -24,8 +25,8 @@ class Observer(Protocol):
     def start(self, cell: Cell) -> None:
         """``cell`` begins."""
 
-    def progress(self, cell: Cell, done: int, total: int) -> None:
-        """``cell`` has done so many of its steps."""
+    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
+        """``cell`` has done so many of its steps; ``note`` is what else there is to say."""
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         """``cell`` is done, was done before (``cached``), or failed for ``reason``."""
@@ -43,7 +44,7 @@ class Silent:
     def start(self, cell: Cell) -> None:
         pass
 
-    def progress(self, cell: Cell, done: int, total: int) -> None:
+    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
         pass
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
@@ -111,9 +112,13 @@ class _Execution:
     def _compute(self, cell: Cell) -> None:
         self.observer.start(cell)
         began = time.perf_counter()
-        work = Work(self._result, lambda done, total: self.observer.progress(cell, done, total), self.store.place(cell))
+        checkpoint = self.store.checkpoint(cell)
+        work = Work(self._result, partial(self.observer.progress, cell), self.store.place(cell), checkpoint)
         try:
             value = cell.compute(work)
+        except Blocked as blocked:  # no failure of its own, so that none is stored
+            self._end(cell, str(blocked), 0.0)
+            return
         except Exception as error:  # whatever a plugin does, the other cells go on
             self._fail(cell, error, time.perf_counter() - began)
             return
@@ -126,6 +131,7 @@ class _Execution:
         except Exception as error:  # a plugin's result may be such that it cannot be written
             self._fail(cell, error, seconds)
             return
+        checkpoint.unlink(missing_ok=True)
         self._end(cell, None, seconds)
 
     def _fail(self, cell: Cell, error: Exception, seconds: float) -> None:

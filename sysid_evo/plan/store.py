@@ -21,6 +21,7 @@ from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.store.manifest import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
+CHECKPOINT = ".checkpoint"
 SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
 MAX_BYTES = 2**22
 NAME_LENGTH = 60
@@ -152,6 +153,10 @@ class Store:
         """Return where the result of ``cell`` stands, without suffix: a readable name and a piece of the digest."""
         name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
         return self.path / cell.place / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
+
+    def checkpoint(self, cell: Cell) -> Path:
+        """Return where ``cell`` keeps how far it is until it is done."""
+        return self.path / cell.place / f"{cell.digest}{CHECKPOINT}"
 
     def where(self, cell: Cell) -> Path:
         """Return where the result of ``cell`` stands, or would: one found again may have had another name."""

@@ -22,7 +22,7 @@ def save_champion(champion: Champion, path: str | Path, *, data: str | None = No
         "seed": champion.seed,
         "data": data,
     }
-    return write_artefact(Path(path), {"parameters": champion.parameters, "history": champion.history}, fields)
+    return write_artefact(Path(path), champion.tensors, fields)
 
 
 def load_champion(path: str | Path) -> Champion:
@@ -31,6 +31,6 @@ def load_champion(path: str | Path) -> Champion:
     manifest, tensors = read_artefact(path, "controller")
     try:
         found = {**manifest.learned, "system": manifest.system}
-        return Champion.from_dict(found, tensors["parameters"], tensors["history"])
+        return Champion.from_dict(found, tensors)
     except (KeyError, TypeError, ValueError, ShapeError, InvalidArgument) as error:
         raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}") from error

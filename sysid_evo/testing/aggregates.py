@@ -77,6 +77,31 @@ def bad_luck_everywhere_counts(aggregate: Aggregate) -> None:
     expect(np.isfinite(result).all(), f"expected finite numbers, got {result}")
 
 
+def a_population_is_ranked_fairly(aggregate: Aggregate) -> None:
+    """Who is better on every model in every trial ranks no lower in a population, and equal fitness stays what it is"""
+    if type(aggregate).in_population is Aggregate.in_population:
+        return
+    fitness = _fitness()
+    fitness[:, 1] = fitness[:, 0] + 1.0
+    climbed = aggregate.in_population(fitness)
+    expect_numbers("in_population", climbed, (CANDIDATES,))
+    expect(climbed[1] >= climbed[0], f"the better candidate of two ranks lower: {climbed[1]} below {climbed[0]}")
+    alike = aggregate.in_population(np.full((MODELS, CANDIDATES, TRIALS), 2.5))
+    expect(np.allclose(alike, 2.5, rtol=1e-9), f"2.5 everywhere becomes {alike}")
+
+
+def the_generation_decides_the_models(aggregate: Aggregate) -> None:
+    """One model or more is run in a generation, each once, and the same ones when it is asked again"""
+    for count in (1, MODELS):
+        for generation in range(20):
+            run = aggregate.models(count, generation).tolist()
+            expect(
+                len(run) > 0 and run == sorted(set(run)) and set(run) <= set(range(count)),
+                f"expected some of {count} models in rising order, got {run}",
+            )
+            expect(run == aggregate.models(count, generation).tolist(), "asked again it chooses other models")
+
+
 CHECKS: tuple[Check[Aggregate], ...] = (
     it_gives_one_number_for_each_candidate,
     one_model_and_one_trial_are_enough,
@@ -86,6 +111,8 @@ CHECKS: tuple[Check[Aggregate], ...] = (
     equal_fitness_is_the_result,
     a_gain_everywhere_is_a_gain,
     bad_luck_everywhere_counts,
+    a_population_is_ranked_fairly,
+    the_generation_decides_the_models,
 )
 
 

@@ -87,7 +87,7 @@ def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None
     def stopping(after: int) -> Progress:
         calls = iter(range(after + 1))
 
-        def progress(*_: int, **__: int) -> None:
+        def progress(*_: object, **__: object) -> None:
             if next(calls, None) == after:
                 raise _Stopped
 

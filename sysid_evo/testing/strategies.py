@@ -141,6 +141,19 @@ def a_restored_strategy_goes_on(given: Given) -> None:
         expect(same(expected, (_candidates(other, 4), other.elite)), f"it goes on otherwise after {before} generations")
 
 
+def what_is_forgotten_does_not_count(given: Given) -> None:
+    """After forget_fitness nobody stays in the elite for what it scored before, however much that was"""
+    strategy = given.make()
+    for _ in evolve(strategy, lambda population, _: 1e6 + fitness(population), 5):
+        pass
+    strategy.forget_fitness()
+    before = strategy.elite.copy()
+    for _ in evolve(strategy, lambda population, _: fitness(-population), GENERATIONS):
+        pass
+    stayed = int((strategy.elite[:, None] == before).all(axis=2).any(axis=1).sum())
+    expect(not stayed, f"{GENERATIONS} generations later, on another hill, {stayed} of the elite are still there")
+
+
 CHECKS: tuple[Check[Given], ...] = (
     ask_gives_candidates,
     the_seed_decides,
@@ -150,6 +163,7 @@ CHECKS: tuple[Check[Given], ...] = (
     tell_refuses_what_is_no_fitness,
     a_plateau_is_no_end,
     a_restored_strategy_goes_on,
+    what_is_forgotten_does_not_count,
 )
 
 

@@ -47,6 +47,7 @@ class DelayedEstimate(Dynamics):
         self.n_lags = max(inner.n_lags, self.whole + 1)
         self.n_noise = inner.n_noise
         self.n_draws = inner.n_draws
+        self.doubt_at = inner.doubt_at
 
     @property
     def envelope(self) -> Array | None:

@@ -1,9 +1,10 @@
-"""A comparison that is killed goes on to the same report: ``python -m tests.benchmarks.kill_and_go_on [--times 10]``.
+"""What is killed goes on to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10]``.
 
 A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a fresh folder at
 ``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
-Prints a table and exits 1 if anything differs.
+A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
+controllers in every byte. Prints a table and exits 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,12 +32,16 @@ EXPERIMENT = (
     *("--models", MODELS, "--ensembles", "linear+near2", "--robot", "emulated_car"),
     *("--generations", "30", "--trials", "4", "--runs", "1", "--task", "point_to_point(horizon=200)"),
 )
+EVOLUTION = (
+    *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
+    *("--generations", "200", "--trials", "4", "--runs", "1"),
+)
 LIMIT = 600.0  # s, for one command
 
 
 @dataclass(frozen=True)
 class Row:
-    """What was done: processes at once, kills, cells that stood there after kills, and how it came out."""
+    """What was done: processes at once, kills, what stood there after kills, and how it came out."""
 
     what: str
     kills: int
@@ -43,12 +50,67 @@ class Row:
     same: bool
 
 
-def start(folder: Path, out: Path) -> subprocess.Popen[bytes]:
-    """Start the comparison of the data in ``folder`` in the run folder ``out``."""
-    arguments = ("compare", "--data", str(folder / "car"), *EXPERIMENT, "--out", str(out), "--quiet")
-    return subprocess.Popen(
-        [*COMMAND, *arguments], cwd=folder, env={**os.environ, "TERM": "dumb"}, stdout=subprocess.DEVNULL
-    )
+class Job(ABC):
+    """A command that is killed in a folder of its own, the data being in ``folder``."""
+
+    what: str
+    kept: str
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @abstractmethod
+    def arguments(self, out: Path) -> tuple[str, ...]:
+        """Return what is called; ``out`` is a run folder."""
+
+    @abstractmethod
+    def result(self, out: Path) -> object:
+        """Return what must be the same."""
+
+    def fresh(self, name: str) -> Path:
+        """Return a run folder in which nothing is done yet."""
+        return self.folder / f"{type(self).__name__}-{name}"
+
+    def start(self, out: Path) -> subprocess.Popen[bytes]:
+        """Start the command in the run folder ``out``."""
+        command = [*COMMAND, *self.arguments(out), "--quiet"]
+        environment = {**os.environ, "TERM": "dumb"}
+        return subprocess.Popen(command, cwd=self.folder, env=environment, stdout=subprocess.DEVNULL)
+
+
+class Comparison(Job):
+    """A whole comparison, whose finished cells are kept."""
+
+    what = "comparison"
+    kept = "cells/*.json"
+
+    def arguments(self, out: Path) -> tuple[str, ...]:
+        return ("compare", "--data", str(self.folder / "car"), *EXPERIMENT, "--out", str(out))
+
+    def result(self, out: Path) -> object:
+        found: dict[str, Any] = json.loads((out / "report.json").read_text())
+        del found["timings"]
+        return found
+
+
+class Evolution(Job):
+    """One evolution, whose generations are kept."""
+
+    what = "evolution"
+    kept = "controllers/*.checkpoint"
+
+    def fresh(self, name: str) -> Path:
+        fitted = self.folder / "fitted"
+        if not fitted.exists():
+            fit = ("fit", str(self.folder / "car"), "--models", "linear,nearest_neighbour", "--out", str(fitted))
+            subprocess.run([*COMMAND, *fit, "--quiet"], cwd=self.folder, stdout=subprocess.DEVNULL, check=True)
+        return Path(shutil.copytree(fitted, super().fresh(name)))
+
+    def arguments(self, out: Path) -> tuple[str, ...]:
+        return ("evolve", "--run", str(out), *EVOLUTION)
+
+    def result(self, out: Path) -> object:
+        return {file.name: file.read_bytes() for file in (out / "controllers").glob("*.safetensors")}
 
 
 def finish(processes: list[subprocess.Popen[bytes]]) -> float:
@@ -56,7 +118,7 @@ def finish(processes: list[subprocess.Popen[bytes]]) -> float:
     began = time.perf_counter()
     for process in processes:
         if process.wait(LIMIT) != 0:
-            raise RuntimeError(f"the comparison ended with {process.returncode}")
+            raise RuntimeError(f"the command ended with {process.returncode}")
     return time.perf_counter() - began
 
 
@@ -70,47 +132,40 @@ def kill_after(processes: list[subprocess.Popen[bytes]], seconds: float) -> int:
     return running
 
 
-def report_of(out: Path) -> dict[str, Any]:
-    """Return the report of a run apart from its timings."""
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())
-    del found["timings"]
-    return found
-
-
 def rows(folder: Path, times: int, seed: int) -> list[Row]:
     """Run everything in ``folder`` and return the table."""
     example_dataset().save(folder / "car")
-    finish([start(folder, folder / "warm")])  # compiled kernels are on disk from here on
-    whole = finish([start(folder, folder / "whole")])
-    expected = report_of(folder / "whole")
-    found = [Row("to the end at once", 0, 0, whole, expected == report_of(folder / "warm"))]
     rng = np.random.default_rng(seed)
-    for together in (1, 2):
-        what = "one process" if together == 1 else f"{together} processes at once"
-        found.append(killed(folder, what, together, times, rng, whole, expected))
+    found = []
+    for job, several in ((Comparison(folder), (1, 2)), (Evolution(folder), (1,))):
+        warm, whole = job.fresh("warm"), job.fresh("whole")
+        finish([job.start(warm)])  # compiled kernels are on disk from here on
+        seconds = finish([job.start(whole)])
+        expected = job.result(whole)
+        found.append(Row(f"{job.what} at once", 0, 0, seconds, expected == job.result(warm)))
+        found.extend(killed(job, together, times, rng, seconds, expected) for together in several)
     return found
 
 
-def killed(
-    folder: Path, what: str, together: int, times: int, rng: np.random.Generator, whole: float, expected: dict[str, Any]
-) -> Row:
+def killed(job: Job, together: int, times: int, rng: np.random.Generator, whole: float, expected: object) -> Row:
     """Kill and go on ``times``; where the end comes before the kill, the next one strikes in a fresh folder."""
+    what = job.what if together == 1 else f"{job.what}, {together} processes"
     kills, kept, ends = 0, 0, 0
     same, began = True, time.perf_counter()
+    out = job.fresh(f"{together}-{ends}")
     while kills < times:
-        out = folder / f"killed-{together}-{ends}"
-        if kill_after([start(folder, out) for _ in range(together)], float(rng.uniform(0.2, 1.0)) * whole):
+        if kill_after([job.start(out) for _ in range(together)], float(rng.uniform(0.2, 1.0)) * whole):
             kills += 1
-            kept += len(list((out / "cells").glob("*.json")))
+            kept += len(list(out.glob(job.kept)))
         else:
-            same, ends = same and report_of(out) == expected, ends + 1
-    out = folder / f"killed-{together}-{ends}"
-    finish([start(folder, out) for _ in range(together)])
-    return Row(what, kills, kept, time.perf_counter() - began, same and report_of(out) == expected)
+            same, ends = same and job.result(out) == expected, ends + 1
+            out = job.fresh(f"{together}-{ends}")
+    finish([job.start(out) for _ in range(together)])
+    return Row(what, kills, kept, time.perf_counter() - began, same and job.result(out) == expected)
 
 
 def main() -> int:
-    """Print the table; return 1 if a report differs."""
+    """Print the table; return 1 if a result differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=10, help="kills of one, and of two processes at once (10)")
     parser.add_argument("--seed", type=int, default=0, help="of the moments (0)")
@@ -118,7 +173,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         table = rows(Path(folder), arguments.times, arguments.seed)
     write = sys.stdout.write
-    write(f"{'run':24} {'kills':>5} {'cells kept':>10} {'s':>6}   report\n")
+    write(f"{'run':24} {'kills':>5} {'kept':>10} {'s':>6}   result\n")
     for row in table:
         same = "the same" if row.same else "DIFFERS"
         write(f"{row.what:24} {row.kills:5d} {row.kept:10d} {row.seconds:6.1f}   {same}\n")

@@ -120,7 +120,9 @@ def test_a_run_goes_on_where_it_was_and_gives_the_same_report(tmp_path: Path) ->
     assert without_timings(first) == without_timings(again)
     watching = Watching()
     run_in(tmp_path, "linear", "nearest_neighbour", observer=watching)
-    assert {title for title in watching.computed if "nearest_neighbour" not in title} == {"assess exploitability"}
+    judged_anew = {"choose linear", "run linear on linear", "polish recommended", "run recommended on linear"}
+    computed = {title for title in watching.computed if "nearest_neighbour" not in title}
+    assert computed == {"assess exploitability", *judged_anew}  # and nothing is evolved or fitted again
 
 
 def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_path: Path) -> None:
@@ -129,7 +131,8 @@ def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_p
     assert reasons["fit fails_in_fit"] == "this family never fits"
     assert {failure.what for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
     assert report.matrix is not None
-    assert report.matrix.rows == ("linear",)
+    assert report.matrix.rows == ("linear", "recommended")  # polished on those that could be fitted
+    assert report.matrix.champions[1].against == ("linear",)
     assert not report.matrix.cell("linear", "linear").failed
     assert report.matrix.cell("linear", "fails_in_fit").reason == "needs fit fails_in_fit, which failed"
 

@@ -40,6 +40,7 @@ BASE: dict[str, Any] = {
     "traces": 2,
     "task": "point_to_point(horizon=60)",
     "strategy": "mu_plus_lambda(children=5)",
+    "recipe": "plain",
 }
 DATA = "prepare made-up car"
 FITS, FIT_LINEAR, FIT_NEAR = {"fit linear", "fit near"}, {"fit linear"}, {"fit near"}
@@ -101,6 +102,8 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of() -> None:
         ({"runs": 2}, CONTROLLERS),
         ({"selection_trials": 3}, CONTROLLERS),
         ({"estimator_delay": 0.02}, CONTROLLERS),
+        ({"noise": "envelope(gain=0.1)"}, CONTROLLERS),
+        ({"caution": "doubt(outside=1)"}, CONTROLLERS),
         ({"transfer_trials": 4}, RUNS | ASSESS),
         ({"traces": 3}, RECORDED | ASSESS),
         ({"robot": "emulated_car(seed=2)"}, ON_ROBOT | ASSESS),
@@ -109,6 +112,38 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of() -> None:
 )  # fmt: skip
 def test_exactly_the_cells_that_depend_on_a_setting_change_with_it(change: dict[str, Any], expected: set[str]) -> None:
     assert changed(planned(), planned(**change)) == expected
+
+
+RECOMMENDED = {"recipe": "recommended", "models": ("linear", "near=nearest_neighbour", "parametrised"), "ensembles": ()}
+
+
+def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_the_best_are_polished() -> None:
+    found = planned(**RECOMMENDED, yardstick=True)
+    titles = set(digests(found))
+    names = ("linear", "near", "parametrised")
+    assert {f"choose {name}" for name in (*names, "best of linear+near+parametrised")} <= titles
+    assert {"polish recommended", "run recommended on emulated_car"} <= titles
+    assert "choose emulated_car" not in titles  # what was evolved on the robot is chosen by the robot
+    assert found.matrix is not None
+    assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "recommended"]
+
+
+def test_a_further_model_judges_and_evolves_nothing_again() -> None:
+    fewer = planned(**{**RECOMMENDED, "models": ("linear", "near=nearest_neighbour")})
+    anew = {title for title in changed(fewer, planned(**RECOMMENDED)) if "parametrised" not in title}
+    assert {"choose linear", "choose near", "polish recommended"} <= anew
+    assert not {title for title in anew if title.startswith(("fit", "evolve", "predict"))}
+
+
+def test_one_family_alone_has_nobody_to_judge_it() -> None:
+    titles = set(digests(planned(**{**RECOMMENDED, "models": ("linear", "ridged=linear(ridge=0.1)")})))
+    assert not {"choose linear", "choose ridged"} & titles
+    assert "polish recommended" in titles
+
+
+def test_the_polish_alone_changes_with_its_generations() -> None:
+    runs = {f"run recommended on {name}" for name in ("linear", "near", "parametrised", "emulated_car")}
+    assert changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish=7)) == {"polish recommended"} | runs | ASSESS
 
 
 def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_given() -> None:
@@ -124,7 +159,7 @@ def test_a_stored_experiment_under_another_preset_is_what_it_would_have_been_fro
     asked = {"models": ("linear", "par=parametrised", "sure=parametrised(generations=7)"), "ensembles": (),
              "generations": None}  # fmt: skip
     stored = planned(**asked).experiment.model_dump(mode="json", exclude_none=True)
-    assert stored["generations"] == 150
+    assert stored["generations"] == 300
     assert "generations" not in unsettled(stored)
     assert unsettled(stored)["trials"] == 2  # asked for, not the preset's
     again = planned(**{**unsettled(stored), "preset": "standard", "generations": None})

@@ -215,8 +215,25 @@ def test_people_claim_nothing_and_leave_no_question_of_seeds_open() -> None:
 def test_a_yardstick_evolved_on_the_robot_keeps_no_claim() -> None:
     fitness = {"a": {"a": 10.0, "car": 5.0}, "car": {"a": 1.0, "car": 12.0}}
     text = told(report(transfer=matrix(fitness, robot="car")))
-    assert "Most on the robot: car, 12.0" in text
+    assert "Most on the robot: a, 5.0" in text
+    assert "Evolved on the robot itself: car, 12.0" in text
     assert "No controller keeps nine tenths of its claim on the robot." in text
+
+
+def test_the_controller_of_the_recommended_recipe_is_chosen_although_no_other_family_is_left_to_judge_it() -> None:
+    fitness = {
+        "a": {"a": 10.0, "b": 9.0, "car": 5.0},
+        "b": {"a": 8.0, "b": 9.0, "car": 8.5},
+        "best": {"a": 9.0, "b": 9.5, "car": 8.0},
+    }
+    made = matrix(fitness, against={"best": ("a", "b")}, robot="car")
+    before = told(report(transfer=made))
+    assert "Chosen without the robot: a, the highest median on models of other families (9.0 on 1 model)" in before
+    polished = replace(made, champions=(*made.champions[:2], replace(made.champions[2], polished=True)))
+    text = told(report(transfer=polished))
+    assert "Chosen without the robot: best, the best of all niches on models of other families" in text
+    assert "polished on 2 models, which claims 9.0; it achieves 8.0 on the robot." in text
+    assert "Chosen with the robot: b, 8.5 on it." in text
 
 
 def test_a_report_tells_something_with_one_score_or_one_finished_cell() -> None:

@@ -35,6 +35,8 @@ CHAMPION = Champion(
     system=switched_car(),
     seed_fitness=(0.1 + 0.2, 1 / 3),
     estimator_delay=0.0221,
+    noise="envelope(latency=2)",
+    caution="doubt(outside=3)",
 )
 
 
@@ -136,6 +138,8 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
         "controller",
         "task",
         "estimator_delay",
+        "noise",
+        "caution",
         "system",
         "seed_fitness",
     ):

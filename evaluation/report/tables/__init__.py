@@ -1,7 +1,13 @@
 """The tables of a report."""
 
 from evaluation.report.tables.background import channel_list, episode_sheet, failure_sheet, key_sheet, model_sheet
-from evaluation.report.tables.controllers import controller_sheet, exploitability_sheet, probe_sheet, transfer_sheet
+from evaluation.report.tables.controllers import (
+    controller_sheet,
+    exploitability_sheet,
+    finalist_sheet,
+    probe_sheet,
+    transfer_sheet,
+)
 from evaluation.report.tables.prediction import channel_sheet, prediction_sheet
 
 __all__ = [
@@ -10,6 +16,7 @@ __all__ = [
     "controller_sheet",
     "episode_sheet",
     "exploitability_sheet",
+    "finalist_sheet",
     "failure_sheet",
     "key_sheet",
     "model_sheet",

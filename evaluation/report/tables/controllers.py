@@ -9,6 +9,7 @@ from evaluation.labels import folded, percent
 from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
 from evaluation.report.transferring import ONE_SEED
 from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, TransferMatrix, TransferSummary
+from sysid_evo.evolution import Finalist, worth
 
 FAINTEST = 1e-3
 """The share from which on a cell is painted."""
@@ -63,6 +64,32 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
             f"chosen: without the robot, the best on other families.{unknown}"
+        ),
+    )
+
+
+def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
+    """The best of each niche, what it claims, and what models of other families say; None without niches."""
+    rows = []
+    for champion in matrix.champions:
+        best: dict[str, Finalist] = {}
+        for finalist in champion.finalists:
+            kind = finalist.niche.partition(" #")[0]
+            if kind not in best or worth(finalist) > worth(best[kind]):
+                best[kind] = finalist
+        for kind, finalist in best.items():
+            chosen = np.array_equal(finalist.parameters, champion.parameters)
+            elsewhere = "–" if finalist.elsewhere is None else number(finalist.elsewhere)
+            rows.append((champion.name, lines(kind, "(chosen)" if chosen else ""), number(finalist.fitness), elsewhere))
+    if not any(kind for _, kind, _, _ in rows):
+        return None
+    return Sheet(
+        title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
+        columns=("controller", "niche", "claimed", "other\nfamilies"),
+        rows=tuple(rows),
+        note=(
+            "niche: the side of a channel on which a search was kept more than half of the time; the best of its "
+            "starts. other families: median over the models of families that it was not evolved in."
         ),
     )
 

@@ -5,6 +5,7 @@ They know nothing about cars: kernels come as first-class functions, sizes in an
 
 from __future__ import annotations
 
+from sysid_evo.engine.behaviour import EVERY
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
 from sysid_evo.engine.compiled.lanes import LANES, view
 from sysid_evo.engine.compiled.layout import Layout
@@ -12,7 +13,7 @@ from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
-    "pose_row", "n_pose", "seen",
+    "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
@@ -21,10 +22,10 @@ MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts"
 def closed_loop(
     dynamics, controller, observe, advance, sizes,
     dynamics_parameters, controller_parameters, task_parameters,
-    theta_of, start, task_start, trial_data, noise_of, envelope, actuation, first, last,
-    carry, control, noise, memory, observation, raw, before, task, theta, kept, scratch, controller_scratch,
+    theta_of, start, task_start, trial_data, noise_of, envelope, actuation, centre, first, last,
+    carry, control, noise, memory, observation, raw, before, task, theta, kept, tally, scratch, controller_scratch,
     trials, dead,
-    fitness, survived, clipped, diverged, final_task, states, controls, poses,
+    fitness, survived, clipped, diverged, final_task, counts, doubts, states, controls, poses,
 ):  # fmt: skip
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
     horizon, nx, nu = sizes[CLOSED.horizon], sizes[CLOSED.nx], sizes[CLOSED.nu]
@@ -46,6 +47,8 @@ def closed_loop(
                 theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
         for i in range(sizes[CLOSED.n_memory] * LANES):
             memory[i] = 0.0
+        for i in range(2 * (nx + nu) * LANES):
+            tally[i] = 0.0
         n_dead, marks = 0, observation  # observed anew before it is read
         for lane in range(LANES):
             if task[LANES + lane] == 0.0:
@@ -57,6 +60,9 @@ def closed_loop(
             observe(task, view(carry, sizes[CLOSED.seen] * LANES), observation, task_parameters)
             controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
             actuate(raw, control, actuation, nu)
+            if k % EVERY == 0:
+                count_sides(carry, view(task, LANES), view(centre, 0), nx, tally)
+                count_sides(control, view(task, LANES), view(centre, nx), nu, view(tally, 2 * nx * LANES))
             if n_noise > 0:
                 for lane in range(LANES):
                     drawn, column = view(noise_of, (trials[lane] * horizon + k) * n_noise), view(noise, lane)
@@ -118,8 +124,22 @@ def closed_loop(
                 fitness[rollout] = task[lane]
                 for row in range(n_task):
                     final_task[rollout * n_task + row] = task[row * LANES + lane]
+                for row in range(2 * (nx + nu)):
+                    counts[rollout * 2 * (nx + nu) + row] = tally[row * LANES + lane]
+                if sizes[CLOSED.doubt_at] >= 0:
+                    doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
                 if dead[lane] == 0:
                     survived[rollout] = horizon
+
+
+def count_sides(values, alive, centre, rows, tally):
+    """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
+    for row in range(rows):
+        value, middle = view(values, row * LANES), centre[row]
+        above, below = view(tally, 2 * row * LANES), view(tally, (2 * row + 1) * LANES)
+        for lane in range(LANES):
+            above[lane] += alive[lane] if value[lane] > middle else 0.0
+            below[lane] += alive[lane] if value[lane] < middle else 0.0
 
 
 def suspicious(carry, envelope, n_carry, nx, marks):

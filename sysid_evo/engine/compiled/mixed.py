@@ -9,7 +9,8 @@ import numpy as np
 
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.dynamics import Dynamics, clip_state
+from sysid_evo.dynamics import Dynamics, clip_state, doubted
+from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, OBSERVE, ControllerKernel, TaskKernel
@@ -89,6 +90,7 @@ def run(
     control = np.zeros(rollouts * nu, REAL)
     survived, clipped, dead = (np.zeros(rollouts, np.int64) for _ in range(3))
     diverged = np.zeros(rollouts, dtype=bool)
+    counts, centre = np.zeros((rollouts, 2 * (nx + nu))), behaviour.neutral(system)
     trial_of_lane = np.zeros(LANES, np.int64)
     alive_rows = task_rows.reshape(blocks, len(rows), LANES)[:, 1]
     with np.errstate(all="ignore"):
@@ -115,6 +117,8 @@ def run(
                 )
             )
             legal = control.reshape(rollouts, nu).astype(np.float64)
+            if k % behaviour.EVERY == 0:
+                counts += behaviour.sides(state, legal, centre) & alive[:, None]
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, legal, draw)
             diverged |= alive & ~np.isfinite(stepped).all(axis=1)
@@ -150,6 +154,8 @@ def run(
         "fitness": fitness.reshape(grid),
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
+        "behaviour": behaviour.shares(counts, survived, diverged).reshape(*grid, -1),
+        "doubt": doubted(dynamics, carry, diverged).reshape(grid),
         "task_state": task_kernel.state(tiled, final),
         "engine": ENGINE,
     }

@@ -15,6 +15,7 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import (
@@ -173,6 +174,7 @@ def run(
         pose_row=kernels.task.pose_row,
         n_pose=kernels.task.n_pose,
         seen=dynamics.observed_at,
+        doubt_at=-1 if dynamics.doubt_at is None else dynamics.doubt_at,
     )
     functions = {
         "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
@@ -191,10 +193,12 @@ def run(
         "noise_of": noise,
         "envelope": envelope,
         "actuation": actuation_table(system),
+        "centre": behaviour.neutral(system),
     }
     shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
+    counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
     kept = rollouts if record else 0
     tape = {
         "states": np.zeros(max(1, kept * (task.horizon + 1) * system.nx), real),
@@ -202,7 +206,8 @@ def run(
         "poses": np.zeros(max(1, kept * (task.horizon + 1) * kernels.task.n_pose), real),
     }
     results = {
-        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final, **tape,
+        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final,
+        "counts": counts, "doubts": doubts, **tape,
     }  # fmt: skip
     room = {
         "carry": carry.shape[1],
@@ -215,6 +220,7 @@ def run(
         "task": len(rows),
         "theta": parameters.shape[1],
         "kept": carry.shape[1] + len(rows),
+        "tally": 2 * (system.nx + system.nu),
         "scratch": kernels.dynamics.n_scratch,
         "controller_scratch": kernels.controller.n_scratch,
     }
@@ -237,6 +243,10 @@ def run(
         "fitness": score.reshape(grid),
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
+        "behaviour": behaviour.shares(counts.reshape(rollouts, -1).astype(np.float64), survived, diverged > 0).reshape(
+            *grid, -1
+        ),
+        "doubt": np.where(diverged > 0, 0.0, doubts.astype(np.float64)).reshape(grid),
         "task_state": kernels.task.state(began.tile(candidates), final_rows),
         "engine": f"compiled {precision}",
         "trajectories": _trajectories(list(tape.values()), survived, began.pose, task, system, trials)

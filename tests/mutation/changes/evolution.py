@@ -4,6 +4,8 @@ from tests.mutation.change import Change
 
 STRATEGY = "sysid_evo/evolution/mu_plus_lambda.py"
 TEST_STRATEGY = ("tests/sysid_evo/test_mu_plus_lambda.py",)
+TEST_CHOICE = ("tests/sysid_evo/test_choice.py",)
+TEST_NICHES = ("tests/sysid_evo/test_niches.py",)
 TEST_EVOLUTION = ("tests/sysid_evo/test_controller_evolution.py",)
 
 CHANGES = (
@@ -66,15 +68,15 @@ CHANGES = (
     Change(
         "the champion is chosen on trials that evolution has met",
         "sysid_evo/evolution/controllers.py",
-        "trial_seeds(seed, settings.selection_trials, generation=SELECTION)",
-        "trial_seeds(run_seed, settings.selection_trials, generation=0)",
+        "    seeds = selection_seeds(seed, settings.selection_trials)\n    models",
+        "    seeds = trial_seeds(run_seed(seed, 0), settings.selection_trials, generation=0)\n    models",
         TEST_EVOLUTION,
     ),
     Change(
         "the last run gives the champion, not the best",
         "sysid_evo/evolution/controllers.py",
-        "best = max(champions, key=lambda pair: pair[0])[1]",
-        "best = champions[-1][1]",
+        "best = max(finalists, key=lambda one: one.fitness)",
+        "best = finalists[-1]",
         TEST_EVOLUTION,
     ),
     Change(
@@ -90,5 +92,138 @@ CHANGES = (
         "self._between(states[:, -1 - m], states[:, -2 - m])",
         "self._between(states[:, -1], states[:, -2 - m])",
         ("tests/sysid_evo/wrappers/test_delayed_estimate.py",),
+    ),
+    Change(
+        "the best outcomes count as the risk",
+        "sysid_evo/evolution/aggregates.py",
+        "worst_first = np.sort(fitness.transpose(1, 0, 2)",
+        "worst_first = -np.sort(-fitness.transpose(1, 0, 2)",
+        ("tests/sysid_evo/test_aggregates.py",),
+    ),
+    Change(
+        "a model that denies a candidate may forbid everything",
+        "sysid_evo/evolution/aggregates.py",
+        "np.maximum(means.min(axis=0), median",
+        "np.minimum(means.min(axis=0), median",
+        ("tests/sysid_evo/test_aggregates.py",),
+    ),
+    Change(
+        "luck is added to the confidence",
+        "sysid_evo/evolution/aggregates.py",
+        "fitness.mean(axis=2) - self.weight * error",
+        "fitness.mean(axis=2) + self.weight * error",
+        ("tests/sysid_evo/test_aggregates.py",),
+    ),
+    Change(
+        "all models are run, whatever the aggregate draws",
+        "sysid_evo/evolution/ensemble.py",
+        "chosen = self._rule.models(len(self.runners), generation)",
+        "chosen = np.arange(len(self.runners))",
+        ("tests/sysid_evo/test_controller_evolution.py",),
+    ),
+    Change(
+        "evolution climbs the claim, not what the aggregate says of a population",
+        "sysid_evo/evolution/ensemble.py",
+        "Scores(self._rule.in_population(fitness)",
+        "Scores(self._rule(fitness)",
+        ("tests/sysid_evo/test_controller_evolution.py",),
+    ),
+    Change(
+        "a restart is as large as the start before it",
+        "sysid_evo/evolution/restarts.py",
+        "round(size * self.growth**number)",
+        "round(size)",
+        ("tests/sysid_evo/test_restarts.py",),
+    ),
+    Change(
+        "a restart forgets what was found before",
+        "sysid_evo/evolution/restarts.py",
+        "self._ended = self._starts()[: REMEMBERED - 1]",
+        "self._ended = []",
+        ("tests/sysid_evo/test_restarts.py",),
+    ),
+    Change(
+        "what is asked again counts as if it were the first time",
+        "sysid_evo/evolution/map_elites.py",
+        "share = 1.0 / times[-len(old) :]",
+        "share = np.ones(len(old))",
+        ("tests/sysid_evo/test_map_elites.py",),
+    ),
+    Change(
+        "models that nobody beats on all at once are not told apart",
+        "sysid_evo/evolution/nsga2.py",
+        "objectives = fitness[None] if self.by_model is None else self.by_model",
+        "objectives = fitness[None]",
+        ("tests/sysid_evo/test_nsga2.py",),
+    ),
+    Change(
+        "a finalist is chosen by what it claims",
+        "sysid_evo/evolution/choice.py",
+        "return finalist.fitness if finalist.elsewhere is None else finalist.elsewhere",
+        "return finalist.fitness",
+        TEST_CHOICE,
+    ),
+    Change(
+        "finalists are judged by the lowest of the other models",
+        "sysid_evo/evolution/choice.py",
+        'seed, aggregate="median")',
+        'seed, aggregate="min")',
+        TEST_CHOICE,
+    ),
+    Change(
+        "a model of its own family judges a controller",
+        "evaluation/comparison/controller_cells.py",
+        "for judge in fitted if judge.registered not in own}",
+        "for judge in fitted}",
+        ("tests/evaluation/test_comparison.py",),
+    ),
+    Change(
+        "a model that denies good driving forbids it",
+        "sysid_evo/evolution/polish.py",
+        "fitness >= median - (1.0 - CREDIBLE) * abs(median)",
+        "fitness >= -np.inf",
+        TEST_CHOICE,
+    ),
+    Change(
+        "a polish begins from those that claim most",
+        "sysid_evo/evolution/polish.py",
+        "key=lambda one: -worth(one))[:starts]",
+        "key=lambda one: -one.fitness)[:starts]",
+        TEST_CHOICE,
+    ),
+    Change(
+        "candidates outside their niche rank by their fitness",
+        "sysid_evo/evolution/niches.py",
+        "np.where(inside, fitness, fitness.min() - span * (1.0 + off))",
+        "fitness.copy()",
+        TEST_NICHES,
+    ),
+    Change(
+        "the two best islands go on, whatever they do",
+        "sysid_evo/evolution/niches.py",
+        "if all(self._distance(i, j) > reach for j in chosen):",
+        "if True:",
+        TEST_NICHES,
+    ),
+    Change(
+        "a start is never over",
+        "sysid_evo/evolution/niches.py",
+        "return self.age - self.peak_age >= PATIENCE",
+        "return False",
+        TEST_NICHES,
+    ),
+    Change(
+        "CMA-ES learns from its mean",
+        "sysid_evo/evolution/cma_es.py",
+        "self._search.tell(self._asked, (-fitness[:-1]).tolist())",
+        "self._search.tell([*self._asked[:-1], population[-1]], (-fitness[1:]).tolist())",
+        ("tests/sysid_evo/test_cma_es.py",),
+    ),
+    Change(
+        "a behaviour is counted after the trial, too",
+        "sysid_evo/engine/reference.py",
+        "behaviour.sides(state, control, centre) & alive[:, None]",
+        "behaviour.sides(state, control, centre)",
+        ("tests/sysid_evo/engine/test_behaviour.py",),
     ),
 )

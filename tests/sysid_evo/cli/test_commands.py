@@ -50,13 +50,21 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     assert fitted.returncode == 0, fitted.stderr
     evolved = run_here(
         "evolve", "--run", "mine", "--against", "linear,nearest_neighbour", "--aggregate", "min",
+        "--noise", "envelope(sensor=0.1, latency=1)", "--caution", "doubt(outside=2)",
         "--generations", "1", "--trials", "2", "--runs", "1", cwd=tmp_path,
     )  # fmt: skip
     assert evolved.returncode == 0, evolved.stderr
     assert "linear:" in evolved.stdout
-    (controller,) = (tmp_path / "mine" / "controllers").glob("linear+nearest_neighbour-*.json")
-    assert f"stored as mine/controllers/{controller.name}" in evolved.stdout
+    controller = tmp_path / evolved.stdout.split("stored as ")[1].strip()
+    assert controller.parent == tmp_path / "mine" / "controllers"
     assert controller.with_suffix(".safetensors").is_file()
+    assert "what to record next" in evolved.stdout
+    inspected = run_here("inspect", logs, "--controller", controller, cwd=tmp_path)
+    assert inspected.returncode == 0, inspected.stderr
+    assert "what to record next" in inspected.stdout
+    assert " of the steps" in inspected.stdout
+    elsewhere = run_here("inspect", logs, "--controller", "nowhere.json", cwd=tmp_path)
+    assert elsewhere.returncode == 2, elsewhere.stderr
 
 
 def test_a_controller_evolves_on_the_emulated_car_without_any_model(tmp_path: Path) -> None:

@@ -117,8 +117,8 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(tmp_path:
     )  # fmt: skip
     assert compared.returncode == 0, compared.stderr
     before = json.loads((tmp_path / "out" / "report.json").read_text())
-    evolved = controller(tmp_path / "out", "linear")
-    done = run_here("drive", "--controller", evolved, "--robot", "emulated_car", "--trials", "3", cwd=tmp_path)
+    chosen = tmp_path / "out" / before["controller_files"]["linear"]
+    done = run_here("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Report:" in done.stdout
     after = json.loads((tmp_path / "out" / "report.json").read_text())

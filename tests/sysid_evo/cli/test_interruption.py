@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from sysid_evo.arrays import Array
+from sysid_evo.evolution import MuPlusLambda
+from sysid_evo.registry import strategies
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import run_here
+from tests.sysid_evo.cli.calling import Caller, run_here
 
 PLUGIN = """
 import signal
@@ -46,3 +53,49 @@ def test_an_interrupted_fit_is_said_leaves_nothing_and_is_made_good_by_the_same_
     assert again.returncode == 0, again.stderr
     assert "kept" in again.stderr
     assert len(list((tmp_path / "out" / "models").glob("interrupted-*.json"))) == 1
+
+
+@dataclass
+class Diary:
+    """Which generations were asked, and the one in which Ctrl-C is pressed."""
+
+    asked: list[int] = field(default_factory=list)
+    pressed_in: int | None = None
+
+
+def test_an_interrupted_evolution_is_kept_and_the_same_command_goes_on_to_the_same_champion(
+    logs: Path, call: Caller, register: Callable[..., Any]
+) -> None:
+    diary = Diary()
+
+    class Stopped(MuPlusLambda):
+        def __init__(self, *, n_parameters: int, seed: int) -> None:
+            super().__init__(n_parameters=n_parameters, seed=seed, parents=4, children=4)
+
+        def ask(self) -> Array:
+            diary.asked.append(self.generation)
+            if self.generation == diary.pressed_in:
+                signal.raise_signal(signal.SIGINT)
+            return super().ask()
+
+    register(strategies, "stopped", Stopped)
+    budget = ("--generations", "6", "--trials", "2", "--runs", "1", "--strategy", "stopped")
+    assert call("fit", logs, "--models", "linear", "--out", "out").code == 0
+    diary.pressed_in = 3
+    stopped = call("evolve", "--run", "out", "--against", "linear", *budget)
+    assert stopped.code == 130
+    assert stopped.says(
+        "interrupted: evolve linear. The 3 of 6 generations that are done are kept; go on with --run out"
+    )
+    champions = call.folder / "out" / "controllers"
+    assert [file.suffix for file in champions.iterdir()] == [".checkpoint"]
+    assert call("runs", "clean", "out").stdout.startswith("0 files")
+    diary.pressed_in = None
+    assert call("evolve", "--run", "out", "--against", "linear", *budget).code == 0
+    assert diary.asked == [0, 1, 2, 3, 3, 4, 5]
+    assert sorted(file.suffix for file in champions.iterdir()) == [".json", ".safetensors"]
+    (model,) = (call.folder / "out" / "models").glob("linear-*.json")
+    (call.folder / "another").mkdir()
+    assert call("evolve", "--run", "another", "--against", model, *budget).code == 0
+    (one,), (other,) = ((call.folder / run / "controllers").glob("*.safetensors") for run in ("out", "another"))
+    assert one.read_bytes() == other.read_bytes()

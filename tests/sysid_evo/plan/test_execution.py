@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import ArtefactError, InvalidData
-from sysid_evo.plan import Cell, Plan, Store, execute
+from sysid_evo.plan import Cell, Plan, Store, Work, execute
 from tests.sysid_evo.plan.made_up_cells import Named, Number, Tolerant, Watching
 
 
@@ -26,6 +27,19 @@ def fails(error: BaseException) -> Any:
         raise error
 
     return then
+
+
+@dataclass(frozen=True, eq=False)
+class Keeping(Number):
+    """Finds what it kept the last time, and keeps one more; the first time it is interrupted, the second it fails."""
+
+    def compute(self, work: Work) -> int:
+        work.checkpoint.parent.mkdir(exist_ok=True)
+        kept = int(work.checkpoint.read_text()) if work.checkpoint.exists() else 0
+        work.checkpoint.write_text(str(kept + 1))
+        if kept < 2:
+            raise (KeyboardInterrupt, ValueError)[kept]
+        return kept
 
 
 def record_of(folder: Path, cell: Cell) -> Path:
@@ -302,3 +316,15 @@ def test_a_store_that_nothing_was_put_into_writes_nothing(tmp_path: Path) -> Non
     assert not (tmp_path / "none").exists()
     with pytest.raises(ArtefactError, match="count base: not computed yet"):
         store.load(BASE)
+
+
+def test_what_a_cell_keeps_meanwhile_stays_until_it_is_done(tmp_path: Path) -> None:
+    store, plan = Store(tmp_path), Plan.of([Keeping()])
+    with pytest.raises(KeyboardInterrupt):
+        execute(plan, store)
+    (failed,) = execute(plan, store).values()
+    assert failed.failed
+    (done,) = execute(plan, store).values()
+    assert not done.failed
+    assert store.load(plan.cells[0]) == 2
+    assert not store.checkpoint(plan.cells[0]).exists()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, IntArray
 from sysid_evo.errors import ContractViolation, UnknownName
 from sysid_evo.evolution import Aggregate
 from sysid_evo.registry import aggregates
@@ -69,6 +69,22 @@ class Geometric(Aggregate):
             return np.exp(np.log(fitness).mean(axis=(0, 2)))
 
 
+class RankAlone(Aggregate):
+    def __call__(self, fitness: Array) -> Array:
+        return fitness.mean(axis=(0, 2))
+
+    def in_population(self, fitness: Array) -> Array:
+        return np.argsort(np.argsort(self(fitness))).astype(np.float64)
+
+
+class EveryOther(Aggregate):
+    def __call__(self, fitness: Array) -> Array:
+        return fitness.mean(axis=(0, 2))
+
+    def models(self, count: int, generation: int) -> IntArray:
+        return np.arange(generation % 2, count, 2)
+
+
 BROKEN: list[tuple[type[Aggregate], Callable[..., None], str]] = [
     (SinglePrecision, kit.it_gives_one_number_for_each_candidate, r"expected \(7,\) float64, got \(7,\) float32"),
     (SpreadOfMany, kit.one_model_and_one_trial_are_enough, "expected one finite number, got"),
@@ -78,6 +94,8 @@ BROKEN: list[tuple[type[Aggregate], Callable[..., None], str]] = [
     (Sum, kit.equal_fitness_is_the_result, "2.5 everywhere becomes"),
     (Saturating, kit.a_gain_everywhere_is_a_gain, "does not raise it"),
     (Geometric, kit.bad_luck_everywhere_counts, "expected finite numbers, got"),
+    (RankAlone, kit.a_population_is_ranked_fairly, r"2.5 everywhere becomes \[0"),
+    (EveryOther, kit.the_generation_decides_the_models, r"expected some of 1 models in rising order, got \[\]"),
 ]
 
 

@@ -29,7 +29,7 @@ class Climber(EvolutionStrategy):
         rng = np.random.default_rng([self.seed, self.generation])
         return self.parent + 0.2 * rng.standard_normal((8, self.n_parameters))
 
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent = population[int(fitness.argmax())].copy()
         self.generation += 1
 
@@ -56,8 +56,8 @@ class Seedless(Climber):
 
 
 class Minimising(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
-        super()._update(population, -fitness)
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        super()._update(population, -fitness, behaviour)
 
 
 class BestLast(Climber):
@@ -68,21 +68,23 @@ class BestLast(Climber):
 
 
 class Holding(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent = population[int(fitness.argmax())]
         self.generation += 1
 
 
 class Credulous(Climber):
-    def tell(self, population: Array, fitness: Array) -> None:
-        self._update(population, fitness)
+    def tell(
+        self, population: Array, fitness: Array, behaviour: Array | None = None, by_model: Array | None = None
+    ) -> None:
+        self._update(population, fitness, np.empty((len(population), 0)))
 
 
 class Scaling(Climber):
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         with np.errstate(all="ignore"):
             share = (fitness - fitness.min()) / (fitness.max() - fitness.min())
-        super()._update(population, fitness)
+        super()._update(population, fitness, behaviour)
         self.parent = self.parent * share.max()
 
 
@@ -95,7 +97,7 @@ class Forgetful(Climber):
 class Aliasing(Climber):
     """Hands out its own array as the state, and learns into it."""
 
-    def _update(self, population: Array, fitness: Array) -> None:
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         self.parent[:] = population[int(fitness.argmax())]
         self.generation += 1
 
@@ -114,6 +116,25 @@ class Unstorable(Climber):
         return {**super().state, "random": np.random.default_rng(0)}  # type: ignore[dict-item]  # what is tested
 
 
+class Nostalgic(Climber):
+    """Keeps the best it ever met, whatever the task."""
+
+    best = -np.inf
+
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        if fitness.max() > self.best:
+            super()._update(population, fitness, behaviour)
+            self.best = float(fitness.max())
+
+    @property
+    def state(self) -> StrategyState:
+        return {**super().state, "best": self.best}
+
+    def restore(self, state: StrategyState) -> None:
+        super().restore(state)
+        self.best = float(state["best"])
+
+
 BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (
         SinglePrecision,
@@ -128,6 +149,7 @@ BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (Scaling, kit.a_plateau_is_no_end, "it asks candidates that are not finite"),
     (Forgetful, kit.a_restored_strategy_goes_on, "it goes on otherwise after 4 generations"),
     (Aliasing, kit.a_restored_strategy_goes_on, "a state changes after it was taken"),
+    (Nostalgic, kit.what_is_forgotten_does_not_count, "60 generations later, on another hill, 1 of the elite"),
     (Unstorable, kit.a_restored_strategy_goes_on, "numbers and text, 'random' is a Generator"),
 ]
 

@@ -1,0 +1,168 @@
+"""Several kernels that step side by side from the same state, see `sysid_evo.wrappers.Switching` and `Cautious`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource, Precision
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.engine.kernels.stepping import copy
+
+GROUP = Layout("nx", "count", "next")
+MEMBER = Layout("at", "noise_at", "own")
+SWITCH = Layout("nx", "count", "drawn_at", "change", "chain", align=CACHE_LINE)
+DOUBT = Layout("nx", "count", "doubt_at", "weight", "chain", align=CACHE_LINE)
+
+
+def switching_kernel(
+    members: Sequence[DynamicsKernel],
+    nx: int,
+    *,
+    places: Sequence[int],
+    noise_places: Sequence[int],
+    n_noise: int,
+    bounds: Array,
+    change: float | None,
+) -> DynamicsKernel:
+    """Return the kernel of `Switching`: the number of the one in turn at nx, the members' carries at ``places``."""
+    chain = chained(members, nx, places, noise_places)
+    numbers = padded(np.concatenate([bounds, places]))
+    parameters = SWITCH.pack(
+        numbers,
+        chain.parameters,
+        nx=nx,
+        count=len(members),
+        drawn_at=-1 if change is None else n_noise,
+        change=0.0 if change is None else change,
+        chain=SWITCH.size + len(numbers),
+    )
+    return DynamicsKernel(
+        KernelSource(switched, {"step_all": chain.source}), parameters, chain.n_scratch, chain.precision
+    )
+
+
+def switched(carry, control, noise, parameters, scratch):
+    """Step all members, perhaps change the one in turn, and take over its state, which all then have."""
+    nx, count = int(parameters[SWITCH.nx]), int(parameters[SWITCH.count])
+    bounds, places = view(parameters, SWITCH.size), view(parameters, SWITCH.size + count - 1)
+    which = view(carry, nx * LANES)
+    if parameters[SWITCH.drawn_at] >= 0.0:
+        changes, drawn = (
+            view(noise, int(parameters[SWITCH.drawn_at]) * LANES),
+            view(noise, (int(parameters[SWITCH.drawn_at]) + 1) * LANES),
+        )
+        below = parameters[SWITCH.change]
+        for lane in range(LANES):
+            which[lane] = 0.0 if changes[lane] < below else which[lane]
+        for i in range(count - 1):
+            bound = bounds[i]
+            for lane in range(LANES):
+                which[lane] += 1.0 if (changes[lane] < below) & (drawn[lane] > bound) else 0.0
+    step_all(carry, control, noise, view(parameters, int(parameters[SWITCH.chain])), scratch)
+    for member in range(count):
+        number, own = float(member), view(carry, int(places[member]) * LANES)
+        for row in range(nx):
+            here, there = view(own, row * LANES), view(carry, row * LANES)
+            for lane in range(LANES):
+                there[lane] = here[lane] if which[lane] == number else there[lane]
+    for member in range(count):
+        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+def cautious_kernel(
+    members: Sequence[DynamicsKernel],
+    nx: int,
+    *,
+    places: Sequence[int],
+    noise_places: Sequence[int],
+    limit: Array,
+    weight: float,
+) -> DynamicsKernel:
+    """Return the kernel of `Cautious`: the state is that of the first member, how far to doubt it stands at nx."""
+    chain = chained(members, nx, places, noise_places)
+    numbers = padded(np.concatenate([1.0 / limit, places]))
+    parameters = DOUBT.pack(
+        numbers,
+        chain.parameters,
+        nx=nx,
+        count=len(members),
+        doubt_at=nx,
+        weight=weight,
+        chain=DOUBT.size + len(numbers),
+    )
+    return DynamicsKernel(
+        KernelSource(doubted, {"step_all": chain.source}), parameters, chain.n_scratch + 3, chain.precision
+    )
+
+
+def doubted(carry, control, noise, parameters, scratch):
+    """Step all members, count how far apart their states are, and take over that of the first."""
+    nx, count, weight = int(parameters[DOUBT.nx]), int(parameters[DOUBT.count]), parameters[DOUBT.weight]
+    per_limit, places = view(parameters, DOUBT.size), view(parameters, DOUBT.size + nx)
+    farthest, low, high = scratch, view(scratch, LANES), view(scratch, 2 * LANES)
+    step_all(carry, control, noise, view(parameters, int(parameters[DOUBT.chain])), view(scratch, 3 * LANES))
+    for lane in range(LANES):
+        farthest[lane] = 0.0
+    for row in range(nx):
+        copy(view(carry, (int(places[0]) + row) * LANES), low, LANES)
+        copy(low, high, LANES)
+        for member in range(1, count):
+            here = view(carry, (int(places[member]) + row) * LANES)
+            for lane in range(LANES):
+                low[lane] = min(low[lane], here[lane])
+                high[lane] = max(high[lane], here[lane])
+        factor = per_limit[row]
+        for lane in range(LANES):
+            farthest[lane] = max(farthest[lane], (high[lane] - low[lane]) * factor)
+    doubt = view(carry, int(parameters[DOUBT.doubt_at]) * LANES)
+    for lane in range(LANES):
+        doubt[lane] += weight * min(max(farthest[lane] - 1.0, 0.0), 1.0)
+    copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)
+    for member in range(count):
+        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+def chained(
+    members: Sequence[DynamicsKernel], nx: int, places: Sequence[int], noise_places: Sequence[int]
+) -> DynamicsKernel:
+    """Return a kernel that puts the state at the head of the carry into each member's, and steps them all.
+
+    Members of the same code stand in one loop, so that it is compiled once.
+    """
+    source, parameters = KernelSource(nothing_to_step), np.zeros(1)
+    groups = [list(group) for _, group in groupby(range(len(members)), key=lambda i: members[i].source)]
+    for group in reversed(groups):
+        begin = -(-(GROUP.size + MEMBER.size * len(group)) // CACHE_LINE) * CACHE_LINE
+        heads, blocks = [], []
+        for i in group:
+            heads.append(MEMBER.pack(at=places[i], noise_at=noise_places[i], own=begin))
+            blocks.append(padded(members[i].parameters))
+            begin += len(blocks[-1])
+        head = padded(GROUP.pack(*heads, nx=nx, count=len(group), next=begin))
+        parameters = np.concatenate([head, *blocks, parameters])
+        source = KernelSource(step_group, {"one": members[group[0]].source, "others": source})
+    precision: Precision = "float64" if any(member.precision == "float64" for member in members) else "float32"
+    return DynamicsKernel(source, parameters, max(member.n_scratch for member in members), precision)
+
+
+def step_group(carry, control, noise, parameters, scratch):
+    """Step some members, then the others."""
+    rows = int(parameters[GROUP.nx]) * LANES
+    for number in range(int(parameters[GROUP.count])):
+        head = view(parameters, GROUP.size + number * MEMBER.size)
+        own = view(carry, int(head[MEMBER.at]) * LANES)
+        copy(carry, own, rows)
+        drawn = view(noise, int(head[MEMBER.noise_at]) * LANES)
+        one(own, control, drawn, view(parameters, int(head[MEMBER.own])), scratch)
+    others(carry, control, noise, view(parameters, int(parameters[GROUP.next])), scratch)
+
+
+def nothing_to_step(carry, control, noise, parameters, scratch):
+    """Leave everything as it is."""
+    return

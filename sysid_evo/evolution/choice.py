@@ -1,0 +1,55 @@
+"""Choosing a controller without the robot: by what it does in models of families that it was not evolved in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid_evo.engine import Runner
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.champion import Champion, Finalist
+from sysid_evo.evolution.controllers import observed_late, selection_seeds
+from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.registry import make_controller, make_task
+
+
+def choose(contenders: Sequence[tuple[Champion, Mapping[str, Runner]]], *, seed: int, trials: int = 100) -> Champion:
+    """Return the champion of the finalist with the highest median on the models beside its champion.
+
+    Those must be of *other* families than it was evolved in, each run in ``trials`` fresh trials: what a
+    controller claims in its own model says next to nothing about what it achieves elsewhere, while this
+    ranks as the robot does. A champion without such models keeps its fittest finalist; where there are
+    models for some and for others not, only those with models are compared. The champion returned holds
+    the finalists of all, with their medians. Raises `InvalidArgument` without a contender.
+    """
+    if not contenders:
+        raise InvalidArgument("choose: expected at least one champion, got none")
+    judged = [judge(champion, judges, seed=seed, trials=trials) for champion, judges in contenders]
+    ranked = [(finalist, champion) for champion in judged for finalist in champion.finalists]
+    known = [pair for pair in ranked if pair[0].elsewhere is not None]
+    best, own = max(known or ranked, key=lambda pair: worth(pair[0]))  # of equals the first
+    return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _ in ranked))
+
+
+def judge(champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials: int = 100) -> Champion:
+    """Return ``champion`` with the median of each finalist over the ``judges``; as it is where there are none."""
+    if not judges or not champion.finalists:
+        return champion
+    assert champion.system is not None
+    task = make_task(champion.task).bind(champion.system)
+    controller = make_controller(champion.controller).bind(len(task.observations), champion.system.nu)
+    late = tuple(observed_late(label, runner, champion.estimator_delay) for label, runner in judges.items())
+    everyone = np.stack([finalist.parameters for finalist in champion.finalists])
+    objective = EnsembleObjective(late, controller, task, seed, aggregate="median")
+    medians = objective.on_trials(everyone, selection_seeds(seed, trials)).fitness
+    finalists = tuple(
+        replace(one, elsewhere=float(median)) for one, median in zip(champion.finalists, medians, strict=True)
+    )
+    return replace(champion, finalists=finalists, judges=tuple(judges))
+
+
+def worth(finalist: Finalist) -> float:
+    """Return by what finalists are ranked: the median elsewhere, or what it claims where nobody judged."""
+    return finalist.fitness if finalist.elsewhere is None else finalist.elsewhere

@@ -1,0 +1,128 @@
+"""Covariance matrix adaptation, from a wide start."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.registry import register_strategy
+
+ELITE = 15
+"""Candidates of the last generation that stand for the champion, beside the mean."""
+LEAST_DIMENSION = 2
+"""The library does not search a line: one parameter gets a second one that counts for nothing."""
+NEVER = {"tolfun": 0, "tolx": 0, "tolfunhist": 0, "tolstagnation": 10**9, "tolflatfitness": 10**9}
+
+
+@register_strategy("cma_es")
+class CmaEs(EvolutionStrategy):
+    """CMA-ES of the library ``cma`` (Hansen, "The CMA evolution strategy: a tutorial", 2016).
+
+    A generation is ``population`` candidates drawn from the normal distribution that it adapts, and the mean of
+    that distribution, from which it learns nothing: where the fitness is noisy, the mean is often the best.
+    ``sigma`` is the deviation at the start, around ``initial`` (default 0). The default is wide: units of a
+    network saturate there, which is where racing controllers were found. Random numbers come from a generator
+    keyed by (seed, generation).
+    """
+
+    def __init__(
+        self,
+        *,
+        n_parameters: int,
+        seed: int,
+        population: int = 50,
+        sigma: float = 3.0,
+        initial: Array | None = None,
+    ) -> None:
+        if n_parameters < 1 or population < 4 or not 0.0 < sigma < np.inf:
+            raise InvalidArgument(
+                f"cma_es: expected n_parameters >= 1, population >= 4, sigma > 0, "
+                f"got {n_parameters}, {population}, {sigma}"
+            )
+        self.n_parameters, self.seed = n_parameters, seed
+        self.population, self.sigma = population, sigma
+        centre = np.zeros(n_parameters) if initial is None else check_shape("initial", initial, (n_parameters,))
+        self._centre = np.concatenate([centre, np.zeros(max(0, LEAST_DIMENSION - n_parameters))])
+        self._search = self._begin()
+        self._elite = centre[None].copy()
+        self.generation = 0
+
+    @property
+    def elite(self) -> Array:
+        return self._elite
+
+    @property
+    def spread(self) -> float:
+        """The present deviation of the distribution, as the library counts it."""
+        return float(self._search.sigma)
+
+    @property
+    def state(self) -> StrategyState:
+        search = self._search
+        arrays = {"mean": search.mean, "covariance": search.sm.C, "axes": search.sm.B, "lengths": search.sm.D}
+        paths = {"path": search.pc, "sigma_path": search.adapt_sigma.ps}
+        found = {name: np.array(array, dtype=np.float64) for name, array in (arrays | paths).items()}
+        return {
+            "generation": self.generation,
+            "sigma": float(search.sigma),
+            "eigen_at": float(search.sm.last_update),
+            "evaluations": int(search.countevals),
+            "elite": self._elite.copy(),
+            **found,
+        }
+
+    def restore(self, state: StrategyState) -> None:
+        n = len(self._centre)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("mean", "lengths", "path", "sigma_path"), (n,))
+        shapes |= {"covariance": (n, n), "axes": (n, n)}
+        expected = {*shapes, "generation", "sigma", "eigen_at", "evaluations", "elite"}
+        if set(state) != expected:
+            raise InvalidArgument(
+                f"cma_es: expected a state with {', '.join(sorted(expected))}, "
+                f"got {', '.join(sorted(state)) or 'nothing'}"
+            )
+        found = {name: check_shape(f"state: {name}", state[name], shape).copy() for name, shape in shapes.items()}
+        elite = check_shape("state: elite", state["elite"], (None, self.n_parameters)).copy()
+        search = self._begin()
+        if state["generation"]:  # its first cycle sets up what later ones need
+            search.tell(search.ask(), list(range(self.population)))
+        search.mean, search.sigma, search.pc = found["mean"], float(state["sigma"]), found["path"]
+        search.sm.C, search.sm.B, search.sm.D = found["covariance"], found["axes"], found["lengths"]
+        search.adapt_sigma.ps = found["sigma_path"]
+        self.generation = search.countiter = int(state["generation"])
+        search.sm.count_tell = self.generation
+        search.sm.last_update, search.countevals = float(state["eigen_at"]), int(state["evaluations"])
+        self._search, self._elite = search, elite
+
+    def ask(self) -> Array:
+        self._asked = [np.array(drawn) for drawn in self._search.ask()]
+        return np.array([*self._asked, self._search.mean])[:, : self.n_parameters]
+
+    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        if len(population) != self.population + 1:
+            raise InvalidArgument(f"cma_es: expected {self.population + 1} candidates, got {len(population)}")
+        best = np.argsort(-fitness, kind="stable")
+        mean = len(population) - 1
+        kept = best[:ELITE]
+        self._elite = population[best[(np.isin(best, kept)) | (best == mean)]].copy()
+        self._search.tell(self._asked, (-fitness[:-1]).tolist())
+        self.generation += 1
+
+    def _begin(self) -> Any:
+        import cma
+
+        def randn(*shape: int) -> Array:
+            return np.random.default_rng(
+                np.random.SeedSequence(self.seed, spawn_key=(self.generation,))
+            ).standard_normal(shape)
+
+        self.generation = 0
+        options = {"popsize": self.population, "verbose": -9, "randn": randn, "seed": np.nan, **NEVER}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cma.CMAEvolutionStrategy(self._centre, self.sigma, options)

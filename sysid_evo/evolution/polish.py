@@ -1,0 +1,115 @@
+"""A short local search, from controllers that were found in single models, against an ensemble of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sysid_evo.arrays import Array, BoolArray
+from sysid_evo.checkpoint import Checkpoint
+from sysid_evo.engine import Runner
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.champion import Champion, Finalist
+from sysid_evo.evolution.choice import worth
+from sysid_evo.evolution.cma_es import CmaEs
+from sysid_evo.evolution.controllers import ControllerEvolution, observed_late, run_seed, selection_seeds
+from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.meeting import met
+from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.schedule import Schedule
+from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.progress import Progress
+
+POLISHED = "polished"
+CREDIBLE = 0.7
+"""Share of its median fitness over all models that a controller must have on one for that one to be believed."""
+
+
+def polish(
+    name: str,
+    champion: Champion,
+    runners: Mapping[str, Runner],
+    settings: ControllerEvolution,
+    *,
+    seed: int,
+    starts: int = 2,
+    generations: int = 120,
+    sigma: float = 0.1,
+    checkpoint: Checkpoint | None = None,
+    progress: Progress | None = None,
+) -> Champion:
+    """Return the fittest of what CMA-ES finds near the ``starts`` best finalists of ``champion`` on all of ``runners``.
+
+    How the fitnesses on the models become one is the aggregate of ``settings``, and so are trials, task and
+    controller. The step is short, ``sigma`` at the start, since the starts are good drivers already: what
+    changes is what they owe to the faults of single models. A start that nothing beats stays as it is. Models
+    that deny the best start, on which it has less than `CREDIBLE` of its median over all, are left out, so that
+    one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` as for
+    `evolve_controller`.
+    """
+    if not champion.finalists or champion.system is None:
+        raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
+    task = settings.make_task(champion.system)
+    controller = settings.make_controller(task)
+    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
+    seeds = selection_seeds(seed, settings.selection_trials)
+    chosen = sorted(champion.finalists, key=lambda one: -worth(one))[:starts]
+    everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
+    by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
+    assert by_model is not None
+    used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
+    believed = tuple(met({label: runners[label] for label in used}, settings).values())
+
+    def objective(run: int) -> EnsembleObjective:
+        return EnsembleObjective(believed, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
+
+    def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
+        strategy = CmaEs(
+            n_parameters=controller.n_parameters,
+            seed=run_seed(seed, run),
+            sigma=sigma,
+            initial=chosen[run].parameters,
+        )
+        return strategy, Schedule((), objective(run))
+
+    def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
+        fitness = objective(run).on_trials(candidates, seeds).fitness
+        winner = int(np.argmax(fitness))
+        label = f"{POLISHED} {chosen[run].niche}".strip()
+        return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)
+
+    told = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
+    ended = Runs(
+        len(chosen),
+        generations,
+        begun,
+        finals,
+        models=(used,),
+        checkpoint=checkpoint,
+        identity="" if checkpoint is None else identity(told, runners, controller, task, seed),
+    ).to_the_end(progress)
+    best = max((run.finalists[0] for run in ended), key=lambda one: one.fitness)  # of equals the first
+    return replace(
+        champion,
+        name=name,
+        parameters=best.parameters,
+        against=used,
+        aggregate=settings.aggregate,
+        seed=seed,
+        history=ended[best.run].history,
+        seed_fitness=(),
+        judges=(),
+        polished=True,
+        finalists=tuple(run.finalists[0] for run in ended),
+        population=ended[best.run].population,
+    )
+
+
+def credible(fitness: Array) -> BoolArray:
+    """Return which models (M,) are believed about a controller that has this fitness on them."""
+    median = np.median(fitness)
+    kept: BoolArray = fitness >= median - (1.0 - CREDIBLE) * abs(median)
+    return kept

@@ -1,0 +1,127 @@
+"""Runs of a search, one after the other, which can be stopped after any generation and gone on with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.checkpoint import Checkpoint
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.errors import CheckpointWarning, EvolutionWarning
+from sysid_evo.evolution.champion import Finalist
+from sysid_evo.evolution.loop import Generation, evolve
+from sysid_evo.evolution.schedule import Schedule
+from sysid_evo.evolution.standing import EndedRun, Standing
+from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.progress import Progress
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Runs:
+    """``count`` runs of ``generations`` each.
+
+    ``begun(run)`` makes strategy and objective anew, as they are before the first generation; ``finals`` chooses
+    the finalists of a run that has ended. ``models`` are the labels of those that each stage is met on, the last
+    for what is asked. The ``checkpoint`` is kept under ``identity``.
+    """
+
+    count: int
+    generations: int
+    begun: Callable[[int], tuple[EvolutionStrategy, Schedule]]
+    finals: Callable[[int, EvolutionStrategy], tuple[Finalist, ...]]
+    models: Sequence[tuple[str, ...]]
+    checkpoint: Checkpoint | None = None
+    identity: str = ""
+
+    def to_the_end(self, progress: Progress | None) -> tuple[EndedRun, ...]:
+        """Return all runs when they have ended. Whatever stops them, the generations done are kept."""
+        standing = saved = self._resumed()
+        total = self.count * self.generations
+        if progress is not None and standing.generations:
+            progress(standing.generations, total)
+        try:
+            for reached, note in self._steps(standing):
+                standing = reached
+                if self.checkpoint is not None and (not note or self.checkpoint.due()):
+                    self.checkpoint.save(self.identity, standing.state)
+                    saved = standing
+                if progress is not None and note:
+                    progress(standing.generations, total, note)
+        except BaseException:  # Ctrl-C, too
+            if self.checkpoint is not None and standing is not saved:
+                self.checkpoint.save(self.identity, standing.state)
+            raise
+        return standing.ended
+
+    def _steps(self, standing: Standing) -> Iterator[tuple[Standing, str]]:
+        """Yield how things stand after every generation, with a note, and after every run, without one."""
+        for run in range(len(standing.ended), self.count):
+            strategy, schedule = self.begun(run)
+            standing.restore(strategy, schedule)
+            for generation in evolve(strategy, schedule, self.generations, start=len(standing.history)):
+                note = self._note(run, generation, strategy, schedule)
+                if schedule.tell(generation):
+                    strategy.forget_fitness()
+                history = np.concatenate([standing.history, [generation.summary]])
+                states = ({}, {}) if self.checkpoint is None else (strategy.state, schedule.state)
+                standing = Standing(standing.ended, history, *states)
+                yield standing, note
+            if schedule.stage < len(schedule.stages):
+                warnings.warn(
+                    f"run {run + 1} ended in {schedule.status}: the task itself was never evolved. "
+                    "Give more generations, a lower until, or at_most",
+                    EvolutionWarning,
+                    stacklevel=2,
+                )
+            ended = EndedRun(self.finals(run, strategy), standing.history, strategy.elite)
+            standing = Standing((*standing.ended, ended))
+            yield standing, ""
+
+    def _resumed(self) -> Standing:
+        """Return how far the checkpoint is, if it is a checkpoint of this very evolution."""
+        found = None if self.checkpoint is None else self.checkpoint.load(self.identity)
+        if found is None:
+            return Standing()
+        try:
+            standing = Standing.of(found)
+            standing.restore(*self.begun(0))
+        except (LookupError, TypeError, ValueError) as error:
+            warnings.warn(
+                f"the checkpoint is ignored, and all is computed again: {error}", CheckpointWarning, stacklevel=2
+            )
+            return Standing()
+        return standing
+
+    def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy, schedule: Schedule) -> str:
+        """Return what a generation reached: best and mean, the best on every model, what the strategy says."""
+        models = self.models[schedule.stage]
+        best, mean, _ = generation.summary
+        parts = [f"best {best:.1f}, mean {mean:.1f}"]
+        if generation.by_model is not None and len(generation.by_model) > 1:
+            of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
+            run_on = [(name, value) for name, value in zip(models, of_best, strict=True) if np.isfinite(value)]
+            parts.append(", ".join(f"{name} {value:.1f}" for name, value in run_on))
+        if self.count > 1:
+            parts.append(f"run {run + 1} of {self.count}")
+        return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))
+
+
+def identity(told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int) -> str:
+    """Return the digest of an evolution: what is ``told`` of it, strict JSON, and where controllers drive in models."""
+    text = json.dumps([*told, list(runners), task.system.to_dict(), seed], sort_keys=True)
+    digest = hashlib.sha256(text.encode())
+    some = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
+    for runner in runners.values():
+        if isinstance(runner, DynamicsRunner):  # a robot never drives the same way twice
+            for trajectory in runner.run(controller, some, task, trial_seeds(seed, 2), record=True).trajectories:
+                digest.update(np.ascontiguousarray(trajectory.states).tobytes())
+    return digest.hexdigest()

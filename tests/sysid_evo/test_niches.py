@@ -1,0 +1,167 @@
+"""Islands in niches of behaviour."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution import Niches, Scores, evolve
+from sysid_evo.evolution.niches import Island, _known
+from sysid_evo.testing import check_strategy
+
+NAMES = ("speed above", "speed below", "drive above", "drive below", "steer above", "steer below")
+CONTROLS = ("drive", "steer")
+
+
+def described(population: Array) -> Array:
+    """A made-up behaviour: drives and moves by the sign of parameter 0, steers both ways alike."""
+    forwards = np.clip(0.5 + population[:, 0], 0.0, 1.0)
+    half = np.full(len(population), 0.5)
+    return np.stack([forwards, 1.0 - forwards, forwards, 1.0 - forwards, half, half], axis=1)
+
+
+def trap(population: Array, _: int = 0) -> Scores:
+    """A broad hill of height 5 at -2 (backwards), and a steep one of height 10 at +2 (forwards)."""
+    broad = 5.0 - 0.1 * ((population + 2.0) ** 2).sum(axis=1)
+    steep = 10.0 - ((population - 2.0) ** 2).sum(axis=1)
+    return Scores(np.maximum(broad, steep), described(population))
+
+
+def prepared(generations: int = 100, **arguments: object) -> Niches:
+    strategy = Niches(n_parameters=3, seed=1, **{"strategy": "cma_es(population=20, sigma=2.0)", **arguments})  # type: ignore[arg-type]
+    strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=generations)
+    return strategy
+
+
+def test_it_keeps_the_contract_without_and_with_descriptors() -> None:
+    check_strategy("niches")
+    check_strategy("niches", strategy="mu_plus_lambda(parents=5, children=5)", slots=1)
+
+
+def test_a_niche_finds_the_high_hill_beside_the_broad_one() -> None:
+    strategy = prepared()
+    for _ in evolve(strategy, trap, 100):
+        pass
+    found = {name: float(trap(candidates).fitness.max()) for name, candidates in strategy.finals.items()}
+    assert found["drive above"] > 9.9
+    assert max(fitness for name, fitness in found.items() if name != "drive above") == pytest.approx(5.0, abs=0.1)
+    np.testing.assert_allclose(strategy.elite[0], 2.0, atol=0.05)
+    assert strategy.status == "2 niches, best drive above"
+
+
+def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on() -> None:
+    strategy = prepared()
+    assert [island.name for island in strategy.islands] == ["drive above", "drive below", "steer above", "steer below"]
+    for _ in evolve(strategy, trap, 20):
+        pass
+    kept = [island.name for island in strategy.going]
+    assert len(kept) == 2
+    assert "drive above" in kept  # the slow kind is not lost: the others all went backwards
+    ages = {island.name: island.age for island in strategy.islands}
+    assert set(ages.values()) == {10}  # every island of the survey had the same
+
+
+def test_an_island_ranks_what_leaves_its_niche_below_all_inside() -> None:
+    told: list[Array] = []
+
+    class Listening:
+        elite = np.zeros((1, 3))
+
+        def tell(self, population: Array, fitness: Array) -> None:
+            told.append(fitness)
+
+    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)  # type: ignore[arg-type]
+    fitness = np.array([1.0, 9.0, 8.0, -3.0])
+    island.tell(np.arange(12.0).reshape(4, 3), fitness, np.zeros((4, 6)), np.array([0.0, 0.1, 0.4, 0.0]))
+    assert list(np.argsort(-told[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
+    np.testing.assert_array_equal(island.best[0], [0.0, 1.0, 2.0])
+    assert island.promise == pytest.approx(np.quantile([1.0, -3.0], 0.8))
+    np.testing.assert_array_equal(fitness, [1.0, 9.0, 8.0, -3.0])
+
+
+def test_an_empty_niche_promises_nothing() -> None:
+    strategy = prepared()
+
+    def forwards_only(population: Array, _: int) -> Scores:
+        ahead = np.tile([1.0, 0.0, 1.0, 0.0, 0.5, 0.5], (len(population), 1))
+        return Scores(-(population**2).sum(axis=1), ahead)
+
+    for _ in evolve(strategy, forwards_only, 20):
+        pass
+    assert strategy.islands[1].promise == -np.inf
+    assert "drive below" not in [island.name for island in strategy.going]
+
+
+def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end() -> None:
+    strategy = prepared(generations=400)
+    for generation in evolve(strategy, trap, 400):
+        if generation.index == 300:
+            begun = {island.name: island.age for island in strategy.going}
+    assert {"drive above", "drive above #2"} <= set(begun)  # the first was at the top long ago
+    asked = {island.name: island.age for island in strategy.going}
+    last = [name for name in asked if asked[name] != begun[name]]
+    assert len(last) <= 4  # those that ran on, and the two that are best at the end
+    assert any(name.startswith("drive above") for name in last)
+    assert set(strategy.finals) == set(asked)
+
+
+def test_a_kind_is_known_when_several_of_its_starts_reached_the_same() -> None:
+    assert not _known([])
+    assert not _known([12.0])
+    assert _known([12.0, 11.7])
+    assert not _known([12.0, 11.5])
+    assert _known([-10.0, -10.2])
+
+
+def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open() -> None:
+    strategy = prepared()
+    strategy.islands  # noqa: B018  # the survey begins
+    strategy._chosen = [0, 1]
+    for kind, peaks in ((0, (5.0, 9.0, 7.0)), (1, (10.0, 10.1))):
+        numbers = [kind, *(strategy._start(kind) for _ in peaks[1:])]
+        for number, peak in zip(numbers, peaks, strict=True):
+            island = strategy.islands[number]
+            island.age, island.peak, island.peak_age = 1000, peak, 100
+    assert strategy._hoped() == 0  # although it has more starts and reached less
+    strategy.islands[1].peak = 12.0  # its two starts differ now
+    assert strategy._hoped() == 1  # fewer starts
+    strategy._start(1)
+    assert strategy._hoped() == 1  # as many, and it reached more
+
+
+def test_other_channels_can_tell_niches_apart() -> None:
+    strategy = prepared(channels="speed")
+    assert [island.name for island in strategy.islands] == ["speed above", "speed below"]
+    with pytest.raises(InvalidArgument, match="channels are speed, drive, steer, got 'sped'"):
+        prepared(channels="sped").ask()
+
+
+def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot() -> None:
+    strategy = Niches(n_parameters=3, seed=1)
+    assert [island.name for island in strategy.islands] == ["anything", "anything #2"]
+    assert strategy.ask().shape == (102, 3)
+
+
+def test_a_state_of_another_plan_is_refused() -> None:
+    state = dict(prepared().state)
+    with pytest.raises(InvalidArgument, match="expected a state with generation, kinds, chosen, running"):
+        prepared().restore({"generation": 3})
+    with pytest.raises(InvalidArgument, match="expected islands that begin with a survey of 2, got kinds"):
+        prepared(channels="speed").restore(state)
+    with pytest.raises(InvalidArgument, match="expected some of 4 islands to run"):
+        prepared().restore({**state, "running": np.array([9.0])})
+
+
+def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_ends_the_same() -> None:
+    for before in (3, 20, 150, 330):
+        whole, first, second = (prepared(generations=400) for _ in range(3))
+        for _ in evolve(whole, trap, 340):
+            pass
+        for _ in evolve(first, trap, before):
+            pass
+        second.restore(first.state)
+        for _ in evolve(second, trap, 340 - before):
+            pass
+        np.testing.assert_array_equal(whole.elite, second.elite)

@@ -1,0 +1,230 @@
+"""Noise around a dynamics: what differs from trial to trial, what does not, and that both forms agree."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_evo.arrays import Array
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.dynamics import Dynamics, DynamicsModel
+from sysid_evo.engine import rollout
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import make_model
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import example_dataset
+from sysid_evo.testing.closed_loop import expect_engines_agree
+from sysid_evo.testing.examples import ExampleDynamics
+from sysid_evo.wrappers import (
+    DelayedEstimate,
+    NoisySensors,
+    Perturbed,
+    RadicalEnvelope,
+    disturbed,
+    noises,
+    state_spread,
+)
+from tests.sysid_evo.made_up import Climber, SluggishCar
+
+SPREAD = np.array([0.5, 0.1, 1.0])
+LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), 0.1)
+ALL = RadicalEnvelope(
+    sensor=0.2, bias=0.1, latency=3, dropout=0.4, gain=0.2, scale=0.1, effect=0.1, process=0.05, base=["lateral_speed"]
+)
+KINDS = [
+    {"sensor": 0.3}, {"bias": 0.2}, {"latency": 2}, {"dropout": 0.6}, {"gain": 0.2}, {"scale": 0.2}, {"effect": 0.3},
+    {"process": 0.1}, {"latency": 1, "dropout": 0.5, "process": 0.1},
+]  # fmt: skip
+GIVEN = RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (13, 78)), PointToPoint(horizon=60)
+
+
+@cache
+def linear() -> DynamicsModel:
+    return make_model("linear", state_lags=1, control_lags=1).fit(example_dataset(), rng=np.random.default_rng(0))
+
+
+def started(dynamics: Dynamics, rows: int, rng: np.random.Generator) -> Array:
+    states = np.tile(dynamics.system.neutral_state, (rows, dynamics.n_lags + 1, 1))
+    controls = np.tile(dynamics.system.neutral_control, (rows, dynamics.n_lags, 1))
+    return dynamics.start(states, controls, rng.standard_normal((rows, dynamics.n_draws)))
+
+
+@pytest.mark.parametrize("noise", [ALL, *(RadicalEnvelope(**kind) for kind in KINDS)])
+def test_compiled_form_steps_as_step_does(noise: RadicalEnvelope, rng: np.random.Generator) -> None:
+    noisy = NoisySensors(DelayedEstimate(Perturbed(linear(), noise, SPREAD), 0.07), noise, SPREAD)
+    kernel = noisy.kernel()
+    assert kernel is not None
+    compiled = stepped = started(noisy, 70, rng)
+    assert stepped.shape[1] == noisy.n_carry
+    for _ in range(6):
+        control = rng.integers(-1, 2, (70, noisy.system.nu)).astype(float)
+        drawn = rng.standard_normal((70, noisy.n_noise))
+        compiled = kernel_step(kernel, compiled, control, drawn, precision="float64")
+        stepped = noisy.step(stepped, control, drawn)
+        np.testing.assert_allclose(compiled, stepped, rtol=1e-7, atol=1e-9)
+
+
+def test_engines_run_the_same_trials_with_noise() -> None:
+    expect_engines_agree(disturbed(linear(), ALL, delay=0.07), *GIVEN)
+
+
+def test_scores_under_noise_are_the_same_for_any_number_of_threads_and_in_the_mixed_form() -> None:
+    noisy, seeds = disturbed(linear(), ALL, delay=0.07), trial_seeds(0, 7)
+    one, two, mixed = (
+        rollout(noisy, *GIVEN, seeds, engine=engine, threads=threads).fitness
+        for engine, threads in (("float32", 1), ("float32", 2), ("mixed", 1))
+    )
+    np.testing.assert_array_equal(one, two)
+    assert (one == mixed).mean() > 0.9
+    assert (one != rollout(linear(), *GIVEN, seeds).fitness).any()
+
+
+@pytest.mark.parametrize("wrapper", [Perturbed, NoisySensors])
+def test_an_empty_envelope_changes_nothing(wrapper: Any, rng: np.random.Generator) -> None:
+    plain = SluggishCar(example_dataset().system)
+    noisy = wrapper(plain, RadicalEnvelope(), np.ones(3))
+    a, b = started(plain, 4, np.random.default_rng(3)), started(noisy, 4, np.random.default_rng(3))
+    b[:, : plain.n_carry] = a
+    for _ in range(10):
+        control, drawn = rng.integers(-1, 2, (4, 2)).astype(float), rng.standard_normal((4, noisy.n_noise))
+        a, b = plain.step(a, control, drawn[:, : plain.n_noise]), noisy.step(b, control, drawn)
+        np.testing.assert_allclose(a, b[:, : plain.n_carry])
+        shown = b[:, noisy.observed_at :][:, :3]
+        np.testing.assert_allclose(shown, a[:, :3])
+
+
+def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng: np.random.Generator) -> None:
+    late = Perturbed(Climber(LINE), RadicalEnvelope(latency=3), np.ones(1))
+    carry = started(late, 4000, rng)
+    first = np.full(len(carry), -1)
+    for k in range(5):
+        carry = late.step(carry, np.ones((len(carry), 1)))
+        first = np.where((first < 0) & (carry[:, 0] > 0), k, first)
+    np.testing.assert_allclose(np.bincount(first) / len(first), 0.25, atol=0.03)
+    np.testing.assert_array_equal(carry[:, 0], 5.0 - first)
+
+
+def test_a_lost_command_leaves_the_last_one_in_force(rng: np.random.Generator) -> None:
+    lossy = Perturbed(Climber(LINE), RadicalEnvelope(dropout=0.8), np.ones(1))
+    carry, sent, held = started(lossy, 2000, rng), np.zeros((2000, 1)), np.zeros((2000, 1))
+    lost = np.zeros(2000)
+    for _ in range(50):
+        before, sent = carry[:, :1], rng.uniform(-1.0, 1.0, (2000, 1))
+        carry = lossy.step(carry, sent, rng.standard_normal((2000, 1)))
+        moved = carry[:, :1] - before
+        gone = np.abs(moved - sent) > 1e-9
+        np.testing.assert_allclose(moved[gone], held[gone], atol=1e-9)
+        held = np.where(gone, held, sent)
+        lost += gone[:, 0] / 50
+    assert 0.36 < lost.mean() < 0.44, "from none to 0.8: half of it on average"
+    assert lost.min() < 0.02
+    assert lost.max() > 0.7
+
+
+def test_scale_changes_where_a_state_ends_and_gain_only_how_soon() -> None:
+    plain, control = ExampleDynamics(LINE), np.ones((200, 1))
+    ends, soon = {}, {}
+    for name in ("scale", "gain"):
+        noisy = Perturbed(plain, RadicalEnvelope(**{name: 0.2}), np.ones(1))  # type: ignore[arg-type]
+        carry = started(noisy, 200, np.random.default_rng(0))
+        factor = carry[:, 1 if name == "gain" else 2]
+        for k in range(200):
+            carry = noisy.step(carry, control)
+            if k == 0:
+                soon[name] = carry[:, 0] / factor
+        ends[name] = carry[:, 0], factor
+    end = plain.push[0, 0] / 0.1
+    np.testing.assert_allclose(ends["gain"][0], end, rtol=1e-4)
+    np.testing.assert_allclose(ends["scale"][0], end * ends["scale"][1], rtol=1e-4)
+    np.testing.assert_allclose(soon["gain"], plain.push[0, 0])
+    assert 0.15 < np.log(ends["scale"][1]).std() < 0.25
+
+
+def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_a_state_in_every_step(
+    rng: np.random.Generator,
+) -> None:
+    off_centre = System((Channel("height", "m"),), (Channel("climb", "m", 0.0, 1.0, neutral=0.5),), 0.1)
+    noisy = Perturbed(Climber(off_centre), RadicalEnvelope(effect=0.2), np.ones(1))
+    carry = started(noisy, 500, rng)
+    factor = carry[:, 4]
+    assert 0.17 < np.log(factor).std() < 0.23
+    np.testing.assert_allclose(noisy.step(carry, np.full((500, 1), 0.9))[:, 0], 0.5 + 0.4 * factor)
+    shaken = Perturbed(Climber(LINE), RadicalEnvelope(process=0.5), np.array([4.0]))
+    carry, moved = started(shaken, 500, rng), []
+    for _ in range(200):
+        after = shaken.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
+        moved.append((after - carry)[:, 0])
+        carry = after
+    size = np.std(moved, axis=0)
+    assert size.min() < 0.05
+    assert 1.8 < size.max() < 2.3, "half of 4"
+
+
+def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng: np.random.Generator) -> None:
+    noisy = NoisySensors(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), np.array([4.0]))
+    carry, shown = started(noisy, 500, rng), []
+    for _ in range(400):
+        carry = noisy.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
+        assert (carry[:, 0] == 0.0).all(), "the state itself stays"
+        shown.append(carry[:, 1])
+    size, bias = np.std(shown, axis=0), np.mean(shown, axis=0)
+    assert size.min() < 0.05
+    assert 1.9 < size.max() < 2.2, "half of 4"
+    assert 0.95 < size.mean() < 1.05
+    assert 0.36 < bias.std() < 0.44
+
+
+def test_the_base_set_meets_no_noise(rng: np.random.Generator) -> None:
+    everything = RadicalEnvelope(
+        sensor=0.5, bias=0.5, latency=2, dropout=0.9, gain=0.5, scale=0.5, effect=0.5, process=0.5,
+        base=["forward_speed", "lateral_speed", "yaw_rate", "drive", "steer"],
+    )  # fmt: skip
+    noisy, plain = disturbed(linear(), everything), linear()
+    a, b = started(plain, 8, rng), started(noisy, 8, rng)
+    for _ in range(8):
+        control = rng.integers(-1, 2, (8, 2)).astype(float)
+        a, b = plain.step(a, control), noisy.step(b, control, rng.standard_normal((8, noisy.n_noise)))
+        np.testing.assert_allclose(b[:, : plain.n_carry], a, atol=1e-12)
+        np.testing.assert_allclose(b[:, noisy.observed_at :][:, :3], np.clip(a[:, :3], *plain.envelope), atol=1e-12)
+
+
+def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot() -> None:
+    data = example_dataset()
+    states = np.concatenate([episode.states[:-1] for episode in data.episodes])
+    np.testing.assert_allclose(state_spread(linear()), states.std(axis=0))
+    driven = state_spread(SluggishCar(data.system))
+    assert (driven > 0).all()
+    np.testing.assert_array_equal(driven, state_spread(SluggishCar(data.system)))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("envelope(sensor=-1)", "sensor"),
+        ("envelope(latency=1.5)", "latency"),
+        ("envelope(dropout=2)", "probability"),
+        ("envelope(sensr=1)", "sensor"),
+        ("envelope(members=3)", "members"),
+    ],
+)
+def test_a_wrong_envelope_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:
+    with pytest.raises(InvalidArgument, match=complaint):
+        noises.make(text)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(UnknownName, match="envelope"):
+        noises.make("envelop(sensor=1)")
+    with pytest.raises(InvalidArgument, match="forward_speed"):
+        disturbed(linear(), RadicalEnvelope(sensor=0.1, base=["forward"]))
+
+
+def test_perturbing_what_is_observed_late_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="late"):
+        Perturbed(DelayedEstimate(linear(), 0.05), ALL, np.ones(3))
