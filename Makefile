@@ -5,7 +5,7 @@ STAMP := .venv/.complete
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup compare test lint clean
+.PHONY: setup compare test pytest lint clean
 
 setup: $(STAMP)
 
@@ -27,7 +27,11 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: lint
+# Types are checked on one processor while the tests begin on the other.
+test: setup
+	$(MAKE) --no-print-directory -j 2 lint pytest
+
+pytest: setup
 	SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest -n 3
 
 clean:

@@ -136,11 +136,14 @@ class Experiment(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The budget of the preset, where it is not overridden."""
+        """The budget of the preset, where it is not overridden; a polish is no longer than the search before it."""
         if self.preset not in BUDGETS:
             raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
         given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
-        return BUDGETS[self.preset].model_copy(update=given)
+        found = BUDGETS[self.preset].model_copy(update=given)
+        if self.polish is None:
+            found = found.model_copy(update={"polish": min(found.polish, found.generations)})
+        return found
 
     @property
     def evolution(self) -> ControllerEvolution:
