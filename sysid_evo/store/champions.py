@@ -33,4 +33,5 @@ def load_champion(path: str | Path) -> Champion:
         found = {**manifest.learned, "system": manifest.system}
         return Champion.from_dict(found, tensors)
     except (KeyError, TypeError, ValueError, ShapeError, InvalidArgument) as error:
-        raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}") from error
+        older = "; another version of this library wrote it: evolve again" if isinstance(error, KeyError) else ""
+        raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}{older}") from error
