@@ -87,7 +87,7 @@ def check_values(family: type, values: Mapping[str, Any]) -> None:
 
 def check_names(family: type, names: Collection[str]) -> None:
     """Raise `UnknownParameter` if one of ``names`` is no parameter of the constructor of ``family``."""
-    known = [name for name in inspect.signature(family.__init__).parameters if name != "self"]  # type: ignore[misc]  # only read
+    known = list(inspect.signature(family).parameters)
     for name in names:
         if name not in known:
             close = difflib.get_close_matches(name, known, n=1)

@@ -83,7 +83,7 @@ class FitCell(Cell):
         return model
 
     @property
-    def resumable(self) -> bool:  # type: ignore[override]  # that of the family
+    def resumable(self) -> bool:
         return bool(getattr(models.get(self.spec.name), "resumable", False))
 
     def save(self, value: DynamicsModel, path: Path) -> list[Path]:

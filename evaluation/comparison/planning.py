@@ -6,21 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
 from evaluation.comparison.columns import Column, emulated
-from evaluation.comparison.controller_cells import (
-    RECOMMENDED,
-    ChampionCell,
-    ChooseCell,
-    EvolveCell,
-    ExploitCell,
-    Matrix,
-    PolishCell,
-    RunCell,
-    ensemble_name,
-)
+from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
+from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.data import Dataset, check_usable
@@ -54,8 +46,6 @@ OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 ALL = "all"
-POLISHED = 2
-"""Finalists that the recommended recipe polishes."""
 
 
 @dataclass(frozen=True)
@@ -350,7 +340,7 @@ def _matrix(
     evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
     champions: tuple[ChampionCell, ...] = evolved
     if experiment.budget.recipe == "recommended":
-        champions = tuple(_chosen(experiment, (cell,), models) for cell in evolved)
+        champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
             champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED),)
     runs = tuple(
@@ -366,37 +356,3 @@ def _matrix(
         for column in columns
     )
     return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
-
-
-def controller_cell(
-    experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...], label: str | None = None
-) -> ChampionCell:
-    """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
-
-    By the recommended one each member is searched alone, the best are chosen by their median on those of
-    ``judges`` that are models of other families, and polished on all members at once. Such a controller is
-    called ``label``, by default after its members.
-    """
-    evolution = experiment.evolution
-    if experiment.budget.recipe == "plain":
-        return EvolveCell(members, evolution, experiment.seed)
-    models = tuple(column for column in judges if column.robot is None)
-    singles = tuple(EvolveCell((member,), evolution, experiment.seed) for member in members)
-    if len(members) == 1:
-        return _chosen(experiment, singles, models)
-    chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
-    name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
-    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name)
-
-
-def _chosen(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
-    """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
-
-    What was evolved on a robot itself is chosen by that robot.
-    """
-    members = [member for cell in contenders for member in cell.members]
-    own = {member.registered for member in members}
-    known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
-    if len(contenders) == 1 and known:
-        return contenders[0]
-    return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)

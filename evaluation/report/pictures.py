@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.typing import ColorType
 
 from evaluation.labels import folded
 from evaluation.plots import (
@@ -207,8 +208,8 @@ def _drawn(
         return inline_svg(figure, key, label), legend
 
 
-def _variable(colour: object) -> str:
-    value = to_hex(colour)  # type: ignore[arg-type]  # matplotlib takes colours in a dozen forms
+def _variable(colour: ColorType) -> str:
+    value = to_hex(colour)
     return VARIABLES.get(value, value)
 
 

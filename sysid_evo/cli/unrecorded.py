@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.padding import Padding
+from rich.text import Text
+
 from sysid_evo.cli.console import out
 
 if TYPE_CHECKING:
@@ -28,16 +31,21 @@ def regions_of(
     from evaluation.exploitability import what_to_record
     from evaluation.transfer import transfer_seeds
     from sysid_evo.data.support import Support, split_pairs
+    from sysid_evo.dynamics import DynamicsModel
     from sysid_evo.engine import DynamicsRunner
     from sysid_evo.evolution import observed_late
     from sysid_evo.registry import make_controller, make_task
 
-    fitted = {label: model for label, model in models.items() if getattr(model, "pairs_", None) is not None}
+    fitted = {
+        label: model
+        for label, model in models.items()
+        if isinstance(model, DynamicsModel) and getattr(model, "pairs_", None) is not None
+    }
     if not fitted:
         return ()
     first = next(iter(fitted.values()))
     if support is None:
-        support = Support.of(first.system, *split_pairs(first.system, first.pairs_))  # type: ignore[attr-defined]  # has
+        support = Support.of(first.system, *split_pairs(first.system, first.pairs_))
     task, law, seeds = make_task(champion.task), make_controller(champion.controller), transfer_seeds(0, TRIALS)
     driven: list[Trajectory] = []
     for label, model in fitted.items():
@@ -52,7 +60,7 @@ def print_regions(name: str, regions: tuple[Region, ...]) -> None:
         return
     out.print(f"what to record next: {name} drives most where there are no data", style="bold", highlight=False)
     for region in regions:
-        out.print(f"  {region.sentence}", highlight=False, markup=False, soft_wrap=True)
+        out.print(Padding(Text(region.sentence), (0, 0, 0, 2)))
 
 
 def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ...]]:

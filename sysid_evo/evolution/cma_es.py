@@ -57,11 +57,6 @@ class CmaEs(EvolutionStrategy):
         return self._elite
 
     @property
-    def spread(self) -> float:
-        """The present deviation of the distribution, as the library counts it."""
-        return float(self._search.sigma)
-
-    @property
     def state(self) -> StrategyState:
         search = self._search
         arrays = {"mean": search.mean, "covariance": search.sm.C, "axes": search.sm.B, "lengths": search.sm.D}

@@ -43,7 +43,6 @@ class Cell(ABC):
     kind: ClassVar[str]
     place: ClassVar[str] = "results"
     tolerant: ClassVar[bool] = False
-    resumable: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -54,6 +53,11 @@ class Cell(ABC):
     @abstractmethod
     def name(self) -> str:
         """How its files are called; need not be unique."""
+
+    @property
+    def resumable(self) -> bool:
+        """Whether it goes on after an interruption where it was."""
+        return False
 
     @property
     def needs(self) -> tuple[Cell, ...]:

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation import compare
-from evaluation.comparison.controller_cells import RECOMMENDED
+from evaluation.comparison.champion_cells import RECOMMENDED
 from evaluation.transfer import TransferMatrix
 from sysid_evo.arrays import Array
 

@@ -305,6 +305,11 @@ def settle(
                     reached[rollout * nx + row] = carry[row * LANES + lane]
 
 
+def one_step(dynamics, carry, control, noise, parameters, scratch):
+    """Step one block."""
+    dynamics(carry, control, noise, parameters, scratch)
+
+
 CLOSED_LOOP = Signature.of(
     closed_loop,
     dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
@@ -314,3 +319,4 @@ CLOSED_LOOP = Signature.of(
 OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
 DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
 SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)
+ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)

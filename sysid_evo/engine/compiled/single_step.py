@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.run import aligned, compiled, empty_lines
-from sysid_evo.engine.compiled.signature import Signature
 
 
 def kernel_step(
@@ -31,14 +31,6 @@ def kernel_step(
     return after
 
 
-def call(dynamics, carry, control, noise, parameters, scratch):  # type: ignore[no-untyped-def]  # read by Numba
-    """Step one block."""
-    dynamics(carry, control, noise, parameters, scratch)
-
-
-CALL = Signature.of(call, dynamics=DYNAMICS)
-
-
 @cache
 def _loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(call), CALL, precision, pointer=False)
+    return compile_kernel(KernelSource(loops.one_step), loops.ONE_STEP, precision, pointer=False)

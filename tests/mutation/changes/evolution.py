@@ -172,7 +172,7 @@ CHANGES = (
     ),
     Change(
         "a model of its own family judges a controller",
-        "evaluation/comparison/controller_cells.py",
+        "evaluation/comparison/champion_cells.py",
         "for judge in fitted if judge.registered not in own}",
         "for judge in fitted}",
         ("tests/evaluation/test_comparison.py",),

@@ -5,7 +5,7 @@ from tests.mutation.change import Change
 CELL = "sysid_evo/plan/cell.py"
 STORE = "sysid_evo/plan/store.py"
 EXECUTION = "sysid_evo/plan/execution.py"
-CELLS = "evaluation/comparison/controller_cells.py"
+CELLS = "evaluation/comparison/champion_cells.py"
 REGISTRY = "sysid_evo/registry/registry.py"
 SPEC = "sysid_evo/registry/spec.py"
 TEST_PLAN = ("tests/sysid_evo/plan/test_plan.py",)
@@ -41,7 +41,7 @@ CHANGES = (
     ),
     Change(
         "a claim is measured without the delay of evolution",
-        CELLS,
+        "evaluation/comparison/controller_cells.py",
         "self.column.runner(work, delay=self.delay),",
         "self.column.runner(work, delay=0.0),",
         TEST_FOUND_AGAIN,

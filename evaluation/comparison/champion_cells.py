@@ -1,0 +1,266 @@
+"""Cells whose result is a controller: evolving one, choosing among several, polishing the chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from evaluation.comparison.columns import Column
+from evaluation.comparison.model_cells import files_of
+from sysid_evo.engine import Runner
+from sysid_evo.errors import Blocked, InvalidArgument
+from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
+from sysid_evo.plan import Cell, Work, blocked_by, cell_seed
+from sysid_evo.registry import aggregates, controllers, strategies, tasks
+from sysid_evo.store import CheckpointFile, load_champion, save_champion
+from sysid_evo.wrappers import cautions, noises
+
+ROLLOUT_STEPS_PER_SECOND = 2e7
+RECOMMENDED = "recommended"
+"""What the controller of the recommended recipe is called."""
+
+
+def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
+    """Return how an ensemble and its champion are called: ``a+b``, or ``mean(a+b)`` for another rule."""
+    name = "+".join(members)
+    return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
+
+
+class _ControllerFiles(Cell):
+    """A cell whose result is a controller."""
+
+    place = "controllers"
+
+    def save(self, value: Champion, path: Path) -> list[Path]:
+        return files_of(save_champion(value, path))
+
+    def load(self, path: Path) -> Champion:
+        return load_champion(path)
+
+
+@dataclass(frozen=True, eq=False)
+class EvolveCell(_ControllerFiles):
+    """Evolves one controller against all of ``members`` at once."""
+
+    kind = "evolve"
+    resumable = True
+
+    members: tuple[Column, ...]
+    settings: ControllerEvolution
+    seed: int
+
+    @property
+    def title(self) -> str:
+        return f"evolve {self.name}"
+
+    @property
+    def name(self) -> str:
+        return ensemble_name(tuple(member.label for member in self.members), self.settings.aggregate)
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return tuple(cell for member in self.members for cell in member.needs)
+
+    def inputs(self) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "members": [member.inputs() for member in self.members],
+            "controller": controllers.identity(settings.controller),
+            "task": tasks.identity(settings.task),
+            "strategy": strategies.identity(settings.strategy),
+            "aggregate": aggregates.identity(settings.aggregate),
+            "generations": settings.generations,
+            "trials": settings.trials,
+            "runs": settings.runs,
+            "selection_trials": settings.selection_trials,
+            "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
+            "schedule": [self._stage(stage) for stage in settings.schedule],
+            "seed": self.seed,
+        }
+
+    def _stage(self, stage: Stage) -> dict[str, Any]:
+        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        labels = [member.label for member in self.members]
+        missing = [model for model in stage.models if model not in labels]
+        if missing:
+            raise InvalidArgument(
+                f"schedule: {missing[0]!r} is not among the models of {self.title}. With the recipe 'plain' "
+                "a controller is evolved on all its models at once"
+            )
+        return {
+            "task": None if stage.task is None else tasks.identity(stage.task),
+            "models": sorted(labels.index(model) for model in stage.models),
+            "until": stage.until,
+            "at_most": stage.at_most,
+            "over": stage.over,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        dynamics = {member.label: member.dynamics(work) for member in self.members}
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
+        system = next(iter(dynamics.values())).system
+        names = "+".join(member.registered for member in self.members)
+        seed = cell_seed(self.seed, f"evolve {names}")
+        return evolve_controller(
+            self.name,
+            runners,
+            system,
+            self.settings,
+            seed=seed,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
+
+    def named(self, value: Champion) -> Champion:
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+
+    def seconds(self) -> float:
+        settings = self.settings
+        rollouts = settings.runs * settings.generations * settings.trials * len(self.members) * 100
+        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseCell(_ControllerFiles):
+    """Chooses among the finalists of all ``contenders`` by their median on models of other families.
+
+    ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it.
+    What failed among contenders and judges is left out.
+    """
+
+    kind = "choose"
+    tolerant = True
+
+    contenders: tuple[EvolveCell, ...]
+    judges: tuple[Column, ...]
+    trials: int
+    seed: int
+
+    @property
+    def members(self) -> tuple[Column, ...]:
+        """Everything that one of the contenders was evolved against."""
+        found = (member for contender in self.contenders for member in contender.members)
+        return tuple({member.label: member for member in found}.values())
+
+    @property
+    def title(self) -> str:
+        return f"choose {self.name}"
+
+    @property
+    def name(self) -> str:
+        names = tuple(contender.name for contender in self.contenders)
+        return names[0] if len(names) == 1 else f"best of {'+'.join(names)}"
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (*self.contenders, *(cell for judge in self.judges for cell in judge.needs))
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
+            "judges": [judge.registered for judge in self.judges],
+            "trials": self.trials,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
+        judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
+        contenders = []
+        for contender in self.contenders:
+            champion = work.result(contender)
+            if champion is not None:
+                own = {member.registered for member in contender.members}
+                others = {judge.label: judging[judge.label] for judge in fitted if judge.registered not in own}
+                contenders.append((champion, others))
+        if not contenders:
+            raise Blocked(blocked_by(self.contenders[0]))
+        return choose(contenders, seed=cell_seed(self.seed, "choose"), trials=self.trials)
+
+    def named(self, value: Champion) -> Champion:
+        if len(self.contenders) > 1:
+            return value
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+
+    def seconds(self) -> float:
+        return 0.1 * len(self.judges)
+
+
+@dataclass(frozen=True, eq=False)
+class PolishCell(_ControllerFiles):
+    """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
+
+    Members that could not be fitted are left out.
+    """
+
+    kind = "polish"
+    resumable = True
+    tolerant = True
+
+    chosen: ChooseCell
+    members: tuple[Column, ...]
+    settings: ControllerEvolution
+    generations: int
+    starts: int
+    seed: int
+    label: str = RECOMMENDED
+
+    @property
+    def title(self) -> str:
+        return f"polish {self.name}"
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (self.chosen, *(cell for member in self.members for cell in member.needs))
+
+    def inputs(self) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "members": [member.inputs() for member in self.members],
+            "aggregate": aggregates.identity(settings.aggregate),
+            "trials": settings.trials,
+            "selection_trials": settings.selection_trials,
+            "estimator_delay": settings.estimator_delay,
+            "noise": noises.identity(settings.noise) if settings.noise else None,
+            "caution": cautions.identity(settings.caution) if settings.caution else None,
+            "generations": self.generations,
+            "starts": self.starts,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        champion = work.result(self.chosen)
+        if champion is None:
+            raise Blocked(blocked_by(self.chosen))
+        fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
+        return polish(
+            self.name,
+            champion,
+            runners,
+            self.settings,
+            seed=cell_seed(self.seed, "polish"),
+            starts=self.starts,
+            generations=self.generations,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
+
+    def named(self, value: Champion) -> Champion:
+        labels = tuple(member.label for member in self.members)
+        return replace(value, name=self.name, against=labels if len(labels) == len(value.against) else value.against)
+
+    def seconds(self) -> float:
+        rollouts = self.starts * self.generations * self.settings.trials * len(self.members) * 50
+        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+
+
+ChampionCell: TypeAlias = EvolveCell | ChooseCell | PolishCell
+"""A cell that gives a controller; its ``members`` are what this one was evolved against."""

@@ -1,0 +1,44 @@
+"""Recipes: which cells a controller comes about by."""
+
+from __future__ import annotations
+
+from evaluation.comparison.champion_cells import ChampionCell, ChooseCell, EvolveCell, PolishCell, ensemble_name
+from evaluation.comparison.columns import Column
+from evaluation.comparison.experiment import Experiment
+
+POLISHED = 2
+"""Finalists that the recommended recipe polishes."""
+
+
+def controller_cell(
+    experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...], label: str | None = None
+) -> ChampionCell:
+    """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
+
+    By the recommended one each member is searched alone, the best are chosen by their median on those of
+    ``judges`` that are models of other families, and polished on all members at once. Such a controller is
+    called ``label``, by default after its members.
+    """
+    evolution = experiment.evolution
+    if experiment.budget.recipe == "plain":
+        return EvolveCell(members, evolution, experiment.seed)
+    models = tuple(column for column in judges if column.robot is None)
+    singles = tuple(EvolveCell((member,), evolution, experiment.seed) for member in members)
+    if len(members) == 1:
+        return chosen_cell(experiment, singles, models)
+    chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
+    name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name)
+
+
+def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
+    """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
+
+    What was evolved on a robot itself is chosen by that robot.
+    """
+    members = [member for cell in contenders for member in cell.members]
+    own = {member.registered for member in members}
+    known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
+    if len(contenders) == 1 and known:
+        return contenders[0]
+    return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)
