@@ -59,6 +59,8 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     assert controller.parent == tmp_path / "mine" / "controllers"
     assert controller.with_suffix(".safetensors").is_file()
     assert "what to record next" in evolved.stdout
+    told = [line for line in evolved.stdout.splitlines() if not line.startswith("stored as")]
+    assert max(map(len, told)) <= 80
     inspected = run_here("inspect", logs, "--controller", controller, cwd=tmp_path)
     assert inspected.returncode == 0, inspected.stderr
     assert "what to record next" in inspected.stdout
