@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +15,7 @@ from sysid_evo.registry import Spec, make_strategy, register_strategy, strategie
 ABOVE, BELOW = "above", "below"
 ANYTHING = "anything"
 QUANTILE = 0.8
-LAST = 10
+LAST = 20
 """Generations of an island over which its promise is taken."""
 KEPT = 15
 """Candidates of an island from which its finalist is chosen."""
@@ -24,7 +24,9 @@ SURVEY_SHARE = 0.2
 LONGEST_SURVEY = 75
 """Generations of an island after which its kind of behaviour shows, at the latest."""
 PATIENCE = 150
-"""Generations without a rise after which a start is over, and another begins."""
+"""Generations without a rise after which a start may be over, and another begins."""
+PATIENCE_SHARE = 0.125
+"""The same as a share of all generations: the longer a search may take, the longer a start may stand still."""
 RISE = 0.01
 """Share of the promise that counts as a rise."""
 ALIKE = 0.03
@@ -58,10 +60,14 @@ class Island:
         """The 80 % quantile of the fitness of a generation, the mean of the last few; -inf before the first."""
         return float(np.mean(self.promises)) if self.promises else -np.inf
 
-    @property
-    def over(self) -> bool:
-        """Whether it has not risen for so long that another start is worth more."""
-        return self.age - self.peak_age >= PATIENCE
+    def over(self, patience: int) -> bool:
+        """Whether it has not risen for ``patience`` generations, so that another start is worth more."""
+        return self.age - self.peak_age >= patience
+
+    def lean(self, names: Sequence[str]) -> float:
+        """Return how much longer its better half is above than below neutral in its channel, as a share of the time."""
+        above, below = (self.behaviour[names.index(f"{self.channel} {side}")] for side in (ABOVE, BELOW))
+        return float(above - below)
 
     def tell(self, population: Array, fitness: Array, behaviour: Array, off: Array) -> None:
         """Report a generation: fitness (P,), behaviour (P, d), and how far it is ``off`` the niche (P,), 0 inside."""
@@ -86,10 +92,10 @@ class Niches(EvolutionStrategy):
     First a *survey*: one search by ``strategy``, a spec, for each side of each control, kept to candidates
     whose control is more of the time above its neutral value than below, or the other way round (for a car:
     forwards, backwards, left, right). A candidate outside the niche of its island ranks below all inside. Of
-    these islands ``slots`` go on, one of each *kind*: the best, and then the best of those that behave
-    differently from it, so that a kind that climbs slowly is not lost to one that climbs fast. In every
-    generation ``slots`` islands are asked. One that has not risen for long is over, and its slot goes to a new
-    start, of the kind with the fewest starts; not of one whose starts all reached the same, for there nothing
+    these islands ``slots`` go on, one of each *kind*: both sides of the control that divides behaviour most, then
+    of the next, whatever they promise, so that a kind that climbs slowly is not lost to one that climbs fast. In
+    every generation ``slots`` islands are asked. One that has not risen for long is over, and its slot goes to a
+    new start, of the kind with the fewest starts; not of one whose starts all reached the same, for there nothing
     more is to be found. At the end the best starts of all go on. Every start gives a finalist.
 
     ``channels`` names other channels by which the first niches are told apart, joined by ``+``. Where nobody
@@ -225,7 +231,9 @@ class Niches(EvolutionStrategy):
             going = [i for i, island in enumerate(self.islands) if island.kind in self._chosen]
             self._running = sorted(going, key=lambda i: -self.islands[i].promise)[: self.slots]
         elif self._survey < self.generation < self._end:
-            self._running = [self._start(self._hoped()) if self.islands[i].over else i for i in self._running]
+            self._running = [
+                self._start(self._hoped()) if self.islands[i].over(self._patience) else i for i in self._running
+            ]
 
     def _turn(self) -> list[int]:
         """Return which islands are asked in this generation."""
@@ -237,6 +245,10 @@ class Niches(EvolutionStrategy):
     @property
     def _total(self) -> int:
         return self.generations or USUAL_GENERATIONS
+
+    @property
+    def _patience(self) -> int:
+        return max(PATIENCE, int(PATIENCE_SHARE * self._total))
 
     @property
     def _survey(self) -> int:
@@ -261,7 +273,9 @@ class Niches(EvolutionStrategy):
     def _hoped(self) -> int:
         """Return the kind of which a further start promises most."""
         starts = {kind: [island for island in self.islands if island.kind == kind] for kind in self._chosen}
-        open_ones = [kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over])]
+        open_ones = [
+            kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over(self._patience)])
+        ]
         return min(open_ones or self._chosen, key=lambda kind: (len(starts[kind]), -_best(starts[kind])))
 
     def _off(self, island: Island, behaviour: Array) -> Array:
@@ -292,19 +306,17 @@ class Niches(EvolutionStrategy):
         return sides * -(-self.slots // len(sides))
 
     def _choose(self) -> list[int]:
-        """Return ``slots`` islands of the survey: the best, then the best of those that behave differently."""
-        order = sorted(range(len(self.islands)), key=lambda i: -self.islands[i].promise)
-        reach = max(self._distance(i, j) for i in order for j in order) / 2.0
-        chosen: list[int] = []
-        for i in order:
-            if all(self._distance(i, j) > reach for j in chosen):
-                chosen.append(i)
-        chosen += [i for i in order if i not in chosen]
-        return chosen[: self.slots]
+        """Return ``slots`` islands of the survey: both sides of the channels that divide behaviour most."""
+        sides = range(len(self._sides()))
+        apart: dict[str, float] = dict.fromkeys((self.islands[i].channel for i in sides), 0.0)
+        for island in (self.islands[i] for i in sides if self.islands[i].side):
+            apart[island.channel] += island.side * island.lean(self.behaviour_names)
 
-    def _distance(self, i: int, j: int) -> float:
-        """Return how differently two islands behave: the distance of the means of their better halves."""
-        return float(np.linalg.norm(self.islands[i].behaviour - self.islands[j].behaviour))
+        def first(i: int) -> tuple[bool, float, float]:
+            island = self.islands[i]
+            return not np.isfinite(island.promise), -apart[island.channel], -island.promise
+
+        return sorted(sides, key=first)[: self.slots]
 
 
 def _best(starts: list[Island]) -> float:

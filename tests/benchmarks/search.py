@@ -40,7 +40,9 @@ STRATEGIES = {
     "CMA-ES, restarts": ("recurrent", "restarts", 10),
     "MAP-Elites": ("recurrent", "map_elites", 10),
     "niches, six hidden units": ("recurrent", "niches", 10),
-    "recommended": ("recurrent(hidden=10)", "niches", 10),
+    "niches, ten trials": ("recurrent(hidden=10)", "niches", 10),
+    "niches, six hidden units, five trials": ("recurrent", "niches", 5),
+    "recommended": ("recurrent(hidden=10)", "niches", 5),
 }
 """What is compared: controller, strategy, trials of a candidate in a generation."""
 

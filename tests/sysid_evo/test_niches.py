@@ -92,6 +92,20 @@ def test_an_empty_niche_promises_nothing() -> None:
         pass
     assert strategy.islands[1].promise == -np.inf
     assert "drive below" not in [island.name for island in strategy.going]
+    assert len(strategy.going) == 2
+
+
+def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_promise_more() -> None:
+    strategy = prepared()
+    strategy.islands  # noqa: B018  # the survey begins
+    leans = {"drive above": (0.9, 0.1), "drive below": (0.0, 1.0), "steer above": (0.6, 0.4), "steer below": (0.4, 0.6)}
+    for island, promise in zip(strategy.islands, (8.0, 11.0, 12.0, 12.5), strict=True):
+        above, below = leans[island.name]
+        island.promises = [promise]
+        forwards = (1.0, 0.0) if island.name in ("drive above", "steer below") else (0.0, 1.0)
+        drive, steer = ((above, below), (0.5, 0.5)) if island.channel == "drive" else (forwards, (above, below))
+        island.behaviour = np.array([*forwards, *drive, *steer])
+    assert strategy._choose() == [1, 0]
 
 
 def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end() -> None:
