@@ -85,7 +85,7 @@ class CmaEs(EvolutionStrategy):
         elite = check_shape("state: elite", state["elite"], (None, self.n_parameters)).copy()
         search = self._begin()
         if state["generation"]:  # its first cycle sets up what later ones need
-            search.tell(search.ask(), list(range(self.population)), check_points=False)
+            search.tell(search.ask_geno(), list(range(self.population)), check_points=False)
         search.mean, search.sigma, search.pc = found["mean"], float(state["sigma"]), found["path"]
         search.sm.C, search.sm.B, search.sm.D = found["covariance"], found["axes"], found["lengths"]
         search.adapt_sigma.ps = found["sigma_path"]
@@ -95,8 +95,8 @@ class CmaEs(EvolutionStrategy):
         self._search, self._elite = search, elite
 
     def ask(self) -> Array:
-        self._asked = [np.array(drawn) for drawn in self._search.ask()]
-        return np.array([*self._asked, self._search.mean])[:, : self.n_parameters]
+        self._asked = np.array(self._search.ask_geno())
+        return np.concatenate([self._asked, self._search.mean[None]])[:, : self.n_parameters]
 
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         if len(population) != self.population + 1:
@@ -125,4 +125,5 @@ class CmaEs(EvolutionStrategy):
             search = cma.CMAEvolutionStrategy(self._centre, self.sigma, options)
         search.sm = GaussianSampler(len(self._centre), lazy_update_gap=LAZIER * search.sm.lazy_update_gap, randn=randn)
         search.sent_solutions = cma.evolution_strategy.get_CMASolutionDict(False)()  # none is clipped or looked up
+        search.timer = cma.utilities.utils.ElapsedWCTime()  # `tell` stops it, and only `ask` would start it
         return search
