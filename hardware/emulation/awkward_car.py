@@ -34,19 +34,20 @@ A standing car pulls after 0.35 s of full drive without a break. Driven backward
 class AwkwardCar(EmulatedRobot):
     """The toy car with the drive of a model plane; with a ``seed`` another of its kind.
 
-    It answers to forward drive from standstill after a third of a second, to backward drive not at all, and races as
-    well as any once it rolls. In the share ``stuck`` of the manoeuvres of a recording, drawn from the seed of the
+    It answers to forward drive from standstill after 0.7 of ``start_lag`` (s), to backward drive not at all, and races
+    as well as any once it rolls. In the share ``stuck`` of the manoeuvres of a recording, drawn from the seed of the
     recording, it is jammed against something and stands, whatever it is told; when it races it is free.
     Raises `InvalidArgument`.
     """
 
-    def __init__(self, *, seed: int | None = None, stuck: float = 0.1) -> None:
+    def __init__(self, *, seed: int | None = None, start_lag: float = AWKWARD.start_lag, stuck: float = 0.1) -> None:
         seed = checked_seed("robot awkward_car", seed)
         self.stuck = number("robot awkward_car: stuck", stuck, least=0.0)
         if self.stuck > 1.0:
             raise InvalidArgument(f"robot awkward_car: expected stuck as a share up to 1, got {stuck}")
+        usual = replace(AWKWARD, start_lag=number("robot awkward_car: start_lag", start_lag, above=0.0))
         name = "awkward_car" if seed is None else f"awkward_car:{seed}"
-        physics = CarPhysics(AWKWARD if seed is None else AWKWARD.perturbed(seed))
+        physics = CarPhysics(usual if seed is None else usual.perturbed(seed))
         super().__init__(name, physics, repeats=REPEATS)
 
     def record(

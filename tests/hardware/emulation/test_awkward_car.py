@@ -73,6 +73,14 @@ def test_stuck_is_a_share():
         make_robot("awkward_car(stuck=-1)")
 
 
+def test_a_longer_lag_starts_later():
+    usual, later = (make_robot(name).physics.parameters for name in ("awkward_car", "awkward_car(start_lag=1.5)"))
+    drive = np.ones(2 * SECOND)
+    starts = [int(np.argmax(speeds(drive, parameters) > 0.0)) for parameters in (usual, later)]
+    assert starts[0] == pytest.approx((0.05 + 0.5 * np.log(2.0)) * SECOND, abs=4)
+    assert starts[1] == pytest.approx((0.05 + 1.5 * np.log(2.0)) * SECOND, abs=4)
+
+
 def test_a_seed_gives_another_car_without_reverse():
     other = make_robot("awkward_car:3").physics.parameters
     assert other.thrust_backward == 0.0
