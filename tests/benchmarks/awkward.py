@@ -1,7 +1,7 @@
 """Whether good driving is found on an awkward car: ``python -m tests.benchmarks.awkward --out FOLDER [--seeds 2]``.
 
 The car starts late, has no reverse and is stuck in some recordings, so that more than half of the six minutes shows a
-standing car (`hardware.emulation.awkward_car`). Most models then deny that it can race. For every seed a comparison is
+standing car (`hardware.emulation.awkward_car`). Some models then deny that it can race. For every seed a comparison is
 made in ``FOLDER/seed-S`` (``sysid-evo compare --robot awkward_car --yardstick``): a controller for each quick family,
 one by the recommended recipe, and one evolved on the car itself, by niches. What is possible is the best that any of
 all seeds achieves, or ``--yardstick`` if that is higher. Prints what each claims and achieves, which models were not
