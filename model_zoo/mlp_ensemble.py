@@ -46,6 +46,7 @@ class MlpEnsemble(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,
@@ -80,6 +81,7 @@ class MlpEnsemble(DynamicsModel):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.networks.members import train_members
         from model_zoo.networks.multistep import Plan
+        from model_zoo.networks.trainings import Trainings
 
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
@@ -97,19 +99,19 @@ class MlpEnsemble(DynamicsModel):
                 folds=self.folds,
                 plan=plan,
                 mirror=Mirror.of(dataset.system, self.turning or ["steer"]),
-                rng=rng,
-                report=counter.advance,
+                trainings=trainings,
             )
-
-        lags = best(options, lambda option: float(np.mean(trained(dataset, option, min(3, self.members), search)[1])))
-        self.keep_lags(lags)
-        network, _ = trained(dataset, lags, self.members, final)
-        self.weights_, self.biases_ = list(network.weights), list(network.biases)
 
         def roughly(part: Dataset) -> DynamicsModel:
             return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
 
-        growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
+        with Trainings.of(self, dataset, rng, counter.advance) as trainings:
+            few = min(3, self.members)
+            lags = best(options, lambda option: float(np.mean(trained(dataset, option, few, search)[1])))
+            self.keep_lags(lags)
+            network, _ = trained(dataset, lags, self.members, final)
+            self.weights_, self.biases_ = list(network.weights), list(network.biases)
+            growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
         self._calibrate(dataset, growth, rng, lambda: counter.advance(0))
         return self
 

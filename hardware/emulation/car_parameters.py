@@ -12,9 +12,9 @@ from sysid_evo.errors import InvalidArgument
 FINE_DT = 0.005  # s: the rate of the tracker, and short against every lag of the car
 
 
-def _quantity(value: float, unit: str, spread: float, reason: str) -> Any:
+def _quantity(value: float, unit: str, spread: float, reason: str, *, or_zero: bool = False) -> Any:
     """Return a field whose perturbed value lies within ``spread`` (a share) of ``value``."""
-    return field(default=value, metadata={"unit": unit, "spread": spread, "reason": reason})
+    return field(default=value, metadata={"unit": unit, "spread": spread, "reason": reason, "or_zero": or_zero})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,9 @@ class CarParameters:
     rear_axle: float = _quantity(0.055, "m", 0.1, "centre of mass to the driven axle")
 
     thrust_forward: float = _quantity(3.2, "m/s2", 0.2, "at rest, full battery; reaches 2.0 m/s")
-    thrust_backward: float = _quantity(2.45, "m/s2", 0.2, "brushes and gears run worse backward; reaches 1.4 m/s")
+    thrust_backward: float = _quantity(
+        2.45, "m/s2", 0.2, "brushes and gears run worse backward; reaches 1.4 m/s; 0: no reverse", or_zero=True
+    )
     back_emf: float = _quantity(1.08, "1/s", 0.2, "loss of thrust with speed while the motor is powered")
     motor_lag: float = _quantity(0.08, "s", 0.3, "current and gears take time to follow the switch")
     battery_spread: float = _quantity(0.08, "1", 0.1, "charge differs from trial to trial by this share at most")
@@ -60,12 +62,20 @@ class CarParameters:
     yaw_noise: float = _quantity(2.0, "rad/s2", 0.3, "uneven floor; standard deviation at speed")
     noise_lag: float = _quantity(0.1, "s", 0.3, "correlation time: a dozen centimetres of floor")
 
+    start_speed: float = _quantity(
+        0.0, "m/s", 0.2, "slower than this a motor without a sensor cannot tell how it turns; 0: it always can",
+        or_zero=True,
+    )  # fmt: skip
+    start_lag: float = _quantity(0.08, "s", 0.2, "such a motor follows the switch with this lag, and it pulls only")
+    start_level: float = _quantity(0.5, "1", 0.1, "once it has reached this share of its full level")
+
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InvalidArgument(f"car: expected {item.name} > 0 {item.metadata['unit']}, got {value}")
-        for name in ("battery_spread", "sag", "thrust_grip_loss"):
+            least = ">=" if item.metadata["or_zero"] else ">"
+            if not (np.isfinite(value) and (value > 0.0 or (least == ">=" and value == 0.0))):
+                raise InvalidArgument(f"car: expected {item.name} {least} 0 {item.metadata['unit']}, got {value}")
+        for name in ("battery_spread", "sag", "thrust_grip_loss", "start_level"):
             if getattr(self, name) >= 1.0:
                 raise InvalidArgument(f"car: {name} is a share below 1, got {getattr(self, name)}")
         if self.static_friction < self.rolling_resistance:

@@ -57,6 +57,9 @@ class Coefficients(NamedTuple):
     noise_keep: float
     force_noise: float
     yaw_noise: float
+    start_speed: float
+    start_rate: float
+    start_level: float
 
 
 def coefficients(parameters: CarParameters) -> Coefficients:
@@ -94,6 +97,9 @@ def coefficients(parameters: CarParameters) -> Coefficients:
         noise_keep=noise_keep,
         force_noise=p.force_noise * fresh,
         yaw_noise=p.yaw_noise * fresh,
+        start_speed=p.start_speed,
+        start_rate=-math.expm1(-FINE_DT / p.start_lag),
+        start_level=p.start_level,
     )
 
 
@@ -115,23 +121,25 @@ def fine_step(
         dr/dt = (a F_f cos(d) - b F_r) / I + noise
         F     = -grip tanh(gain slip / max(|u|, floor)),   slip: the axle's sideways speed in m/s
 
+    A motor that is `start_speed` slow or slower follows its switch late, and pulls only above a level.
     The steering angle d stays below 0.26 rad, so two terms of its sine and cosine are right to 2e-4.
     """
     u, v, r = state
     motor, sag, battery, slack, steering, force_noise, yaw_noise = hidden
 
-    motor = motor + (drive - motor) * p.motor_rate
+    speed = abs(u)
+    starting = speed < p.start_speed
+    motor = motor + (drive - motor) * (p.motor_rate + (p.start_rate - p.motor_rate) * starting)
     power = abs(motor)
     sag = sag + (power * p.sag - sag) * p.sag_rate
     slack = np.minimum(np.maximum(slack + motor * p.slack_rate, -1.0), 1.0)
-    meshed = motor * slack >= power
+    meshed = (motor * slack >= power) * (power >= p.start_level * starting)
     pull = np.maximum(motor, 0.0) * p.thrust_forward + np.minimum(motor, 0.0) * p.thrust_backward
     braking = p.coasting_drag + (p.back_emf - p.coasting_drag) * power
     traction = pull * (battery - sag) * meshed - braking * u
 
     target = steer * (p.steer_mean + p.steer_difference * steer) + p.steer_offset
     steering = steering + (target - steering) * p.steering_rate
-    speed = abs(u)
     pace = np.maximum(speed, p.slip_floor)
     angle = steering - p.linkage_play * u / pace
     square = angle * angle

@@ -36,6 +36,7 @@ class NetworkRate(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    resumable = True
     requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
@@ -60,6 +61,7 @@ class NetworkRate(DynamicsModel):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.flows.training import FittedFlow, train_flow
         from model_zoo.networks.multistep import Plan
+        from model_zoo.networks.trainings import Trainings
 
         plan = Plan(self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate)
         final = replace(plan, check_every=50)
@@ -74,15 +76,15 @@ class NetworkRate(DynamicsModel):
                 lags,
                 hidden=self.hidden or HIDDEN,
                 plan=plan,
-                rng=rng,
+                trainings=trainings,
                 physics=self.torch_rate if len(self.initial) else None,
                 physical=self.initial,
-                report=counter.advance,
             )
 
-        lags = best(options, lambda lags: trained(lags, search).error)
+        with Trainings.of(self, dataset, rng, counter.advance) as trainings:
+            lags = best(options, lambda lags: trained(lags, search).error)
+            fitted = trained(lags, final)
         self.keep_lags(lags)
-        fitted = trained(lags, final)
         self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
         if len(self.initial):
             self.physical_ = fitted.physical

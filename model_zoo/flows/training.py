@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 from torchdiffeq import odeint
 
-from model_zoo.networks.multistep import Plan, Report, as_network, forward_pass, single
+from model_zoo.networks.multistep import Plan, as_network, forward_pass, single
 from model_zoo.networks.network import Network
 from model_zoo.networks.standardised import StandardisedModel
+from model_zoo.networks.trainings import Trainings
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -66,17 +67,16 @@ def train_flow(
     *,
     hidden: Sequence[int],
     plan: Plan,
-    rng: np.random.Generator,
+    trainings: Trainings,
     physics: Physics | None,
     physical: Array,
-    report: Report | None = None,
 ) -> FittedFlow:
     """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
-    model = Flow(dataset, lags, hidden=hidden, rng=rng)
+    model = Flow(dataset, lags, hidden=hidden, rng=trainings.rng)
     n_network = len(model.parameters)
     if physics is not None:
         model.know(physics, physical)
-    best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, rng, report)
+    best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
     network = as_network(best[:n_network]).folded(model.centre, model.scale, model.standard.change / dataset.system.dt)
     logarithms = [array.detach().numpy().astype(np.float64).ravel() for array in best[n_network:]]
     return FittedFlow(network, np.exp(np.concatenate([np.empty(0), *logarithms])), float(errors[0]))

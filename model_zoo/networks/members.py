@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from model_zoo.channels.mirror import Mirror
-from model_zoo.networks.multistep import Plan, Report, as_network, forward_pass, single
+from model_zoo.networks.multistep import Plan, as_network, forward_pass, single
 from model_zoo.networks.network import Network
 from model_zoo.networks.standardised import StandardisedModel
+from model_zoo.networks.trainings import Trainings
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -38,6 +39,7 @@ class LaggedMembers(StandardisedModel):
         super().__init__(dataset, lags, hidden=hidden, rng=rng, members=members, further=1, mirror=mirror)
         self.mirror = mirror
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        self.generators = (self.noise,)
         self.flag = RECORDED
 
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
@@ -69,16 +71,15 @@ def train_members(
     folds: int,
     plan: Plan,
     mirror: Mirror | None,
-    rng: np.random.Generator,
-    report: Report | None = None,
+    trainings: Trainings,
 ) -> tuple[Network, Array]:
     """Train ``members`` networks, each on the blocks of time that are left when its own are held out.
 
     Returns networks of raw (carry, control) that give accelerations, and each member's validation error (M,).
     """
-    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=rng)
+    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=trainings.rng)
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
-    parameters, errors = model.learn(splits, plan, rng, report)
+    parameters, errors = model.learn(splits, plan, trainings)
     flagged = as_network(parameters)
     weights, biases = list(flagged.weights), list(flagged.biases)
     biases[0] = biases[0] + weights[0][:, -1]

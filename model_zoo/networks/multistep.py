@@ -11,20 +11,17 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from model_zoo.networks.network import Network
+from model_zoo.networks.trainings import Standing, Trainings
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.free_run import chained
 from sysid_evo.lags import CarryLayout
-
-Report: TypeAlias = Callable[[int], None]
-"""Told how many more updates are done."""
 
 SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
@@ -41,6 +38,8 @@ class TorchModel(ABC):
 
     layout: CarryLayout
     parameters: list[Tensor]
+    generators: tuple[torch.Generator, ...] = ()
+    """What `augmented` draws from."""
 
     @abstractmethod
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
@@ -113,23 +112,31 @@ def train(
     *,
     state_scale: Tensor,
     change_scale: Tensor,
-    rng: np.random.Generator,
+    trainings: Trainings,
     judge: Callable[[list[Tensor]], Array] | None = None,
-    report: Report | None = None,
 ) -> list[Tensor]:
     """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters.
 
     ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
-    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise.
+    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. It is the next of ``trainings``: done
+    already, stopped before its end, or not begun.
     """
-    members = len(shots)
+    done = trainings.ended()
+    if done is not None:
+        trainings.report(plan.total)
+        return done
+    members, rng = len(shots), trainings.rng
     noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
     optimiser = torch.optim.Adam(model.parameters, lr=plan.learning_rate, betas=(0.9, 0.99))
     mean = [parameter.detach().clone() for parameter in model.parameters]
     best = [parameter.clone() for parameter in mean]
     lowest = np.full(members, np.inf)
-    longest, told = min(shot.states.shape[1] for shot in shots), 0
-    for update in range(plan.total):
+    longest = min(shot.states.shape[1] for shot in shots)
+    standing = Standing(model.parameters, optimiser, mean, best, lowest, (noise, *model.generators))
+    first = told = trainings.resume(standing)
+    if first:
+        trainings.report(first)
+    for update in range(first, plan.total):
         horizon, size, rate = _schedule(plan, update, longest)
         for group in optimiser.param_groups:
             group["lr"] = rate
@@ -161,10 +168,13 @@ def train(
                 lowest[member] = errors[member]
                 for kept, average in zip(best, mean, strict=True):
                     kept[member] = average[member]
-        if report is not None and (last or update % TOLD_EVERY == 0):
-            report(update + 1 - told)
+        if last or update % TOLD_EVERY == 0:
+            trainings.reached(update + 1, standing)
+            trainings.report(update + 1 - told)
             told = update + 1
-    return mean if judge is None else best
+    found = mean if judge is None else best
+    trainings.end(found)
+    return found
 
 
 def step_weights(error: Tensor) -> Tensor:

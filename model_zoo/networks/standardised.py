@@ -10,8 +10,9 @@ from torch import Tensor
 
 from model_zoo.channels.mirror import Mirror
 from model_zoo.channels.standard import Standard
-from model_zoo.networks.multistep import Plan, Report, Shots, TorchModel, as_tensors, judged, single, train
+from model_zoo.networks.multistep import Plan, Shots, TorchModel, as_tensors, judged, single, train
 from model_zoo.networks.network import random_network
+from model_zoo.networks.trainings import Trainings
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
@@ -59,8 +60,7 @@ class StandardisedModel(TorchModel):
         self,
         splits: Sequence[tuple[Dataset, Dataset]],
         plan: Plan,
-        rng: np.random.Generator,
-        report: Report | None,
+        trainings: Trainings,
     ) -> tuple[list[Tensor], Array]:
         """Train each member on the first part of its split.
 
@@ -78,8 +78,7 @@ class StandardisedModel(TorchModel):
             plan,
             state_scale=state_scale,
             change_scale=self.change,
-            rng=rng,
+            trainings=trainings,
             judge=judge,
-            report=report,
         )
         return learned, judge(learned)

@@ -25,6 +25,7 @@ from sysid_evo.cli.options import (
     Preset,
     Recipe,
     Runs,
+    Schedule,
     Seed,
     Strategy,
     Task,
@@ -71,6 +72,7 @@ def compare(
     generations: Generations = None,
     trials: Trials = None,
     runs: Runs = None,
+    schedule: Schedule = None,
     estimator_delay: EstimatorDelay = None,
     yardstick: Annotated[
         bool | None,
@@ -119,6 +121,7 @@ def compare(
         generations=generations,
         trials=trials,
         runs=runs,
+        schedule=schedule,
         estimator_delay=seconds(estimator_delay),
         yardstick=yardstick,
         seed=seed,

@@ -42,6 +42,10 @@ Recipe: TypeAlias = Annotated[
     str | None,
     typer.Option(help="recommended (search in each model, choice by others, polish on all) or plain (all at once)."),
 ]
+Schedule: TypeAlias = Annotated[
+    str | None,
+    typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
+]
 Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]
 
 EstimatorDelay: TypeAlias = Annotated[

@@ -85,7 +85,7 @@ class CmaEs(EvolutionStrategy):
         elite = check_shape("state: elite", state["elite"], (None, self.n_parameters)).copy()
         search = self._begin()
         if state["generation"]:  # its first cycle sets up what later ones need
-            search.tell(search.ask(), list(range(self.population)))
+            search.tell(search.ask_geno(), list(range(self.population)), check_points=False)
         search.mean, search.sigma, search.pc = found["mean"], float(state["sigma"]), found["path"]
         search.sm.C, search.sm.B, search.sm.D = found["covariance"], found["axes"], found["lengths"]
         search.adapt_sigma.ps = found["sigma_path"]
@@ -95,21 +95,23 @@ class CmaEs(EvolutionStrategy):
         self._search, self._elite = search, elite
 
     def ask(self) -> Array:
-        self._asked = [np.array(drawn) for drawn in self._search.ask()]
-        return np.array([*self._asked, self._search.mean])[:, : self.n_parameters]
+        self._asked = np.array(self._search.ask_geno())
+        return np.concatenate([self._asked, self._search.mean[None]])[:, : self.n_parameters]
 
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         if len(population) != self.population + 1:
             raise InvalidArgument(f"cma_es: expected {self.population + 1} candidates, got {len(population)}")
         best = np.argsort(-fitness, kind="stable")
         mean = len(population) - 1
-        kept = best[:ELITE]
-        self._elite = population[best[(np.isin(best, kept)) | (best == mean)]].copy()
-        self._search.tell(self._asked, (-fitness[:-1]).tolist())
+        kept = best[:ELITE] if mean in best[:ELITE] else [*best[:ELITE], mean]
+        self._elite = population[kept].copy()
+        self._search.tell(self._asked, (-fitness[:-1]).tolist(), check_points=False)
         self.generation += 1
 
     def _begin(self) -> Any:
         import cma
+
+        from sysid_evo.evolution.gaussian_sampler import LAZIER, GaussianSampler
 
         def randn(*shape: int) -> Array:
             return np.random.default_rng(
@@ -120,4 +122,8 @@ class CmaEs(EvolutionStrategy):
         options = {"popsize": self.population, "verbose": -9, "randn": randn, "seed": np.nan, **NEVER}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return cma.CMAEvolutionStrategy(self._centre, self.sigma, options)
+            search = cma.CMAEvolutionStrategy(self._centre, self.sigma, options)
+        search.sm = GaussianSampler(len(self._centre), lazy_update_gap=LAZIER * search.sm.lazy_update_gap, randn=randn)
+        search.sent_solutions = cma.evolution_strategy.get_CMASolutionDict(False)()  # none is clipped or looked up
+        search.timer = cma.utilities.utils.ElapsedWCTime()  # `tell` stops it, and only `ask` would start it
+        return search

@@ -4,7 +4,8 @@ A small comparison is run to its end once. Then the same command is killed (SIGK
 ``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
 A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
-controllers in every byte. Prints a table and exits 1 if anything differs.
+controllers in every byte; and a fit by torch, which goes on within its updates, to the same model. Prints a table and
+exits 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ EVOLUTION = (
     *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
     *("--generations", "200", "--trials", "4", "--runs", "1"),
 )
+FIT = ("--models", "mlp_ensemble(members=2, hidden=[16], state_lags=1, one_step_updates=400, updates=150, horizon=8)")
 LIMIT = 600.0  # s, for one command
 
 
@@ -113,6 +115,19 @@ class Evolution(Job):
         return {file.name: file.read_bytes() for file in (out / "controllers").glob("*.safetensors")}
 
 
+class Fit(Job):
+    """A model that is trained with torch, whose updates are kept."""
+
+    what = "fit by torch"
+    kept = "models/*.checkpoint"
+
+    def arguments(self, out: Path) -> tuple[str, ...]:
+        return ("fit", str(self.folder / "car"), *FIT, "--out", str(out))
+
+    def result(self, out: Path) -> object:
+        return {file.name: file.read_bytes() for file in (out / "models").glob("*.safetensors")}
+
+
 def finish(processes: list[subprocess.Popen[bytes]]) -> float:
     """Wait for all; return the seconds. Raises `RuntimeError` if one does not end with 0."""
     began = time.perf_counter()
@@ -137,7 +152,7 @@ def rows(folder: Path, times: int, seed: int) -> list[Row]:
     example_dataset().save(folder / "car")
     rng = np.random.default_rng(seed)
     found = []
-    for job, several in ((Comparison(folder), (1, 2)), (Evolution(folder), (1,))):
+    for job, several in ((Comparison(folder), (1, 2)), (Evolution(folder), (1,)), (Fit(folder), (1,))):
         warm, whole = job.fresh("warm"), job.fresh("whole")
         finish([job.start(warm)])  # compiled kernels are on disk from here on
         seconds = finish([job.start(whole)])

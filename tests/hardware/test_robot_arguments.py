@@ -23,6 +23,7 @@ from sysid_evo.registry import robots, trackers
 
 tracker = {"driver": "udp", "body": "car", "port": 5005}
 made = {
+    "awkward_car": {"seed": 3, "stuck": 0.5},
     "emulated_car": {"seed": 3},
     "serial": {"port": "/dev/nowhere", "tracker": tracker, "gate": {"speed": 8.0}},
     "terminal_car": {"seed": 3, "faults": [{"kind": "unplug", "at": 1.0}], "journal": "no/such/folder/journal"},

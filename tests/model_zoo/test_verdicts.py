@@ -10,6 +10,7 @@ import torch
 
 from model_zoo.evolved3 import Evolved3
 from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, TorchModel, step_weights, train
+from model_zoo.networks.trainings import Trainings
 from model_zoo.validation import spread
 from model_zoo.validation.held_out import DIVERGED, HeldOut
 from sysid_evo.arrays import Array
@@ -147,7 +148,8 @@ def test_training_follows_the_weights_of_the_steps() -> None:
     shots = Shots(torch.zeros(4, 1, 1), torch.zeros(4, 0, 0), torch.zeros(4, 2, 0), torch.tensor([[[1.0], [8.0]]] * 4))
     plan = Plan(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
     one = torch.ones(1)
-    found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, rng=np.random.default_rng(0))
+    trainings = Trainings(np.random.default_rng(0))
+    found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)
     assert float(found[0]) == pytest.approx(1.0, abs=0.1)
 
 

@@ -75,3 +75,23 @@ def test_what_cannot_be_searched_is_refused() -> None:
         strategy.tell(strategy.ask()[:-1], np.zeros(50))
     with pytest.raises(InvalidArgument, match="expected a state with axes, covariance"):
         strategy.restore({"generation": 1})
+
+
+def test_the_sampler_learns_what_that_of_the_library_learns_and_finds_its_axes_less_often(
+    rng: np.random.Generator,
+) -> None:
+    from cma.sampler import GaussFullSampler
+
+    from sysid_evo.evolution.gaussian_sampler import GaussianSampler
+
+    own, library = (kind(5, randn=rng.standard_normal) for kind in (GaussianSampler, GaussFullSampler))
+    for _ in range(8):
+        vectors, weights = rng.standard_normal((6, 5)), [0.05, 0.04, 0.02, 0.0, -0.02, -0.03]
+        for sampler in (own, library):
+            sampler.update(list(vectors), weights, 0.01)
+            sampler.update_now()
+    np.testing.assert_allclose(own.C, library.C, rtol=1e-10)
+    strategy = CmaEs(n_parameters=60, seed=1)
+    for _ in evolve(strategy, valley, 20):
+        pass
+    assert 2 <= strategy._search.sm.count_eigen <= 10

@@ -58,17 +58,21 @@ def fine_step(state, body, command, noise, p):
     front_grip, rear_grip, thrust_grip_loss, traction_share = p[20], p[21], p[22], p[23]
     slip_gain, slip_floor = p[24], p[25]
     noise_keep, force_fresh, yaw_fresh = p[26], p[27], p[28]
+    start_speed, slower, start_level = p[29], p[30] - p[11], p[31]
     for lane in range(LANES):
         u, v, r = state[lane], state[LANES + lane], state[2 * LANES + lane]
         drive, steer = command[lane], command[LANES + lane]
 
+        speed = abs(u)
+        starting = 1.0 if speed < start_speed else 0.0
         motor = body[lane]
-        motor = motor + (drive - motor) * motor_rate
+        motor = motor + (drive - motor) * (motor_rate + slower * starting)
         power = abs(motor)
         sag = body[LANES + lane]
         sag = sag + (power * sag_full - sag) * sag_rate
         slack = min(max(body[3 * LANES + lane] + motor * slack_rate, -1.0), 1.0)
-        meshed = 1.0 if motor * slack >= power else 0.0
+        pulling = (motor * slack >= power) & (power >= start_level * starting)
+        meshed = 1.0 if pulling else 0.0
         pull = max(motor, 0.0) * thrust_forward + min(motor, 0.0) * thrust_backward
         braking = coasting_drag + (back_emf - coasting_drag) * power
         traction = pull * (body[2 * LANES + lane] - sag) * meshed - braking * u
@@ -76,7 +80,6 @@ def fine_step(state, body, command, noise, p):
         target = steer * (steer_mean + steer_difference * steer) + steer_offset
         steering = body[4 * LANES + lane]
         steering = steering + (target - steering) * steering_rate
-        speed = abs(u)
         per_pace = 1.0 / max(speed, slip_floor)
         angle = steering - linkage_play * u * per_pace
         square = angle * angle

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hardware.emulation.awkward_car import AWKWARD
 from hardware.emulation.car_parameters import CarParameters
 from hardware.emulation.car_physics import BODY, BUFFER
 from hardware.emulation.emulated_car import CarPhysics
@@ -61,7 +62,7 @@ def any_control(rng: np.random.Generator) -> Array:
 def test_one_fine_step_is_that_of_numpy_from_any_carry(
     rng: np.random.Generator, precision: Precision, tolerance: float
 ) -> None:
-    for car in (CarParameters(), CarParameters().perturbed(3)):
+    for car in (CarParameters(), CarParameters().perturbed(3), AWKWARD):
         physics = CarPhysics(car)
         step = compiled_step(physics, precision)
         for _ in range(30):

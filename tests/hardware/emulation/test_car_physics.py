@@ -223,6 +223,9 @@ def test_perturbed_cars_differ_and_stay_within_their_spread():
     for item in fields(nominal):
         centre, spread = getattr(nominal, item.name), item.metadata["spread"]
         assert 0.1 <= spread <= 0.3
+        if centre == 0.0:
+            assert {getattr(car, item.name) for car in cars} == {0.0}
+            continue
         ratios = np.array([getattr(car, item.name) for car in cars]) / centre - 1.0
         assert np.abs(ratios).max() <= spread + 1e-12
         assert np.ptp(ratios) > spread
@@ -243,6 +246,8 @@ def test_stiffest_car_within_the_spread_can_still_be_stepped():
     [
         ({"mass": 0.0}, "expected mass > 0 kg"),
         ({"sag": 1.2}, "sag is a share below 1"),
+        ({"start_level": 1.0}, "start_level is a share below 1"),
+        ({"thrust_backward": -0.1}, "expected thrust_backward >= 0 m/s2"),
         ({"static_friction": 0.3}, "expected static_friction >= rolling_resistance"),
         ({"slip_floor": 0.2}, "overshoot in steps of 0.005 s"),
     ],

@@ -102,6 +102,17 @@ def test_options_on_the_line_win_over_the_experiment(there: Caller) -> None:
     assert "fit nearest_neighbour" in kept("--models", "nearest_neighbour")
 
 
+def test_a_schedule_on_the_line_is_that_of_the_experiment(there: Caller) -> None:
+    stages = "stage(task=point_to_point(waypoint_radius=0.5), at_most=2)"
+    ended = there("compare", "--config", "out", "--out", "out", "--schedule", stages, "--dry-run", "--json")
+    evolve = [cell for cell in json.loads(ended.stdout)["cells"] if cell["cell"].startswith("evolve")]
+    assert evolve
+    assert not any(cell["kept"] for cell in evolve)  # other work than that without a schedule
+    wrong = there("compare", "--config", "out", "--out", "out", "--schedule", "stage(at_most=0)", "--dry-run")
+    assert wrong.code == 2
+    assert wrong.says("expected over and at_most >= 1")
+
+
 def test_a_dry_run_prints_cells_and_seconds_and_writes_nothing(there: Caller, logs: Path) -> None:
     before = sorted(there.folder.rglob("*"))
     ended = there(

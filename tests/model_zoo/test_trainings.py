@@ -1,0 +1,180 @@
+"""A fit by torch that was stopped or killed goes on to the same model."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from model_zoo.networks.trainings import Standing
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.errors import CheckpointWarning
+from sysid_evo.progress import Progress
+from sysid_evo.registry import make_model, models
+from sysid_evo.store import CheckpointFile
+from sysid_evo.store.checkpoints import read_checkpoint
+from sysid_evo.testing import example_dataset
+from tests.sysid_evo.test_checkpoints import AlwaysDue, Stop, StopAfter
+
+ROOT = Path(__file__).parents[2]
+SHORT: dict[str, Any] = {"hidden": [6], "one_step_updates": 30, "updates": 30, "horizon": 5}
+FAMILIES: dict[str, dict[str, Any]] = {
+    "mlp_ensemble": {"members": 2, "folds": 3, "stochastic": True, "state_lags": 1, "control_lags": None},
+    "neural_ode": {},
+    "hybrid_ode": {"state_lags": 0},
+}
+"""Families that train with torch: with a search for lags, with rough fits, with physical parameters."""
+
+PROGRAM = """
+import sys
+from tests.model_zoo.test_trainings import AlwaysDue, fitted
+
+def told(done, total, note=""):
+    print(done, flush=True)
+
+fitted("neural_ode", AlwaysDue(sys.argv[1]), told, updates=100000)
+"""
+
+
+def fitted(
+    family: str,
+    checkpoint: CheckpointFile | None = None,
+    progress: Progress | None = None,
+    dataset: Dataset | None = None,
+    seed: int = 1,
+    **parameters: Any,
+) -> dict[str, list[Array]]:
+    """Return what a family learns, and what its source of random numbers draws next."""
+    model = make_model(family, **{**SHORT, **FAMILIES[family], **parameters})
+    model.checkpoint = checkpoint
+    rng = np.random.default_rng(seed)
+    model.fit(dataset or example_dataset(), rng=rng, progress=progress)
+    learned = {name: value for name, value in vars(model).items() if name.endswith("_") and name != "system_"}
+    arrays = {name: [np.asarray(one) for one in _listed(value)] for name, value in learned.items()}
+    return {**arrays, "next": [rng.random(3)]}
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def assert_same(one: dict[str, list[Array]], other: dict[str, list[Array]]) -> None:
+    assert one.keys() == other.keys()
+    for name, arrays in one.items():
+        for left, right in zip(arrays, other[name], strict=True):
+            np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_fit_that_is_stopped_again_and_again_ends_as_it_would_have(family: str, tmp_path: Path) -> None:
+    whole = StopAfter(-1)
+    expected = fitted(family, None, whole)
+    told = sorted(set(whole.told))
+    stops = [told[1], told[4], told[5], told[len(told) // 2], told[-3]]
+    for number, after in enumerate(dict.fromkeys(stops)):
+        watched = StopAfter(after)
+        with pytest.raises(Stop):
+            fitted(family, CheckpointFile(tmp_path / "c"), watched)
+        assert number == 0 or min(watched.told[1:]) > 0
+    watched = StopAfter(-1)
+    assert_same(fitted(family, CheckpointFile(tmp_path / "c"), watched), expected)
+    assert len(set(watched.told)) < len(told) - 3  # most of it was not done again
+
+
+def standing(seed: int) -> Standing:
+    """Return how a made-up training of two members stands after three updates."""
+    torch.manual_seed(seed)
+    parameters = [torch.randn(2, 3, 4, requires_grad=True), torch.randn(2, 1, 4, requires_grad=True)]
+    optimiser = torch.optim.Adam(parameters)
+    for _ in range(3):
+        optimiser.zero_grad()
+        torch.autograd.backward(torch.stack([(parameter**2).sum() for parameter in parameters]).sum())
+        optimiser.step()
+    mean, best = ([torch.randn_like(parameter).detach() for parameter in parameters] for _ in range(2))
+    generator = torch.Generator().manual_seed(seed)
+    return Standing(parameters, optimiser, mean, best, np.array([0.5 + seed, np.inf]), (generator,))
+
+
+def test_all_that_changes_in_a_training_is_stored_and_comes_back() -> None:
+    one, other = standing(1), standing(2)
+    kept, unlike = one.state(), other.state()
+    assert all(not np.array_equal(kept[name], unlike[name]) for name in kept if "step" not in name)
+    other.restore(kept)
+    assert_same({name: [value] for name, value in other.state().items()}, {name: [kept[name]] for name in kept})
+    assert kept["adam/step/1"] == 3.0
+
+
+def test_ctrl_c_keeps_the_updates_that_were_told(tmp_path: Path) -> None:
+    def interrupted(done: int, total: int, note: str = "") -> None:
+        if done == 41:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitted("neural_ode", CheckpointFile(tmp_path / "c"), interrupted)
+    _, state = read_checkpoint(tmp_path / "c")
+    assert state["updates"] == 41
+    assert state["ended"] == 0
+
+
+def test_a_fit_without_a_checkpoint_is_the_same(tmp_path: Path) -> None:
+    assert_same(fitted("neural_ode", AlwaysDue(tmp_path / "c")), fitted("neural_ode"))
+
+
+def test_other_data_parameters_and_seeds_are_other_work(tmp_path: Path) -> None:
+    file = CheckpointFile(tmp_path / "c")
+    fitted("neural_ode", file)
+    for changed in ({"updates": 31}, {"seed": 2}, {"dataset": example_dataset(episodes=2)}):
+        with pytest.warns(CheckpointWarning, match="of other work"):
+            fitted("neural_ode", file, **changed)  # type: ignore[arg-type]  # of several types
+
+
+def test_a_state_that_makes_no_sense_is_ignored(tmp_path: Path) -> None:
+    file = CheckpointFile(tmp_path / "c")
+    with pytest.raises(Stop):
+        fitted("neural_ode", file, StopAfter(41))
+    identity, state = read_checkpoint(file.path)
+    file.save(identity, {**state, "now/lists/mean/0": np.zeros((1, 2, 3))})
+    with pytest.warns(CheckpointWarning, match="the checkpoint is ignored in this training: expected the shape"):
+        assert_same(fitted("neural_ode", file), fitted("neural_ode"))
+
+
+def test_every_family_that_trains_with_torch_can_go_on() -> None:
+    trained = [name for name in models.names() if "torch" in models.get(name).requires]
+    assert {*FAMILIES} <= {*trained}
+    assert all(models.get(name).resumable for name in trained)
+
+
+def test_a_fit_killed_at_random_moments_loses_nothing_that_was_saved(tmp_path: Path) -> None:
+    path, reached = tmp_path / "c", 0
+    for updates in (60, 120):
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        told = [int(process.stdout.readline()) for _ in range(2)]
+        assert told[1] >= reached
+        for line in process.stdout:
+            reached = int(line)
+            if reached >= updates:
+                break
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    _, state = read_checkpoint(path)
+    assert int(state["updates"]) >= reached
+    watched = StopAfter(161)
+    with pytest.raises(Stop):
+        fitted("neural_ode", CheckpointFile(path), watched, updates=100000)
+    straight = CheckpointFile(tmp_path / "straight")
+    with pytest.raises(Stop):
+        fitted("neural_ode", straight, StopAfter(161), updates=100000)
+    one, other = (read_checkpoint(file)[1] for file in (path, straight.path))
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        np.testing.assert_array_equal(value, other[name])
