@@ -31,7 +31,7 @@ class Narx(PolynomialFamily):
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 12, "state_lags": 0, "control_lags": 0}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 32, "state_lags": 1, "control_lags": 3}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
     degree: int = 2

@@ -18,6 +18,6 @@ class SindyDiscrete(SparsePolynomial):
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 0, "state_lags": 0}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 3, "state_lags": 1}}
 
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))

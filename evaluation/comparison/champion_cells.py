@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from evaluation.comparison.believing import BELIEVED, believed
 from evaluation.comparison.columns import Column
 from evaluation.comparison.model_cells import files_of
 from sysid_evo.engine import Runner
@@ -127,8 +128,8 @@ class EvolveCell(_ControllerFiles):
 class ChooseCell(_ControllerFiles):
     """Chooses among the finalists of all ``contenders`` by their median on models of other families.
 
-    ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it.
-    What failed among contenders and judges is left out.
+    ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it, and
+    those that predict badly judge nobody, see `believed`. What failed among contenders and judges is left out.
     """
 
     kind = "choose"
@@ -156,18 +157,20 @@ class ChooseCell(_ControllerFiles):
 
     @property
     def needs(self) -> tuple[Cell, ...]:
-        return (*self.contenders, *(cell for judge in self.judges for cell in judge.needs))
+        return (*self.contenders, *(cell for judge in self.judges for cell in judge.believing))
 
     def inputs(self) -> dict[str, Any]:
         return {
             "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
             "judges": [judge.registered for judge in self.judges],
+            "believed": BELIEVED,
             "trials": self.trials,
             "seed": self.seed,
         }
 
     def compute(self, work: Work) -> Champion:
         fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
+        fitted = list(believed(fitted, work))
         judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
         contenders = []
         for contender in self.contenders:
@@ -193,7 +196,7 @@ class ChooseCell(_ControllerFiles):
 class PolishCell(_ControllerFiles):
     """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
 
-    Members that could not be fitted are left out.
+    Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `believed`.
     """
 
     kind = "polish"
@@ -207,6 +210,7 @@ class PolishCell(_ControllerFiles):
     starts: int
     seed: int
     label: str = RECOMMENDED
+    sift: bool = False
 
     @property
     def title(self) -> str:
@@ -218,12 +222,16 @@ class PolishCell(_ControllerFiles):
 
     @property
     def needs(self) -> tuple[Cell, ...]:
-        return (self.chosen, *(cell for member in self.members for cell in member.needs))
+        return (self.chosen, *(cell for member in self.members for cell in self._needs(member)))
+
+    def _needs(self, member: Column) -> tuple[Cell, ...]:
+        return member.believing if self.sift else member.needs
 
     def inputs(self) -> dict[str, Any]:
         settings = self.settings
         return {
             "members": [member.inputs() for member in self.members],
+            "believed": BELIEVED if self.sift else None,
             "aggregate": aggregates.identity(settings.aggregate),
             "trials": settings.trials,
             "selection_trials": settings.selection_trials,
@@ -240,6 +248,8 @@ class PolishCell(_ControllerFiles):
         if champion is None:
             raise Blocked(blocked_by(self.chosen))
         fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
+        if self.sift:
+            fitted = list(believed(fitted, work))
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
         return polish(
             self.name,

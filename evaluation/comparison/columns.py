@@ -17,18 +17,25 @@ from sysid_evo.registry import Spec, make_robot, robots
 class Column:
     """A column of the transfer matrix: the model that the cell ``model`` gives, or the ``robot``.
 
-    ``family`` is the registered name behind a model; that of a robot is its own.
+    ``family`` is the registered name behind a model; that of a robot is its own. ``prediction`` is the cell of
+    how well the model predicts, where that is known.
     """
 
     label: str
     family: str
     model: Cell | None = None
     robot: Spec | None = None
+    prediction: Cell | None = None
 
     @property
     def needs(self) -> tuple[Cell, ...]:
         """The cell of the model, if it is one."""
         return () if self.model is None else (self.model,)
+
+    @property
+    def believing(self) -> tuple[Cell, ...]:
+        """The cells that must be there to say whether the model is believed."""
+        return self.needs if self.prediction is None else (*self.needs, self.prediction)
 
     @property
     def registered(self) -> str:

@@ -41,7 +41,7 @@ from sysid_evo.registry import (
 from sysid_evo.system import System
 
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
-OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "mlp_ensemble")
+OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
 """What is compared when no family is named; with the preset ``paper`` only the paper's own."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
@@ -118,7 +118,9 @@ def plan_comparison(
     )
     matrix, exploitability = None, None
     if experiment.only is None:
-        columns = tuple(Column(label, fit.spec.name, model=fit) for label, fit in fits.items())
+        columns = tuple(
+            Column(label, fit.spec.name, model=fit, prediction=predictions.get(label)) for label, fit in fits.items()
+        )
         matrix = _matrix(
             experiment,
             evolution,
@@ -342,7 +344,7 @@ def _matrix(
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
-            champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED),)
+            champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True),)
     runs = tuple(
         RunCell(
             champion,

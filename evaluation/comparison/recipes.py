@@ -11,13 +11,18 @@ POLISHED = 2
 
 
 def controller_cell(
-    experiment: Experiment, members: tuple[Column, ...], *, judges: tuple[Column, ...], label: str | None = None
+    experiment: Experiment,
+    members: tuple[Column, ...],
+    *,
+    judges: tuple[Column, ...],
+    label: str | None = None,
+    sift: bool = False,
 ) -> ChampionCell:
     """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
 
     By the recommended one each member is searched alone, the best are chosen by their median on those of
-    ``judges`` that are models of other families, and polished on all members at once. Such a controller is
-    called ``label``, by default after its members.
+    ``judges`` that are models of other families and predict well, and polished on all members at once; with
+    ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members.
     """
     evolution = experiment.evolution
     if experiment.budget.recipe == "plain":
@@ -28,7 +33,7 @@ def controller_cell(
         return chosen_cell(experiment, singles, models)
     chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
     name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
-    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name, sift)
 
 
 def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:

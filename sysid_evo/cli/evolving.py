@@ -165,15 +165,12 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
 
 def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
     """Return the models of the run that are of one system with ``columns`` and not among them."""
-    from evaluation.comparison import Column, FitCell
-    from sysid_evo.plan import StoredCell
-
     system = dynamics_of(store, columns[0]).system
     taken = {column.model.digest for column in columns if column.model is not None}
     found = []
     for record in store.records():
         if record.kind == "fit" and record.status == "done" and record.digest not in taken:
-            column = Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+            column = column_of(store, record)
             if not system.differences(dynamics_of(store, column).system):
                 found.append(column)
     return tuple(found)
@@ -204,22 +201,33 @@ def is_model_of_a_run(name: str) -> bool:
 
 def find_column(store: Store, name: str) -> Column:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
-    from evaluation.comparison import Column, FitCell, StoredModel, emulated
-    from sysid_evo.plan import StoredCell
+    from evaluation.comparison import Column, StoredModel, emulated
     from sysid_evo.registry import robot_spec
 
     if is_file(name):
         own = record_of_file(store, Path(name))
         if own is not None:
-            return Column(own.name, own.inputs["model"]["name"], model=StoredCell(own, FitCell))
+            return column_of(store, own)
         model = StoredModel(Path(name))
         return Column(model.name, model.family, model=model)
     if is_robot(name):
         spec = robot_spec(name)
         emulated(spec)
         return Column(spec.label, spec.label, robot=spec)
-    record = find_model(store, name)
-    return Column(record.name, record.inputs["model"]["name"], model=StoredCell(record, FitCell))
+    return column_of(store, find_model(store, name))
+
+
+def column_of(store: Store, record: Record) -> Column:
+    """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
+    from evaluation.comparison import Column, FitCell, GivenData, PredictCell
+    from sysid_evo.plan import StoredCell
+
+    model, family = StoredCell(record, FitCell), record.inputs["model"]["name"]
+    data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
+    if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
+        return Column(record.name, family, model=model)
+    prediction = PredictCell(record.name, family, StoredCell(data, GivenData), model)
+    return Column(record.name, family, model=model, prediction=prediction)
 
 
 def record_of_file(store: Store, file: Path) -> Record | None:

@@ -36,7 +36,7 @@ def polish(
     seed: int,
     starts: int = 2,
     generations: int = 120,
-    sigma: float = 0.1,
+    sigma: float = 0.3,
     checkpoint: Checkpoint | None = None,
     progress: Progress | None = None,
 ) -> Champion:

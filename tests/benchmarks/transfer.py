@@ -26,7 +26,7 @@ from evaluation.comparison.champion_cells import RECOMMENDED
 from evaluation.transfer import TransferMatrix
 from sysid_evo.arrays import Array
 
-FAMILIES = "parametrised,sindy,backprop27,hybrid_ode,nearest_neighbour,evolved3"
+FAMILIES = "parametrised,sindy,narx,backprop27,hybrid_ode,nearest_neighbour,evolved3"
 PAPER = ("evolved3+nearest_neighbour", "backprop27+nearest_neighbour+parametrised")
 TRIALS = 300
 RESAMPLES = 4000
@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--minutes", type=float, default=6.0)
     parser.add_argument("--models", default=FAMILIES)
-    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--preset", default="quick")
     parser.add_argument("--generations", type=int)
     parser.add_argument("--yardstick", action="store_true", help="evolve on each car itself as well")
     parser.add_argument("--yardsticks", type=Path, help="what tests.benchmarks.search kept with --json")

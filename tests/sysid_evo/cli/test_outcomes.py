@@ -318,7 +318,7 @@ def test_without_debug_there_is_no_traceback(call: Caller) -> None:
 
 
 def test_another_preset_on_the_line_brings_its_own_budget(call: Caller, logs: Path) -> None:
-    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 300\ntrials = 10\nruns = 1\n'
+    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 600\ntrials = 5\nruns = 1\n'
     (call.folder / "quick.toml").write_text(settings)
 
     def seconds(*options: str) -> float:
