@@ -28,9 +28,9 @@ ENCODER = 2.0 * math.pi / 4096.0  # rad
 SYSTEM = System(
     states=(
         Channel("position", "m", -2.0, 2.0),
-        Channel("speed", "m/s", -3.0, 3.0),
+        Channel("speed", "m/s"),
         Channel("angle", "rad", period=2.0 * math.pi),
-        Channel("angular_speed", "rad/s", -12.0, 12.0),
+        Channel("angular_speed", "rad/s"),
     ),
     controls=(Channel("force", "N", -FORCE, FORCE),),
     dt=FINE_DT,

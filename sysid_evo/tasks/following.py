@@ -21,6 +21,8 @@ from sysid_evo.tasks.task import Task, TaskState
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
 
+SETTLED = 0.9
+"""A state has settled if it stays within its tolerance from this share of the trial on."""
 SHOWN = 10.0
 """An error of so many tolerances is observed as 1."""
 
@@ -58,9 +60,10 @@ class FollowingState(TaskState):
 class Following(Task):
     """Fitness is the mean over the horizon, in per cent, of what each step scores.
 
-    A step scores ``c = 1 / (1 + sum (error / tolerance)^2)`` over the channels: 1 on the target, a half at one
-    tolerance; so a channel with a small tolerance weighs more. With a weight ``effort`` it scores
-    ``(c + effort (1 - p)) / (1 + effort)``, p the mean over the controls of the square of their share of the full one.
+    A step scores ``c = 1 / (1 + sum (error / tolerance)^2 + (change per second / still)^2)`` over all channels:
+    1 at rest on the target, a half at one tolerance; so a channel with a small tolerance weighs more. With a weight
+    ``effort`` it scores ``(c + effort (1 - p)) / (1 + effort)``, p the mean over the controls of the square of their
+    share of the full one.
     Errors of periodic channels count the shortest way round. A trial that is over early scores nothing from then on.
 
     A class gives `goals` and `references`; ``starts_at_target`` says where its trials begin, else at rest.
@@ -95,10 +98,11 @@ class Following(Task):
 
     def check_system(self, system: System) -> None:
         for goal in self.goals_on(system):
-            if not (goal.tolerance > 0.0 and goal.low <= goal.high and goal.spread >= 0.0 and goal.end > 0.0):
+            if not (min(goal.tolerance, goal.still, goal.end) > 0.0 and goal.low <= goal.high and goal.spread >= 0.0):
                 raise InvalidArgument(
-                    f"{self.name}: {goal.channel.name}: expected low <= high, tolerance > 0, spread >= 0, end > 0, "
-                    f"got {goal.low:g}, {goal.high:g}, {goal.tolerance:g}, {goal.spread:g}, {goal.end:g}"
+                    f"{self.name}: {goal.channel.name}: expected low <= high, tolerance, still and end > 0, "
+                    f"spread >= 0, got {goal.low:g}, {goal.high:g}; {goal.tolerance:g}, {goal.still:g}, "
+                    f"{goal.end:g}; {goal.spread:g}"
                 )
 
     def bind(self, system: System) -> Self:
@@ -148,13 +152,15 @@ class Following(Task):
     ) -> tuple[TaskState, Array]:
         here = cast("FollowingState", task_state)
         moved = replace(here, step=here.step + 1)
-        tolerance, end = (np.array([getattr(goal, name) for goal in self.goals]) for name in ("tolerance", "end"))
+        tolerance, still, end = np.array([(goal.tolerance, goal.still, goal.end) for goal in self.goals]).T
         errors = self._errors(moved.target, after)
+        rates = self._errors(after[:, [goal.place for goal in self.goals]], before) / self.system.dt
         off = np.abs(errors) > tolerance
         squares = ((errors / tolerance) ** 2).sum(axis=1)
+        moving = ((rates / still) ** 2).sum(axis=1)
         reached = here.reached | ~off.any(axis=1)
         past = (-np.sign(here.first) * errors / np.maximum(np.abs(here.first), tolerance)).max(axis=1)
-        gained = (1.0 / (1.0 + squares) + self.effort * (1.0 - self._power(control))) / (1.0 + self.effort)
+        gained = (1.0 / (1.0 + squares + moving) + self.effort * (1.0 - self._power(control))) / (1.0 + self.effort)
         advanced = replace(
             moved,
             pose=self.system.move(here.pose, before, after) if pose is None else pose,
@@ -176,7 +182,7 @@ class Following(Task):
         if here.reference.shape[1] > 1:
             steps = np.maximum(1, here.step) * len(here.goals)
             return {"error (tolerances, rms)": np.sqrt(here.squared / steps)}
-        settled = here.alive & (here.late < here.step)
+        settled = here.alive & (here.late <= SETTLED * here.step)
         return {
             "settled (% of trials)": 100.0 * settled,
             "settling time (s)": np.where(settled, here.late * self.system.dt, np.nan),

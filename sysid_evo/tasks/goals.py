@@ -21,8 +21,9 @@ TOLERANCES = 20.0
 class Goal:
     """One state that is to be led: its ``channel`` and its ``place`` among the states of the system.
 
-    All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance`` costs half
-    of the score; a trial begins within ``spread`` of its start, and is over once the error exceeds ``end``.
+    All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance``, or a change of
+    ``still`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over once
+    the error exceeds ``end``.
     """
 
     channel: Channel
@@ -30,6 +31,7 @@ class Goal:
     low: float
     high: float
     tolerance: float
+    still: float = math.inf
     spread: float = 0.0
     end: float = math.inf
 
@@ -87,6 +89,7 @@ def goals_of(
     high: Numbers,
     tolerance: Numbers,
     *,
+    still: Numbers = math.inf,
     spread: Numbers = 0.0,
     end: Numbers = math.inf,
 ) -> tuple[Goal, ...]:
@@ -98,6 +101,8 @@ def goals_of(
     highs = numbers(f"{task}: high", high, count, [ends[1] for ends in middle])
     widths = [b - a if b > a else ends[1] - ends[0] for a, b, ends in zip(lows, highs, middle, strict=True)]
     tolerances = numbers(f"{task}: tolerance", tolerance, count, [width / TOLERANCES for width in widths])
+    stills = numbers(f"{task}: still", still, count, [math.inf] * count)
     spreads = numbers(f"{task}: spread", spread, count, [0.0] * count)
     ends = numbers(f"{task}: end", end, count, [math.inf] * count)
-    return tuple(Goal(*values) for values in zip(states, found, lows, highs, tolerances, spreads, ends, strict=True))
+    chosen = zip(states, found, lows, highs, tolerances, stills, spreads, ends, strict=True)
+    return tuple(Goal(*values) for values in chosen)

@@ -19,9 +19,9 @@ class SetPoint(Following):
     """Every trial draws a value for each of ``channels`` (default: the first state) and holds it to the end.
 
     Values are uniform from ``low`` to ``high``: by default the middle half of the channel's limits, or 1 either side
-    of neutral. ``tolerance`` is by default a twentieth of that. A trial begins at rest, ``spread`` off at most, and
-    is over once an error exceeds ``end``. Each is one number, or a list with one for each channel, in its unit. See
-    `Following` for the score, the observations and ``effort``.
+    of neutral. ``tolerance`` is by default a twentieth of that, ``still`` (per second) infinite. A trial begins at
+    rest, ``spread`` off at most, and is over once an error exceeds ``end``. Each is one number, or a list with one
+    for each channel, in its unit. See `Following` for the score, the observations and ``effort``.
     """
 
     name: ClassVar[str] = "set_point"
@@ -33,6 +33,7 @@ class SetPoint(Following):
         low: Numbers = None,
         high: Numbers = None,
         tolerance: Numbers = None,
+        still: Numbers = math.inf,
         spread: Numbers = 0.0,
         end: Numbers = math.inf,
         effort: float = 0.0,
@@ -40,11 +41,19 @@ class SetPoint(Following):
     ) -> None:
         super().__init__(effort=effort, horizon=horizon)
         self.channels, self.low, self.high = channels, low, high
-        self.tolerance, self.spread, self.end = tolerance, spread, end
+        self.tolerance, self.still, self.spread, self.end = tolerance, still, spread, end
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
         return goals_of(
-            self.name, system, self.channels, self.low, self.high, self.tolerance, spread=self.spread, end=self.end
+            self.name,
+            system,
+            self.channels,
+            self.low,
+            self.high,
+            self.tolerance,
+            still=self.still,
+            spread=self.spread,
+            end=self.end,
         )
 
     def references(self, rng: np.random.Generator) -> Array:

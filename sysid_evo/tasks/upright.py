@@ -22,10 +22,19 @@ class Upright(Following):
     """
 
     def __init__(
-        self, *, channel: str, target: float | None, tolerance: float, spread: float, effort: float, horizon: int
+        self,
+        *,
+        channel: str,
+        target: float | None,
+        tolerance: float,
+        still: float,
+        spread: float,
+        effort: float,
+        horizon: int,
     ) -> None:
         super().__init__(effort=effort, horizon=horizon)
-        self.channel, self.target, self.tolerance, self.spread = channel, target, tolerance, spread
+        self.channel, self.target = channel, target
+        self.tolerance, self.still, self.spread = tolerance, still, spread
 
     end = math.inf
 
@@ -41,7 +50,7 @@ class Upright(Following):
         state = system.states[place]
         usual = state.neutral + 0.5 * (state.period or 0.0)
         target = usual if self.target is None else self.target
-        return (Goal(state, place, target, target, self.tolerance, self.spread, self.end),)
+        return (Goal(state, place, target, target, self.tolerance, self.still, self.spread, self.end),)
 
     def references(self, rng: np.random.Generator) -> Array:
         return np.array([[goal.low for goal in self.goals]])
@@ -52,8 +61,8 @@ class SwingUp(Upright):
     """Bring an angle from rest to the top and keep it there.
 
     ``channel`` is a periodic state (default: the first), ``target`` its value at the top (half a period from neutral).
-    Trials begin at rest, ``spread`` rad off at most. See `Following` for the score with ``tolerance`` (rad, of an
-    angle in rad), the observations and ``effort``.
+    Trials begin at rest, ``spread`` rad off at most. See `Following` for the score with ``tolerance`` (rad) and
+    ``still`` (rad/s: who spins through the top gains little), the observations and ``effort``.
     """
 
     name: ClassVar[str] = "swing_up"
@@ -64,12 +73,19 @@ class SwingUp(Upright):
         channel: str = "",
         target: float | None = None,
         tolerance: float = 0.5,
+        still: float = 3.0,
         spread: float = 0.2,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
         super().__init__(
-            channel=channel, target=target, tolerance=tolerance, spread=spread, effort=effort, horizon=horizon
+            channel=channel,
+            target=target,
+            tolerance=tolerance,
+            still=still,
+            spread=spread,
+            effort=effort,
+            horizon=horizon,
         )
 
 
@@ -77,7 +93,7 @@ class SwingUp(Upright):
 class Balance(Upright):
     """Keep an angle at the top, from ``spread`` rad off at most; a trial is over once it is ``end`` rad off.
 
-    ``channel``, ``target``, ``tolerance`` and ``effort`` are as for `SwingUp`.
+    ``channel``, ``target``, ``tolerance``, ``still`` and ``effort`` are as for `SwingUp`.
     """
 
     name: ClassVar[str] = "balance"
@@ -89,12 +105,19 @@ class Balance(Upright):
         channel: str = "",
         target: float | None = None,
         tolerance: float = 0.1,
+        still: float = math.inf,
         spread: float = 0.1,
         end: float = 0.8,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
         super().__init__(
-            channel=channel, target=target, tolerance=tolerance, spread=spread, effort=effort, horizon=horizon
+            channel=channel,
+            target=target,
+            tolerance=tolerance,
+            still=still,
+            spread=spread,
+            effort=effort,
+            horizon=horizon,
         )
         self.end = end

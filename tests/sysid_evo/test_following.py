@@ -60,6 +60,14 @@ def test_effort_is_the_mean_square_share_of_the_full_controls() -> None:
         assert score == pytest.approx(100.0 * (1.0 + 0.5 * (1.0 - power)) / 1.5)
 
 
+def test_a_change_of_still_per_second_costs_half_of_the_score_the_shorter_way_round_too() -> None:
+    task = SetPoint(low=0.0, high=0.0, tolerance=9e9, still=2.0, horizon=1).bind(TANK)
+    assert task.fitness(followed(task, [[1.0, 0.0], [2.0, 0.0]]))[0] == pytest.approx(50.0)
+    round_the_top = SwingUp(tolerance=9e9, still=10.0, horizon=1).bind(pendulum())
+    path = [[math.pi - 0.1, 0.0], [-math.pi + 0.1, 0.0]]
+    assert round_the_top.fitness(followed(round_the_top, path, np.zeros((1, 1))))[0] == pytest.approx(50.0)
+
+
 def test_targets_are_drawn_between_low_and_high_and_each_trial_begins_within_its_spread() -> None:
     task = SetPoint(channels=["warmth", "level"], low=[1.0, 2.0], high=[3.0, 2.5], spread=[0.2, 0.1]).bind(TANK)
     trials = task.begin(trial_seeds(1, 200))
@@ -86,7 +94,7 @@ def test_states_are_observed_by_their_limits_and_errors_in_tens_of_tolerances() 
 
 
 def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_way() -> None:
-    task = SwingUp(tolerance=0.5, horizon=1).bind(pendulum())
+    task = SwingUp(tolerance=0.5, still=9e9, horizon=1).bind(pendulum())
     names = [channel.name for channel in task.observations]
     assert names == ["bias", "sin_angle", "cos_angle", "angular_speed", "sin_angle_error", "cos_angle_error"]
     shown = task.observe(task.begin(SEEDS[:1]), np.array([[0.5, 2.0]]))
@@ -96,12 +104,14 @@ def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_wa
 
 
 def test_settling_is_the_last_time_outside_the_tolerance_and_overshoot_a_share_of_the_first_error() -> None:
-    task = SetPoint(channels="level", low=2.0, high=2.0, tolerance=0.5, horizon=6).bind(TANK)
-    levels = [0.0, 1.0, 1.9, 2.8, 2.2, 1.9, 2.0]
+    task = SetPoint(channels="level", low=2.0, high=2.0, tolerance=0.5, horizon=7).bind(TANK)
+    levels = [0.0, 1.0, 1.9, 2.8, 2.2, 1.9, 2.0, 2.0]
     told = task.measures(followed(task, [[level, 0.0] for level in levels]))
     assert {name: float(values[0]) for name, values in told.items()} == pytest.approx(
         {"settled (% of trials)": 100.0, "settling time (s)": 1.5, "overshoot (%)": 40.0}
     )
+    late = task.measures(followed(task, [[level, 0.0] for level in [*levels[:-1], 2.0, 2.6]]))
+    assert late["settled (% of trials)"][0] == 0.0
     never = task.measures(followed(task, [[0.0, 0.0], [1.0, 0.0], [3.0, 0.0]]))
     assert never["settled (% of trials)"][0] == 0.0
     assert np.isnan(never["settling time (s)"][0])
@@ -154,7 +164,7 @@ def test_the_scene_names_the_targets_of_each_trial() -> None:
 @pytest.mark.parametrize(
     ("spec", "system"),
     [
-        ("set_point(spread=0.3, effort=0.2)", TANK),
+        ("set_point(spread=0.3, effort=0.2, still=2)", TANK),
         ("set_point(channels=[warmth, level], low=[-2, 1], high=2, end=[1.5, 3])", TANK),
         ("set_point(channels=[yaw_rate, forward_speed], low=-0.5, high=0.5, effort=0.1)", switched_car()),
         ("track_reference(kind=steps, channels=[angle, angular_speed], period=0.4, horizon=60)", pendulum()),
@@ -203,7 +213,7 @@ def test_a_state_that_is_missing_is_named(task: Following, system: System, messa
     ("made", "message"),
     [
         (lambda: SetPoint(low=3.0, high=1.0), "expected low <= high"),
-        (lambda: SetPoint(tolerance=0.0), "tolerance > 0"),
+        (lambda: SetPoint(tolerance=0.0), "tolerance, still and end > 0"),
         (lambda: SetPoint(low=[1.0, 2.0, 3.0]), "low: expected one number, or one for each of 1 channels, got 3"),
         (lambda: SetPoint(low="much"), "low: expected"),
         (lambda: SetPoint(channels=["level", "level"]), "expected every state once"),

@@ -27,7 +27,7 @@ HEAD = Layout(
     "nx", "nu", "goals", "dt", "n_pose", "gain", "effort", "stride", "n_data", "of_goals", "of_nu", "of_motion"
 )
 STATE = Layout("turn", "centre", "scale")
-GOAL = Layout("place", "period", "per_tolerance", "turn", "scale", "end")
+GOAL = Layout("place", "period", "per_tolerance", "per_still", "turn", "scale", "end")
 CONTROL = Layout("neutral", "full")
 NEVER = 1e30
 
@@ -87,6 +87,7 @@ def _of_goal(goal: Goal) -> Array:
         place=goal.place,
         period=goal.period,
         per_tolerance=1.0 / goal.tolerance,
+        per_still=1.0 / goal.still,
         turn=TURN / goal.period if goal.period else 0.0,
         scale=1.0 / (SHOWN * goal.tolerance),
         end=min(goal.end, NEVER),
@@ -155,7 +156,7 @@ def advance(task, before, after, control, trials, trial_data, parameters):
     """Take the next target, and score how near the state is to it."""
     nu, goals, n_pose = int(parameters[HEAD.nu]), int(parameters[HEAD.goals]), int(parameters[HEAD.n_pose])
     gain, effort = parameters[HEAD.gain], parameters[HEAD.effort]
-    pose = view(task, ROWS.pose * LANES)
+    pose, per_dt = view(task, ROWS.pose * LANES), 1.0 / parameters[HEAD.dt]
     targets, firsts = view(pose, n_pose * LANES), view(pose, (n_pose + goals) * LANES)
     move(pose, before, after, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.of_motion])))
     step, stride, n_data = view(task, ROWS.step * LANES), int(parameters[HEAD.stride]), int(parameters[HEAD.n_data])
@@ -172,11 +173,15 @@ def advance(task, before, after, control, trials, trial_data, parameters):
             for i in range(goals):
                 targets[i * LANES + lane] = trial_data[place + i]
     for lane in range(LANES):
-        squares, off, past, over = 0.0, 0.0, -NEVER, 0.0
+        squares, moving, off, past, over = 0.0, 0.0, 0.0, -NEVER, 0.0
         for i in range(goals):
             p = view(parameters, int(parameters[HEAD.of_goals]) + i * GOAL.size)
-            error = targets[i * LANES + lane] - after[int(p[GOAL.place]) * LANES + lane]
-            error = nearest_way(error, p[GOAL.period]) if p[GOAL.period] > 0.0 else error
+            now, period = after[int(p[GOAL.place]) * LANES + lane], p[GOAL.period]
+            error, change = targets[i * LANES + lane] - now, now - before[int(p[GOAL.place]) * LANES + lane]
+            error = nearest_way(error, period) if period > 0.0 else error
+            change = nearest_way(change, period) if period > 0.0 else change
+            rate = change * per_dt * p[GOAL.per_still]
+            moving += rate * rate
             share, first = error * p[GOAL.per_tolerance], firsts[i * LANES + lane]
             squares += share * share
             off = 1.0 if abs(share) > 1.0 else off
@@ -189,7 +194,7 @@ def advance(task, before, after, control, trials, trial_data, parameters):
             full = (control[j * LANES + lane] - c[CONTROL.neutral]) * c[CONTROL.full]
             power += full * full
         power = power / float(nu) if nu > 0 else 0.0
-        task[lane] += gain * (1.0 / (1.0 + squares) + effort * (1.0 - power))
+        task[lane] += gain * (1.0 / (1.0 + squares + moving) + effort * (1.0 - power))
         task[LANES + lane] = 0.0 if over > 0.0 else task[LANES + lane]
         task[ROWS.squared * LANES + lane] += squares
         late[lane] = step[lane] if off > 0.0 else late[lane]
