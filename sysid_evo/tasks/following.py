@@ -195,7 +195,7 @@ class Following(Task):
         values = here.reference[here.trial[trial]]
         return Scene(
             targets=tuple(
-                Target(goal.channel.name, column.copy(), goal.tolerance)
+                Target(goal.channel, goal.place, column.copy(), goal.tolerance)
                 for goal, column in zip(here.goals, values.T, strict=True)
             )
         )
