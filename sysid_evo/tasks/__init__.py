@@ -6,7 +6,9 @@ from sysid_evo.tasks.set_point import SetPoint
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.tasks.track_reference import TrackReference
 from sysid_evo.tasks.upright import Balance, SwingUp
+from sysid_evo.tasks.walled_track import WalledTrack
 
 __all__ = [
     "Balance", "PointToPoint", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState", "TrackReference",
+    "WalledTrack",
 ]  # fmt: skip
