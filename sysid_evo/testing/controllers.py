@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.errors import ContractViolation
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller
+from sysid_evo.system import Channel
 from sysid_evo.tasks import PointToPoint, Task
 from sysid_evo.testing.arrays import expect_numbers, same, twice
 from sysid_evo.testing.closed_loop import expect_engines_agree
@@ -65,7 +66,7 @@ def run_controller_checks(name: str, **parameters: Any) -> Iterator[CheckResult]
         system = continuous_car()
         task = PointToPoint(horizon=60).bind(system)
         made = make_controller(name, **parameters)
-        bound = made.bind(len(task.observations), system.nu)
+        bound = made.bind_to(task)
         weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
         return Given(made, bound, weights, task)
 
@@ -75,7 +76,9 @@ def run_controller_checks(name: str, **parameters: Any) -> Iterator[CheckResult]
 def binding_gives_a_controller_of_that_size(given: Given) -> None:
     """bind gives a controller of that many inputs and outputs, and leaves the others as they are"""
     before = dict(vars(given.bound))
-    other = given.made.bind(len(given.task.observations), given.task.system.nu + 1)
+    system = given.task.system
+    wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
+    other = given.made.bind_to(given.task.bind(wider))
     raw, _ = other.act(
         np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
     )
