@@ -52,9 +52,9 @@ class Pursuit(Controller):
     def __init__(
         self,
         *,
-        look: float = 0.6,
-        acceleration: float = 9.0,
-        gain: float = 1.0,
+        look: float = 0.7,
+        acceleration: float = 10.0,
+        gain: float = 0.5,
         backward: bool = False,
         drive: str = "drive",
         steer: str = "steer",
