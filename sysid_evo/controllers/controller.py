@@ -12,6 +12,7 @@ from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @dataclass(frozen=True)
@@ -70,4 +71,11 @@ class Controller(ABC):
 
     def kernel(self) -> ControllerKernel | None:
         """Return the compiled form of `act` of a bound controller, if it has one."""
+        return None
+
+    def program(self, parameters: Array) -> Program | None:
+        """Return `act` of a bound controller with these parameters (n_parameters,), to be written in other languages.
+
+        None if it cannot be written as a `Program`.
+        """
         return None

@@ -16,6 +16,7 @@ from sysid_evo.registry import register_controller
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @register_controller("feed_forward")
@@ -67,3 +68,16 @@ class FeedForward(Controller):
         from sysid_evo.engine.kernels.feed_forward import feed_forward_kernel
 
         return feed_forward_kernel(self.sizes)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.export.program import Program, Statement, constant, dot, observation, tanh
+
+        value, statements = observation(self.sizes[0]), []
+        layers = self.layers(parameters[None])
+        for number, (weights, bias) in enumerate(layers, start=1):
+            name = "raw" if number == len(layers) else f"hidden_{number}"
+            term = dot(f"W_{number}", weights[0].T, value) + constant(f"B_{number}", bias[0, 0])
+            remark = "outputs in [-1, 1]" if name == "raw" else f"hidden layer {number}"
+            statements.append(Statement(name, tanh(term), remark))
+            value = statements[-1].value
+        return Program(tuple(statements), value)

@@ -17,6 +17,7 @@ from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @register_controller("linear")
@@ -37,18 +38,19 @@ class LinearFeedback(Controller):
     def bind(self, n_observations: int, n_outputs: int) -> Self:
         if self.inputs:
             return super().bind(n_observations, n_outputs)
-        return self._sized(tuple(range(n_observations)), n_outputs)
+        return self._sized(n_observations, tuple(range(n_observations)), n_outputs)
 
     def bind_to(self, task: Task) -> Self:
         names = self.inputs or [channel.name for channel in task.observations]
-        return self._sized(observed("linear", names, task), task.system.nu)
+        return self._sized(len(task.observations), observed("linear", names, task), task.system.nu)
 
-    def _sized(self, places: tuple[int, ...], n_outputs: int) -> Self:
+    def _sized(self, n_observations: int, places: tuple[int, ...], n_outputs: int) -> Self:
         bound = copy.copy(self)
-        bound.places, bound.n_outputs = places, n_outputs
+        bound.n_observations, bound.places, bound.n_outputs = n_observations, places, n_outputs
         bound.n_parameters = (len(places) + 1) * n_outputs
         return bound
 
+    n_observations: int
     places: tuple[int, ...]
     n_outputs: int
 
@@ -67,3 +69,12 @@ class LinearFeedback(Controller):
         from sysid_evo.engine.kernels.linear_feedback import linear_feedback_kernel
 
         return linear_feedback_kernel(self.places, self.n_outputs)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.export.program import Program, Statement, constant, dot, limited, observation, take
+
+        weights, bias = (part[0] for part in self.weights(parameters[None]))
+        seen = Statement("seen", take("SEEN_AT", observation(self.n_observations), *self.places), "what counts")
+        pushed = dot("W", weights.T, seen.value) + constant("B", bias[0])
+        raw = Statement("raw", limited(pushed), "outputs in [-1, 1]")
+        return Program((seen, raw), raw.value)

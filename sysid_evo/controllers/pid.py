@@ -18,6 +18,7 @@ from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,23 @@ class Pid(Controller):
             scale = (self.scales or {}).get(channel.name, size_of(channel))
             made.append(Loop(observation, control, scale, (period_of(channel) or 0.0) / scale))
         bound.made = tuple(made)
+        bound.n_observations = len(task.observations)
         bound.dt, bound.n_outputs = task.system.dt, task.system.nu
         bound.n_parameters = 3 * len(made) + bound.n_outputs
         bound.n_memory = 2 * len(made) + 1
         return bound
 
     made: tuple[Loop, ...]
+    n_observations: int
     dt: float
     n_outputs: int
+
+    @property
+    def adds_to(self) -> Array:
+        """1 where a loop moves a control, else 0, (loops, n_outputs)."""
+        table = np.zeros((len(self.made), self.n_outputs))
+        table[np.arange(len(self.made)), [loop.control for loop in self.made]] = 1.0
+        return table
 
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
         check_shape("parameters", parameters, (None, self.n_parameters))
@@ -106,8 +116,7 @@ class Pid(Controller):
         change = change - period * np.round(change / np.where(period > 0.0, period, 1.0))
         immediate = kp * error + kd * begun * change * (self.time / self.dt)
         grown = integral + error * (self.dt / self.time)
-        adds_to = np.zeros((n, self.n_outputs))
-        adds_to[np.arange(n), controls] = 1.0
+        adds_to = self.adds_to
         output = bias + (immediate + ki * grown) @ adds_to
         beyond = np.where(np.abs(output) > 1.0, output, 0.0)[..., controls]
         kept = np.where(beyond * ki * error > 0.0, integral, grown)
@@ -118,6 +127,11 @@ class Pid(Controller):
         from sysid_evo.engine.kernels.pid import pid_kernel
 
         return pid_kernel(self.made, self.n_outputs, self.dt, self.time)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.controllers.pid_program import pid_program
+
+        return pid_program(self, parameters)
 
 
 def _all_loops(task: Task) -> dict[str, list[str]]:

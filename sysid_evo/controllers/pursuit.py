@@ -17,6 +17,7 @@ from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 SHOWN = ("forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
 DAMPING = 0.1
@@ -68,9 +69,11 @@ class Pursuit(Controller):
         bound = copy.copy(self)
         bound.places = observed("pursuit", SHOWN, task)
         bound.outputs = controlled("pursuit (name yours with drive= and steer=)", (self.drive, self.steer), task)
+        bound.n_observations = len(task.observations)
         bound.rest = task.system.raw_of(task.system.neutral_control)
         return bound
 
+    n_observations: int
     places: tuple[int, ...]
     outputs: tuple[int, ...]
     rest: Array
@@ -100,3 +103,8 @@ class Pursuit(Controller):
         from sysid_evo.engine.kernels.pursuit import pursuit_kernel
 
         return pursuit_kernel(self)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.controllers.pursuit_program import pursuit_program
+
+        return pursuit_program(self, parameters)

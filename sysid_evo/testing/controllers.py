@@ -140,6 +140,23 @@ def the_compiled_form_acts_as_act_does(given: Given) -> None:
     expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
 
 
+def the_form_for_other_languages_acts_as_act_does(given: Given) -> None:
+    """The form for other languages acts as act does"""
+    for p in range(CANDIDATES):
+        program = given.bound.program(given.parameters[p])
+        if program is None:
+            raise DoesNotApply
+        remembered, memory = program.begin(), given.memory(0)
+        for moment in range(4):
+            view = given.view(moment)
+            raw, memory = given.bound.act(given.parameters, memory, view)
+            found, remembered = program.run(view.observation[p, 0], remembered)
+            expect(
+                np.allclose(found, raw[p, 0], rtol=1e-9, atol=1e-12),
+                f"outputs are {found} in sample {moment}, those of act {raw[p, 0]}",
+            )
+
+
 CHECKS: tuple[Check[Given], ...] = (
     binding_gives_a_controller_of_that_size,
     it_has_parameters_to_evolve,
@@ -148,4 +165,5 @@ CHECKS: tuple[Check[Given], ...] = (
     an_action_is_pure,
     candidates_and_trials_are_independent,
     the_compiled_form_acts_as_act_does,
+    the_form_for_other_languages_acts_as_act_does,
 )
