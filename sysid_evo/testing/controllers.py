@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.errors import ContractViolation
+from sysid_evo.errors import ContractViolation, IncompatibleTask
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller
 from sysid_evo.system import Channel
@@ -78,7 +78,10 @@ def binding_gives_a_controller_of_that_size(given: Given) -> None:
     before = dict(vars(given.bound))
     system = given.task.system
     wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
-    other = given.made.bind_to(given.task.bind(wider))
+    try:
+        other = given.made.bind_to(given.task.bind(wider))
+    except IncompatibleTask as error:  # it was made for this one system
+        raise DoesNotApply from error
     raw, _ = other.act(
         np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
     )

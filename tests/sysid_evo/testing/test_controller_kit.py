@@ -15,6 +15,7 @@ from sysid_evo.errors import ContractViolation
 from sysid_evo.registry import controllers
 from sysid_evo.testing import check_controller, run_controller_checks
 from sysid_evo.testing import controllers as kit
+from sysid_evo.testing.examples import ExampleDynamics, continuous_car
 from tests.broken import broken, sentence
 
 
@@ -107,9 +108,15 @@ BROKEN: list[tuple[type[Controller], Callable[..., None], str]] = [
 ]
 
 
+ARGUMENTS: dict[str, dict[str, Any]] = {
+    "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24}
+}
+"""What a controller cannot do without."""
+
+
 @pytest.mark.parametrize("name", controllers.names())
 def test_every_controller_keeps_every_sentence(name: str) -> None:
-    check_controller(name)
+    check_controller(name, **ARGUMENTS.get(name, {}))
 
 
 def test_a_sound_controller_keeps_every_sentence_but_those_of_its_other_forms(register: Callable[..., Any]) -> None:
