@@ -35,7 +35,7 @@ class Imagination:
                 stepped = dynamics.step(carry, legal[:, k])
                 lost |= ~np.isfinite(stepped).all(axis=1)
                 stepped, _ = clip_state(np.where(lost[:, None], 0.0, stepped), dynamics.envelope)
-                advanced, after = task.advance(here, before, stepped[:, :nx])
+                advanced, after = task.advance(here, before, stepped[:, :nx], control=legal[:, k])
                 if after is not stepped[:, :nx]:
                     stepped = np.concatenate([after, stepped[:, nx:]], axis=1)
                 going = here.alive

@@ -10,18 +10,32 @@ from sysid_evo.arrays import Array
 
 
 @dataclass(frozen=True)
+class Target:
+    """Where the state called ``channel`` was wanted: ``values`` (K,) at each sample, or one for all of them.
+
+    ``tolerance`` is what counts as met; both in the channel's unit.
+    """
+
+    channel: str
+    values: Array
+    tolerance: float
+
+
+@dataclass(frozen=True)
 class Scene:
-    """Places in a trial, in m from the task's origin; a task without any has an empty scene.
+    """Places in a trial, in m from the task's origin, and targets of states; a task without any has an empty scene.
 
     ``markers`` (k, 2) are places to be reached, in order: the first ``reached`` of them were, the others
     lie ahead. ``radius`` is that of each marker, 0 for a point. What happens stays within ``extent`` of
-    the origin, None where that is not known.
+    the origin, None where that is not known. ``walls`` are lines (k, 2); ``targets`` what states were to be.
     """
 
     markers: Array = field(default_factory=lambda: np.empty((0, 2)))
     reached: int = 0
     radius: float = 0.0
     extent: float | None = None
+    walls: tuple[Array, ...] = ()
+    targets: tuple[Target, ...] = ()
 
     @property
     def next_marker(self) -> Array | None:

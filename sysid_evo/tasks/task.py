@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -87,12 +88,13 @@ class Task(ABC):
 
     @abstractmethod
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         """Return the trials one step on, and the state (B, nx), which a wall may have altered.
 
-        ``pose`` (B, n_pose) is where a tracker saw the robots after the step; without one the
-        motion moves them.
+        ``control`` (B, nu) led from the state ``before`` to the one ``after``. ``pose`` (B, n_pose) is
+        where a tracker saw the robots after the step; without one the motion
+        moves them.
         """
 
     @abstractmethod
@@ -112,6 +114,13 @@ class Task(ABC):
         It tells a controller that looks ahead only a few steps which way to go.
         """
         return np.zeros(len(state))
+
+    def measures(self, task_state: TaskState) -> Mapping[str, Array]:
+        """Return what else is to be told of each trial, by its name with the unit in brackets, (B,) each.
+
+        nan where a trial has none. Nothing by default; the task is bound.
+        """
+        return {}
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
         """Return what can be drawn of one trial, the row ``trial`` of ``task_state``; nothing by default.

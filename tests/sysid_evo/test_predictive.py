@@ -82,7 +82,9 @@ def test_it_imagines_what_a_rollout_would_do() -> None:
         here, carry = began, began.state
         for step in range(25):
             after = body.step(carry, sequences[k, :, step])
-            here, _ = cast("tuple[PointToPointState, Array]", task.advance(here, carry, after))
+            here, _ = cast(
+                "tuple[PointToPointState, Array]", task.advance(here, carry, after, control=sequences[k, :, step])
+            )
             carry = after
         np.testing.assert_allclose(scores[k], task.fitness(here) + task.promise(here, carry))
 
