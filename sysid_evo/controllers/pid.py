@@ -43,11 +43,11 @@ class Pid(Controller):
         y = b + sum of K_p e + K_i (integral of e) / T + K_d T (change of e) / dt,    e = o / scale
 
     limited to [-1, 1]. ``loops`` maps a control to an observation or a list of them: ``{heater: error}``. By
-    default every control has a loop on every observation of the task called an error, or, where there is none, on
-    every observation but the bias. An error of 1 is the largest value that the observation can take, 1 of its unit
-    where it has no limits, or what ``scales`` says; T is ``time`` (s). So gains of about 1 are a fair start for
-    any robot. Integrals stand still while the output is beyond its limits and they would drive it further
-    (anti-windup). Angles change the shortest way round.
+    default every control has a loop on every observation of the task called an error (where it is shown as sine and
+    cosine, on the sine), or, where there is none, on every observation but the bias. An error of 1 is the largest
+    value that the observation can take, 1 of its unit where it has no limits, or what ``scales`` says; T is ``time``
+    (s). So gains of about 1 are a fair start for any robot. Integrals stand still while the output is beyond its
+    limits and they would drive it further (anti-windup). Angles change the shortest way round.
 
     The parameters are K_p, K_i, K_d of every loop, then b of every control. The memory is the integral of every
     loop, its last error, and whether there was one.
@@ -136,7 +136,7 @@ class Pid(Controller):
 
 def _all_loops(task: Task) -> dict[str, list[str]]:
     names = [channel.name for channel in task.observations if channel.name != "bias"]
-    errors = [name for name in names if "error" in name]
+    errors = [name for name in names if "error" in name and not name.startswith("cos_")]
     if not names:
         raise InvalidArgument("pid: the task shows nothing that a loop could bring to zero")
     return dict.fromkeys(task.system.control_names, errors or names)

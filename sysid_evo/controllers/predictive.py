@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
@@ -13,8 +11,9 @@ import numpy as np
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.controllers.imagination import Imagination
+from sysid_evo.controllers.inner_models import inner_model
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_controller
 from sysid_evo.tasks.task import Task
 
@@ -68,11 +67,7 @@ class Predictive(Controller):
         if not models:
             raise InvalidArgument("predictive: expected at least one model, got none")
         bound = copy.copy(self)
-        bound.imagined = tuple(Imagination(_dynamics(model), task) for model in models)
-        for model, imagined in zip(models, bound.imagined, strict=True):
-            differences = task.system.differences(imagined.dynamics.system)
-            if differences:
-                raise IncompatibleTask(f"predictive: model {model} is of another system: {'; '.join(differences)}")
+        bound.imagined = tuple(Imagination(inner_model("predictive", model, task), task) for model in models)
         bound.task, bound.n_lags = task, max(imagined.dynamics.n_lags for imagined in bound.imagined)
         system = task.system
         bound.n_memory = self.horizon * system.nu + 2 + bound.n_lags * (system.nx + system.nu)
@@ -141,28 +136,3 @@ class Predictive(Controller):
         varied = np.clip(plan + spread[:, None, None] * drawn, -1.0, 1.0)
         constant = np.broadcast_to(self.constant[:, None], (len(self.constant), *plan.shape))
         return np.concatenate([plan[None], constant, varied])
-
-
-def _dynamics(model: str | Dynamics) -> Dynamics:
-    if isinstance(model, Dynamics):
-        return model
-    if Path(model).suffix in (".json", ".safetensors") or Path(f"{model}.json").is_file():
-        file = Path(model if model.endswith(".json") else f"{model.removesuffix('.safetensors')}.json").resolve()
-        return _stored(file, file.stat().st_mtime_ns if file.is_file() else 0)
-    return _robot(model)
-
-
-@lru_cache(maxsize=16)
-def _stored(file: Path, _changed: int) -> Dynamics:
-    from sysid_evo.store import load_model
-
-    return load_model(file)
-
-
-def _robot(name: str) -> Dynamics:
-    from sysid_evo.registry import make_robot
-
-    dynamics: Dynamics | None = make_robot(name).dynamics
-    if dynamics is None:
-        raise InvalidArgument(f"predictive: {name} is a physical robot; give it the file of a model")
-    return dynamics

@@ -72,7 +72,7 @@ def law_of(champion: Champion) -> Law:
     if program is None:
         raise InvalidArgument(
             f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: it has no "
-            "`program`. The controllers recurrent, feed_forward, linear, pid and pursuit do"
+            "`program`. The controllers recurrent, feed_forward, linear, lqr, pid and pursuit do"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))

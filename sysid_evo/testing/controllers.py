@@ -54,17 +54,22 @@ class Given:
         return memory
 
 
-def check_controller(name: str, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks."""
-    raise_broken("controller", name, run_controller_checks(name, **parameters))
+def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks.
+
+    ``at`` is the task that it is tried at, see `run_controller_checks`.
+    """
+    raise_broken("controller", name, run_controller_checks(name, at=at, **parameters))
 
 
-def run_controller_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered controller ``name``, at `PointToPoint` on a made-up car."""
+def run_controller_checks(name: str, *, at: Task | None = None, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered controller ``name``.
+
+    It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
+    """
 
     def make() -> Given:
-        system = continuous_car()
-        task = PointToPoint(horizon=60).bind(system)
+        task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
         made = make_controller(name, **parameters)
         bound = made.bind_to(task)
         weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))

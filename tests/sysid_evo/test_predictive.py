@@ -82,9 +82,8 @@ def test_it_imagines_what_a_rollout_would_do() -> None:
         here, carry = began, began.state
         for step in range(25):
             after = body.step(carry, sequences[k, :, step])
-            here, _ = cast(
-                "tuple[PointToPointState, Array]", task.advance(here, carry, after, control=sequences[k, :, step])
-            )
+            advanced, _ = task.advance(here, carry, after, control=sequences[k, :, step])
+            here = cast("PointToPointState", advanced)
             carry = after
         np.testing.assert_allclose(scores[k], task.fitness(here) + task.promise(here, carry))
 

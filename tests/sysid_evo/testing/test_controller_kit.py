@@ -13,6 +13,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, RecurrentNetwork, View
 from sysid_evo.errors import ContractViolation
 from sysid_evo.registry import controllers
+from sysid_evo.tasks import SetPoint
 from sysid_evo.testing import check_controller, run_controller_checks
 from sysid_evo.testing import controllers as kit
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car
@@ -109,7 +110,8 @@ BROKEN: list[tuple[type[Controller], Callable[..., None], str]] = [
 
 
 ARGUMENTS: dict[str, dict[str, Any]] = {
-    "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24}
+    "lqr": {"model": ExampleDynamics(continuous_car()), "at": SetPoint(horizon=60).bind(continuous_car())},
+    "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24},
 }
 """What a controller cannot do without."""
 
