@@ -27,7 +27,7 @@ def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
     return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
 
 
-class _ControllerFiles(Cell):
+class ControllerFiles(Cell):
     """A cell whose result is a controller."""
 
     place = "controllers"
@@ -40,7 +40,7 @@ class _ControllerFiles(Cell):
 
 
 @dataclass(frozen=True, eq=False)
-class EvolveCell(_ControllerFiles):
+class EvolveCell(ControllerFiles):
     """Evolves one controller against all of ``members`` at once."""
 
     kind = "evolve"
@@ -124,7 +124,7 @@ class EvolveCell(_ControllerFiles):
 
 
 @dataclass(frozen=True, eq=False)
-class ChooseCell(_ControllerFiles):
+class ChooseCell(ControllerFiles):
     """Chooses among the finalists of all ``contenders`` by their median on models of other families.
 
     ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it.
@@ -190,7 +190,7 @@ class ChooseCell(_ControllerFiles):
 
 
 @dataclass(frozen=True, eq=False)
-class PolishCell(_ControllerFiles):
+class PolishCell(ControllerFiles):
     """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
 
     Members that could not be fitted are left out.
