@@ -36,7 +36,7 @@ def check_driving(
     system.actuate(np.zeros(system.nu))
     task = task.bind(system)
     if controller is not None:
-        controller = controller.bind(len(task.observations), system.nu)
+        controller = controller.bind_to(task)
         if parameters is not None:
             check_shape("parameters", parameters, (None, controller.n_parameters))
     robot.check()

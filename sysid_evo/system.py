@@ -183,6 +183,23 @@ class System:
                 )
         return control
 
+    def raw_of(self, control: Array) -> Array:
+        """Return outputs in [-1, 1] that `actuate` turns into ``control`` (..., nu): its inverse.
+
+        What lies beyond the limits becomes the limit, what lies between two levels the nearest one.
+        """
+        control = check_last("control", control, self.nu)
+        raw = np.empty_like(control)
+        for i, channel in enumerate(self.controls):
+            if channel.levels is not None:
+                levels = np.asarray(channel.levels)
+                nearest = np.abs(control[..., i, None] - levels).argmin(axis=-1)
+                raw[..., i] = (2 * nearest + 1 - len(levels)) / len(levels)
+            else:
+                share = (control[..., i] - channel.low) / (channel.high - channel.low)
+                raw[..., i] = np.clip(2.0 * share - 1.0, -1.0, 1.0)
+        return raw
+
     def check_control(self, control: Array) -> Array:
         """Return ``control`` (nu,) as float64. Raises `ShapeError`, or `InvalidArgument` if it is not legal."""
         control = check_shape("control", control, (self.nu,))

@@ -28,7 +28,7 @@ def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
     return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
 
 
-class _ControllerFiles(Cell):
+class ControllerFiles(Cell):
     """A cell whose result is a controller."""
 
     place = "controllers"
@@ -41,7 +41,7 @@ class _ControllerFiles(Cell):
 
 
 @dataclass(frozen=True, eq=False)
-class EvolveCell(_ControllerFiles):
+class EvolveCell(ControllerFiles):
     """Evolves one controller against all of ``members`` at once."""
 
     kind = "evolve"
@@ -125,7 +125,7 @@ class EvolveCell(_ControllerFiles):
 
 
 @dataclass(frozen=True, eq=False)
-class ChooseCell(_ControllerFiles):
+class ChooseCell(ControllerFiles):
     """Chooses among the finalists of all ``contenders`` by their median on models of other families.
 
     ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it, and
@@ -193,7 +193,7 @@ class ChooseCell(_ControllerFiles):
 
 
 @dataclass(frozen=True, eq=False)
-class PolishCell(_ControllerFiles):
+class PolishCell(ControllerFiles):
     """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
 
     Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `believed`.

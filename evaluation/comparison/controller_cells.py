@@ -8,6 +8,7 @@ from typing import Any
 
 from evaluation.comparison.champion_cells import ChampionCell
 from evaluation.comparison.columns import Column
+from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.comparison.model_cells import read_json, write_json
 from evaluation.exploitability import (
     ModelExploitability,
@@ -94,7 +95,7 @@ class Matrix:
     on robots and by people.
     """
 
-    champions: tuple[ChampionCell, ...]
+    champions: tuple[ChampionCell | HandWrittenCell, ...]
     columns: tuple[Column, ...]
     runs: tuple[RunCell, ...]
     robot: str | None

@@ -67,6 +67,7 @@ class Experiment(BaseModel):
     emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
     prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
     ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
+    ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
@@ -85,6 +86,7 @@ class Experiment(BaseModel):
     only: Literal["fit", "prediction"] | None = None
     task: str = "point_to_point"
     controller: str | None = None
+    by_hand: tuple[str, ...] = ()
     strategy: str | None = None
     recipe: Recipe | None = None
     aggregate: str = "min"

@@ -11,6 +11,7 @@ from evaluation.comparison.columns import Column, emulated
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
@@ -25,7 +26,7 @@ from sysid_evo.errors import (
     MissingExtra,
     SysidEvoError,
 )
-from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
     Registry,
@@ -87,6 +88,8 @@ def plan_comparison(
     remarks: list[str] = []
     evolution = experiment.evolution
     _constructible(evolution)
+    if experiment.by_hand and experiment.only is not None:
+        raise InvalidArgument(f"by_hand: no controller is run with only = {experiment.only!r}; leave one out")
     robot = _robot(experiment, has_data=dataset is not None or stored is not None)
     if stored is not None:
         data, system = stored
@@ -128,6 +131,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
+            _by_hand(experiment, evolution, system),
             recorded=isinstance(data, RecordedData),
         )
         exploitability = ExploitCell(matrix, data)
@@ -322,6 +326,15 @@ def _check_predictable(training: Dataset, test: Dataset) -> None:
         )
 
 
+def _by_hand(experiment: Experiment, evolution: ControllerEvolution, system: System) -> tuple[HandWrittenCell, ...]:
+    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task."""
+    specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    for spec in specs:
+        controllers.check(spec)
+        Champion.hand_written(spec, evolution.task, system)
+    return tuple(HandWrittenCell(spec, evolution.task, system) for spec in specs)
+
+
 def _matrix(
     experiment: Experiment,
     evolution: ControllerEvolution,
@@ -329,6 +342,7 @@ def _matrix(
     robot: Column | None,
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[Measured, ...],
+    by_hand: tuple[HandWrittenCell, ...],
     *,
     recorded: bool,
 ) -> Matrix:
@@ -340,11 +354,18 @@ def _matrix(
     if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
     evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
-    champions: tuple[ChampionCell, ...] = evolved
+    champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
             champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True),)
+    champions += by_hand
+    names = [champion.name for champion in champions]
+    taken = [cell.name for cell in by_hand if names.count(cell.name) > 1]
+    if taken:
+        raise InvalidArgument(
+            f"by_hand: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
+        )
     runs = tuple(
         RunCell(
             champion,

@@ -48,7 +48,7 @@ class RobotRunner:
         """Do as `run`, and also return how the loop went."""
         check_loop(self.robot.system)
         task = task.bind(self.robot.system)
-        controller = controller.bind(len(task.observations), self.robot.system.nu)
+        controller = controller.bind_to(task)
         parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument("robot: expected at least one candidate and one trial seed, got none")

@@ -152,14 +152,14 @@ class TrialSeries(Pilot):
         tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
             return None
-        states = np.where(only[:, None], state, self.system.neutral_state)
-        noise = self._noise[None, :, step] if self.controller.n_noise else None
-        view = View(task.observe(here, states)[None], states[None], here, noise)
-        raw, memory = self.controller.act(self.parameters[[candidate]], self._memory[[candidate]], view)
-        self._memory[candidate, trial] = memory[0, trial]
-        if not np.isfinite(raw[0, trial]).all():
+        one, states = here.only(trial), state[None]
+        noise = self._noise[None, [trial], step] if self.controller.n_noise else None
+        view = View(task.observe(one, states)[None], states[None], one, noise)
+        raw, memory = self.controller.act(self.parameters[[candidate]], self._memory[[candidate]][:, [trial]], view)
+        self._memory[candidate, trial] = memory[0, 0]
+        if not np.isfinite(raw).all():
             return np.full(self.system.nu, np.nan)
-        control = self.system.actuate(raw[0, trial])
+        control = self.system.actuate(raw[0, 0])
         tape.controls.append(control)
         return control
 

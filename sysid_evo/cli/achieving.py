@@ -23,17 +23,19 @@ TRACES = 10
 
 
 def drive_controller(
-    controller: Path,
+    controller: str,
     robot: str,
     *,
+    task: str,
     trials: int,
     folder: Path | None = None,
     seed: int | None = None,
     tracker_origin: bool = False,
     listeners: Sequence[Listener] = (),
 ) -> int:
-    """Run the controller in the file ``controller`` on ``robot`` and return the exit code.
+    """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
 
+    An evolved one has its own task, one written by hand does ``task``.
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
     in ``folder``, or of the one that the file belongs to, whose report is then made again.
     """
@@ -45,18 +47,22 @@ def drive_controller(
     from hardware.robot import find_robot
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import LinkLost
+    from sysid_evo.evolution import Champion
     from sysid_evo.registry import make_controller, make_task
     from sysid_evo.store import load_champion
 
-    champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
     machine = find_robot(robot)
+    if is_stored(controller):
+        champion = load_champion(controller.removesuffix(".safetensors"))
+        folder = folder or owner_of(Path(controller))
+    else:
+        champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
-    folder = folder or owner_of(controller)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
     column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
-    task, law = make_task(champion.task), make_controller(champion.controller)
-    check_driving(machine, task, law, champion.parameters[None])
+    goal, law = make_task(champion.task), make_controller(champion.controller)
+    check_driving(machine, goal, law, champion.parameters[None])
     with Bars() as bars, Stops() as stops:
         runner = RobotRunner(
             machine,
@@ -71,7 +77,7 @@ def drive_controller(
             rollouts, report = runner.drive(
                 law,
                 champion.parameters[None],
-                task,
+                goal,
                 transfer_seeds(seed, trials),
             )
         except LinkLost as error:
@@ -79,7 +85,7 @@ def drive_controller(
             return code_of_loop(Reason.LINK_LOST)
         measured = Measured(
             champion,
-            cell_of(champion, column, rollouts, task, traces=TRACES),
+            cell_of(champion, column, rollouts, goal, traces=TRACES),
             on_robot=True,
             physical=machine.dynamics is None,
         )
@@ -90,6 +96,11 @@ def drive_controller(
     if folder is not None and not measured.cell.failed:
         append(folder, measured)
     return code_of_loop(report.reason)
+
+
+def is_stored(controller: str) -> bool:
+    """Whether ``controller`` is a file, not the spec of a controller."""
+    return Path(controller).suffix in (".json", ".safetensors") or Path(f"{controller}.json").is_file()
 
 
 def seed_of_run(run: Path | None) -> int:

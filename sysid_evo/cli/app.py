@@ -9,7 +9,19 @@ from typing import Annotated
 
 import typer
 
-from sysid_evo.cli import comparing, driving, evolving, models, names, plugins, recordings, reporting, robots, runs
+from sysid_evo.cli import (
+    comparing,
+    driving,
+    evolving,
+    exporting,
+    models,
+    names,
+    plugins,
+    recordings,
+    reporting,
+    robots,
+    runs,
+)
 from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
 from sysid_evo.errors import SysidEvoError
@@ -34,6 +46,7 @@ app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("evolve")(evolving.evolve)
 app.command("drive")(driving.drive)
+app.command("export")(exporting.export)
 app.command("report")(reporting.report)
 app.command("names")(names.list_names)
 app.add_typer(runs.app, name="runs")

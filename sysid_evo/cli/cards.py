@@ -82,7 +82,7 @@ def speed(model: DynamicsModel) -> dict[str, Any]:
         bound = task.bind(model.system)
     except IncompatibleTask:
         return {}
-    n = controller.bind(len(bound.observations), model.system.nu).n_parameters
+    n = controller.bind_to(bound).n_parameters
     candidates, seeds = np.random.default_rng(0).standard_normal((SPEED_ROLLOUTS // 10, n)), trial_seeds(0, 10)
     rollout(model, controller, candidates, task, seeds, threads=1)
     began = time.perf_counter()

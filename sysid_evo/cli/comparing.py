@@ -64,6 +64,10 @@ def compare(
     ] = None,
     task: Task = None,
     controller: Controller = None,
+    by_hand: Annotated[
+        str | None,
+        typer.Option(help="Controllers that need no evolution, such as pursuit, separated by commas: further rows."),
+    ] = None,
     strategy: Strategy = None,
     recipe: Recipe = None,
     aggregate: Aggregate = None,
@@ -113,6 +117,7 @@ def compare(
         only=only,
         task=task,
         controller=controller,
+        by_hand=listed("--by-hand", by_hand),
         strategy=strategy,
         recipe=recipe,
         aggregate=aggregate,

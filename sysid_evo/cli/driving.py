@@ -27,7 +27,10 @@ def drive(
         str | None, typer.Option(help="Robot, NAME(parameter=value, ...), or a TOML file (default: emulated_car).")
     ] = None,
     model: Annotated[str | None, typer.Option(help="Instead: a fitted model, its family in --run or its file.")] = None,
-    controller: Annotated[Path | None, typer.Option(help="File of an evolved controller, to drive instead.")] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(help="To drive instead: the file of an evolved controller, or one written by hand, NAME(...)."),
+    ] = None,
     task: Task = None,
     run: Annotated[Path | None, typer.Option(help="Run folder whose transfer matrix gets the scores.")] = None,
     name: Annotated[str | None, typer.Option(help="Row of the matrix for who drives by hand, such as human.")] = None,
@@ -53,6 +56,7 @@ def drive(
     The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
     says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
+    from sysid_evo.cli.achieving import is_stored
     from sysid_evo.cli.hand_driving import append_row, drive_by_hand
     from sysid_evo.errors import InvalidArgument
 
@@ -60,11 +64,15 @@ def drive(
     if folder is not None:
         check_new_folder(folder)
     if controller is not None:
-        if model is not None or name is not None or task is not None:
+        if model is not None or name is not None or (task is not None and is_stored(controller)):
             raise InvalidArgument(
-                "drive: --controller drives a robot and has a row and a task; leave out --model, --name and --task"
+                "drive: --controller drives a robot and has a row, and one that was evolved a task; leave out "
+                "--model, --name and --task"
             )
-        raise typer.Exit(_controlled(controller, robot or DEFAULT_ROBOT, trials, run, seed, tracker_origin, folder))
+        code = _controlled(
+            controller, robot or DEFAULT_ROBOT, task or DEFAULT_TASK, trials, run, seed, tracker_origin, folder
+        )
+        raise typer.Exit(code)
     driven = _choose(robot, model, run, name, task or DEFAULT_TASK)
     ended, code = drive_by_hand(driven, seed, trials, folder, tracker_origin, page=(host, port, open_page))
     if folder is not None:
@@ -124,8 +132,9 @@ def _store(folder: Path, system: System, runs: Sequence[tuple[str, GateLimits | 
 
 
 def _controlled(
-    controller: Path,
+    controller: str,
     robot: str,
+    task: str,
     trials: int | None,
     run: Path | None,
     seed: int | None,
@@ -142,6 +151,7 @@ def _controlled(
         code = drive_controller(
             controller,
             robot,
+            task=task,
             trials=trials or CONTROLLER_TRIALS,
             folder=run,
             seed=seed,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from sysid_evo.arrays import Array
-from sysid_evo.tasks.task import TaskState
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @dataclass(frozen=True)
@@ -33,16 +35,32 @@ class Controller(ABC):
 
     Batched over parameter vectors: P candidates act in E trials at once. Memory starts at zero.
     ``n_noise`` standard normal numbers are given to every `act`, never drawn inside; such a controller
-    runs in the reference form.
+    runs in the reference form. A ``hand_written`` one drives with zeros as its parameters, so that it
+    needs no evolution.
+
+    A class writes `act` and one of `bind` and `bind_to`.
     """
+
+    hand_written: ClassVar[bool] = False
 
     n_parameters: int
     n_memory: int
     n_noise: int = 0
 
-    @abstractmethod
     def bind(self, n_observations: int, n_outputs: int) -> Self:
-        """Return this controller with that many inputs and outputs."""
+        """Return this controller with that many inputs and outputs, whatever they mean.
+
+        Raises `InvalidArgument` for a controller that must know what they mean.
+        """
+        raise InvalidArgument(f"{type(self).__name__} goes by the names of a task's channels: use bind_to(task)")
+
+    def bind_to(self, task: Task) -> Self:
+        """Return this controller for ``task``, which is bound to a system.
+
+        By default what counts is how many observations and controls there are; a controller that goes by
+        their names, or that looks ahead, writes this one. Raises `IncompatibleTask` if it cannot do the task.
+        """
+        return self.bind(len(task.observations), task.system.nu)
 
     @abstractmethod
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
@@ -53,4 +71,11 @@ class Controller(ABC):
 
     def kernel(self) -> ControllerKernel | None:
         """Return the compiled form of `act` of a bound controller, if it has one."""
+        return None
+
+    def program(self, parameters: Array) -> Program | None:
+        """Return `act` of a bound controller with these parameters (n_parameters,), to be written in other languages.
+
+        None if it cannot be written as a `Program`.
+        """
         return None

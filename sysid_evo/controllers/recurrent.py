@@ -14,6 +14,7 @@ from sysid_evo.registry import register_controller
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
 
 
 @register_controller("recurrent")
@@ -44,13 +45,16 @@ class RecurrentNetwork(Controller):
     n_inputs: int
     n_outputs: int
 
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+    def weights(self, parameters: Array) -> tuple[Array, Array, Array]:
+        """Return W_in (P, n_inputs, hidden), W_h (P, hidden, hidden) and W_out (P, hidden, n_outputs)."""
         check_shape("parameters", parameters, (None, self.n_parameters))
         h, i, o = self.hidden, self.n_inputs, self.n_outputs
-        candidates = len(parameters)
-        w_in = parameters[:, : i * h].reshape(candidates, i, h)
-        w_hidden = parameters[:, i * h : (i + h) * h].reshape(candidates, h, h)
-        w_out = parameters[:, (i + h) * h :].reshape(candidates, h, o)
+        w_in = parameters[:, : i * h].reshape(-1, i, h)
+        w_hidden = parameters[:, i * h : (i + h) * h].reshape(-1, h, h)
+        return w_in, w_hidden, parameters[:, (i + h) * h :].reshape(-1, h, o)
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        w_in, w_hidden, w_out = self.weights(parameters)
         hidden = view.observation @ w_in
         hidden += memory @ w_hidden
         np.tanh(hidden, out=hidden)
@@ -61,3 +65,12 @@ class RecurrentNetwork(Controller):
         from sysid_evo.engine.kernels.recurrent import recurrent_kernel
 
         return recurrent_kernel(self.n_inputs, self.hidden, self.n_outputs)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.export.program import Program, Statement, dot, observation, remembered, tanh
+
+        w_in, w_hidden, w_out = (weights[0].T for weights in self.weights(parameters[None]))
+        seen, before = observation(self.n_inputs), remembered("hidden", self.hidden)
+        units = Statement("units", tanh(dot("W_IN", w_in, seen) + dot("W_HIDDEN", w_hidden, before)), "hidden units")
+        raw = Statement("raw", tanh(dot("W_OUT", w_out, units.value)), "outputs in [-1, 1]")
+        return Program((units, raw), raw.value, {"hidden": units.value})

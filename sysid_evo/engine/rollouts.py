@@ -110,7 +110,7 @@ def rollout(
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
     task = task.bind(dynamics.system)
-    controller = controller.bind(len(task.observations), dynamics.system.nu)
+    controller = controller.bind_to(task)
     parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
     if len(seeds) < 1:
         raise InvalidArgument("rollout: expected at least one trial seed, got none")

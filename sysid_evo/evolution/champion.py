@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
-from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.registry import Spec
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.system import System
 
 
@@ -72,6 +72,20 @@ class Champion:
         for name in ("controller", "task"):
             if isinstance(getattr(self, name), str):
                 object.__setattr__(self, name, Spec.parse(getattr(self, name)))
+
+    @classmethod
+    def hand_written(cls, controller: Spec | str, task: Spec | str, system: System) -> Champion:
+        """Return a controller that needs no evolution, with zeros as its parameters, for ``task`` on ``system``.
+
+        It was evolved against nothing. Raises `InvalidArgument` for one that must be evolved.
+        """
+        spec = Spec.parse(controller) if isinstance(controller, str) else controller
+        law = make_controller(spec).bind_to(make_task(task).bind(system))
+        if not law.hand_written:
+            raise InvalidArgument(f"controller {spec.name!r} must be evolved before it can drive: give its file")
+        task = Spec.parse(task) if isinstance(task, str) else task
+        nothing = np.zeros(law.n_parameters)
+        return cls(spec.label, nothing, (), "min", 0, np.empty((0, 3)), controller=spec, task=task, system=system)
 
     def check_system(self, system: System) -> None:
         """Raise `IncompatibleSystem` unless ``system`` is, for a controller, the one it was evolved for."""

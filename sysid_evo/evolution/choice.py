@@ -39,7 +39,7 @@ def judge(champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials
         return champion
     assert champion.system is not None
     task = make_task(champion.task).bind(champion.system)
-    controller = make_controller(champion.controller).bind(len(task.observations), champion.system.nu)
+    controller = make_controller(champion.controller).bind_to(task)
     late = tuple(observed_late(label, runner, champion.estimator_delay) for label, runner in judges.items())
     everyone = np.stack([finalist.parameters for finalist in champion.finalists])
     objective = EnsembleObjective(late, controller, task, seed, aggregate="median")

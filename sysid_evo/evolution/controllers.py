@@ -106,7 +106,7 @@ class ControllerEvolution:
 
     def make_controller(self, task: Task) -> Controller:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
-        return make_controller(self.controller).bind(len(task.observations), task.system.nu)
+        return make_controller(self.controller).bind_to(task)
 
     def make_noise(self) -> RadicalEnvelope | None:
         """Return the noise, None without any."""

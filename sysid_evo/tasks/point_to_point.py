@@ -127,6 +127,20 @@ class PointToPoint(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("PointToPointState", task_state).passed.astype(np.float64)
 
+    def foreseen(self, task_state: TaskState) -> PointToPointState:
+        """Return the trials with the next waypoint alone; what comes after it is expected in the arena's centre."""
+        here = cast("PointToPointState", task_state)
+        trials = len(here.trial)
+        known = np.zeros((trials, here.waypoints.shape[1] + 1, 2))
+        known[:, 0] = here.waypoint
+        return replace(here, waypoints=known, trial=np.arange(trials), passed=np.zeros(trials, dtype=np.int64))
+
+    def promise(self, task_state: TaskState, state: Array) -> Array:
+        """Return 1 less the distance to the next waypoint, in diameters of the arena, at least 0."""
+        here = cast("PointToPointState", task_state)
+        dx, dy = here.to_waypoint(here.pose)
+        return np.maximum(0.0, 1.0 - np.sqrt(dx * dx + dy * dy) / (2.0 * self.arena_radius))
+
     def scene(self, task_state: TaskState, trial: int) -> Scene:
         """Return the waypoints passed, in order, and the next one."""
         here = cast("PointToPointState", task_state)

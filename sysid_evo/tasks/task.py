@@ -41,6 +41,13 @@ class TaskState:
                 changed[item.name] = np.tile(value, (copies,) + (1,) * (value.ndim - 1))
         return replace(self, **changed)
 
+    def only(self, trial: int) -> Self:
+        """Return one of the trials."""
+        one = slice(trial, trial + 1)
+        return replace(
+            self, **{item.name: getattr(self, item.name)[one] for item in fields(self) if item.name not in self.shared}
+        )
+
     def keep(self, advanced: Self, going: BoolArray) -> Self:
         """Return ``advanced`` for the trials in ``going`` (B,), and this state for all others."""
         changed = {}
@@ -93,6 +100,20 @@ class Task(ABC):
     @abstractmethod
     def fitness(self, task_state: TaskState) -> Array:
         """Return the fitness (B,) so far."""
+
+    def foreseen(self, task_state: TaskState) -> TaskState:
+        """Return the trials with only what may be known of their future, for controllers that look ahead.
+
+        By default nothing is hidden. A task that reveals its goals one after the other hides the later ones.
+        """
+        return task_state
+
+    def promise(self, task_state: TaskState, state: Array) -> Array:
+        """Return how near more fitness is in state (B, nx), in units of fitness and below 1, (B,); 0 by default.
+
+        It tells a controller that looks ahead only a few steps which way to go.
+        """
+        return np.zeros(len(state))
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return what else is to be told of each trial, by its name with the unit in brackets, (B,) each.

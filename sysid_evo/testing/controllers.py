@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.errors import ContractViolation
+from sysid_evo.errors import ContractViolation, IncompatibleTask
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller
+from sysid_evo.system import Channel
 from sysid_evo.tasks import PointToPoint, Task
 from sysid_evo.testing.arrays import expect_numbers, same, twice
 from sysid_evo.testing.closed_loop import expect_engines_agree
@@ -53,19 +54,24 @@ class Given:
         return memory
 
 
-def check_controller(name: str, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks."""
-    raise_broken("controller", name, run_controller_checks(name, **parameters))
+def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks.
+
+    ``at`` is the task that it is tried at, see `run_controller_checks`.
+    """
+    raise_broken("controller", name, run_controller_checks(name, at=at, **parameters))
 
 
-def run_controller_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered controller ``name``, at `PointToPoint` on a made-up car."""
+def run_controller_checks(name: str, *, at: Task | None = None, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered controller ``name``.
+
+    It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
+    """
 
     def make() -> Given:
-        system = continuous_car()
-        task = PointToPoint(horizon=60).bind(system)
+        task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
         made = make_controller(name, **parameters)
-        bound = made.bind(len(task.observations), system.nu)
+        bound = made.bind_to(task)
         weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
         return Given(made, bound, weights, task)
 
@@ -75,7 +81,12 @@ def run_controller_checks(name: str, **parameters: Any) -> Iterator[CheckResult]
 def binding_gives_a_controller_of_that_size(given: Given) -> None:
     """bind gives a controller of that many inputs and outputs, and leaves the others as they are"""
     before = dict(vars(given.bound))
-    other = given.made.bind(len(given.task.observations), given.task.system.nu + 1)
+    system = given.task.system
+    wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
+    try:
+        other = given.made.bind_to(given.task.bind(wider))
+    except IncompatibleTask as error:  # it was made for this one system
+        raise DoesNotApply from error
     raw, _ = other.act(
         np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
     )
@@ -137,6 +148,23 @@ def the_compiled_form_acts_as_act_does(given: Given) -> None:
     expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
 
 
+def the_form_for_other_languages_acts_as_act_does(given: Given) -> None:
+    """The form for other languages acts as act does"""
+    for p in range(CANDIDATES):
+        program = given.bound.program(given.parameters[p])
+        if program is None:
+            raise DoesNotApply
+        remembered, memory = program.begin(), given.memory(0)
+        for moment in range(4):
+            view = given.view(moment)
+            raw, memory = given.bound.act(given.parameters, memory, view)
+            found, remembered = program.run(view.observation[p, 0], remembered)
+            expect(
+                np.allclose(found, raw[p, 0], rtol=1e-9, atol=1e-12),
+                f"outputs are {found} in sample {moment}, those of act {raw[p, 0]}",
+            )
+
+
 CHECKS: tuple[Check[Given], ...] = (
     binding_gives_a_controller_of_that_size,
     it_has_parameters_to_evolve,
@@ -145,4 +173,5 @@ CHECKS: tuple[Check[Given], ...] = (
     an_action_is_pure,
     candidates_and_trials_are_independent,
     the_compiled_form_acts_as_act_does,
+    the_form_for_other_languages_acts_as_act_does,
 )

@@ -61,7 +61,7 @@ class Given:
     @property
     def networks(self) -> Array:
         """Parameters (P, n) of random networks."""
-        bound = RecurrentNetwork(hidden=3).bind(len(self.task.observations), self.system.nu)
+        bound = RecurrentNetwork(hidden=3).bind_to(self.task)
         return np.random.default_rng(8).standard_normal((CANDIDATES, bound.n_parameters))
 
 

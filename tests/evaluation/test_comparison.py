@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
+from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.plan import Cell, Silent, Store, execute
-from sysid_evo.registry import Registry, models, robots
+from sysid_evo.registry import Registry, Spec, make_model, models, robots
+from sysid_evo.store import save_model
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import pendulum, switched_car
 
@@ -182,6 +184,26 @@ def test_the_saved_report_is_strict_json_and_one_page(tmp_path: Path) -> None:
     assert "linear" in page.read_text()
 
 
+def test_a_controller_written_by_hand_is_a_row_of_the_matrix(tmp_path: Path) -> None:
+    report = run_in(tmp_path, "linear", by_hand=["pursuit", "ahead=predictive(model=made_up_robot, horizon=3)"])
+    assert report.matrix is not None
+    assert report.matrix.rows[-2:] == ("pursuit", "ahead")
+    for row in ("pursuit", "ahead"):
+        cell = report.matrix.cell(row, "linear")
+        assert (cell.trials, cell.reason) == (3, "")
+    save_report(report, tmp_path)
+
+
+def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path: Path) -> None:
+    file = save_model(make_model("linear").fit(example_dataset(), rng=0), tmp_path / "body")
+    spec = Spec("predictive", {"model": str(file)})
+    cells = [HandWrittenCell(spec, Spec("point_to_point"), switched_car()) for _ in range(3)]
+    first, same = (cell.inputs() for cell in cells[:2])
+    assert len(first["files"]) == 2
+    file.write_text(file.read_text() + " ")
+    assert first == same != cells[2].inputs()
+
+
 def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
     report = run_in(tmp_path, "linear")
     again = finished(planned("linear"), Store(tmp_path))
@@ -201,6 +223,10 @@ def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
         ({"strategy": "mu_plus_lambda(parents=0)"}, InvalidArgument, "parents"),
         ({"controller": "recurrent(hidden=0)"}, InvalidArgument, "hidden"),
         ({"aggregate": "min(share=0.2)"}, InvalidArgument, "'min' has no parameter 'share'"),
+        ({"by_hand": ("recurrent",)}, InvalidArgument, "'recurrent' must be evolved before it can drive"),
+        ({"by_hand": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' stands there 2 times"),
+        ({"by_hand": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
+        ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "no controller is run with only = 'fit'"),
         ({"yardstick": True}, InvalidArgument, "name the emulated robot"),
         ({"yardstick": True, "only": "prediction", "robot": "made_up_robot"}, InvalidArgument, "only = 'prediction'"),
         ({"robot": "swinging"}, IncompatibleSystem, "robot 'swinging' is not the one in the recordings"),

@@ -92,6 +92,16 @@ def test_controller_drives_its_trials_and_the_cell_is_stored_in_its_run(evolved:
     assert not re.search("kept", done.stdout + done.stderr)
 
 
+def test_a_controller_written_by_hand_drives_without_a_file(tmp_path: Path) -> None:
+    asked = ("drive", "--task", "point_to_point(horizon=40)", "--trials", "2", "--controller")
+    done = run_here(*asked, "pursuit(look=0.5)", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "pursuit on emulated_car driven" in done.stdout
+    assert re.search(r"2 +\d+ +40", done.stdout)
+    refused = run_here(*asked, "recurrent", cwd=tmp_path)
+    assert (refused.returncode, "'recurrent' must be evolved before it can drive" in refused.stderr) == (2, True)
+
+
 def test_trials_that_a_fault_cuts_short_are_missing_and_the_exit_code_says_why(evolved: Path) -> None:
     done = drive(evolved, "--robot", "unseen", "--plugin", "unseen.py", "--trials", "2")
     assert done.returncode == 4, done.stderr

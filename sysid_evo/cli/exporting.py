@@ -1,0 +1,72 @@
+"""`sysid-evo export`: an evolved controller as a file that needs nothing of this package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sysid_evo.cli.console import out
+from sysid_evo.cli.options import Plugins, load_plugins
+
+if TYPE_CHECKING:
+    from sysid_evo.export import Law, Real
+
+SUFFIXES = {"python": ".py", "c": ".c", "onnx": ".onnx"}
+REALS = ("double", "float")
+
+
+def export(
+    controller: Annotated[Path, typer.Argument(help="File of an evolved controller.")],
+    to: Annotated[str, typer.Option(help="python (NumPy only), c (C99 without allocation) or onnx.")],
+    file: Annotated[Path | None, typer.Option("--out", help="New file (default: NAME with its suffix, here).")] = None,
+    real: Annotated[str, typer.Option(help="Precision of C and ONNX: double or float.")] = "double",
+    plugin: Plugins = None,
+) -> None:
+    """Write an evolved controller as one file: from its observations, in order, to legal controls.
+
+    The file says what it expects, in which units, how often it is to be called, and how to use and check it.
+    """
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.export import c_text, law_of, onnx_bytes, python_text
+    from sysid_evo.files import write_atomically
+    from sysid_evo.store import load_champion
+
+    load_plugins(plugin)
+    if to not in SUFFIXES:
+        raise InvalidArgument(f"--to: expected {', '.join(SUFFIXES)}, got {to!r}")
+    if real not in REALS:
+        raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
+    law = law_of(load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller))
+    path = file or Path(f"{law.name}{SUFFIXES[to]}")
+    if path.exists():
+        raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")
+    precision: Real = "float" if real == "float" else "double"
+    if to == "onnx":
+        content = onnx_bytes(law, precision)
+    else:
+        content = (python_text(law) if to == "python" else c_text(law, precision, path.name)).encode()
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    for line in (f"{law.champion.name} written to {path}", *how_to_use(law, to, path)):
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def how_to_use(law: Law, to: str, path: Path) -> tuple[str, ...]:
+    """Return in a few lines what the file takes and gives, and how to call it."""
+    seen = ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in law.observations)
+    every = f"every {law.system.dt:g} s, from {seen} to {', '.join(law.system.control_names)}"
+    if to == "python":
+        return (
+            f"use:   from {path.stem} import Controller; control = Controller().step(observation), {every}",
+            f"check: python {path}",
+        )
+    if to == "c":
+        return (
+            f"use:   {law.name}_reset(&memory), then {law.name}_step(&memory, observation, control) {every}",
+            f"check: cc -std=c99 -DTEST_{law.name.upper()} {path} -lm -o check && ./check",
+        )
+    names = ", ".join(f"memory_{name}" for name in law.program.remembered) or "none"
+    return (
+        f"use:   inputs observation and memory ({names}; zeros at first), outputs control and the next memory, {every}",
+    )

@@ -1,0 +1,153 @@
+"""LQR, computed from a model: the linear feedback that is best for it near the targets of a task."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, Self, cast
+
+import numpy as np
+
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.controllers.controller import Controller, View
+from sysid_evo.controllers.inner_models import inner_model
+from sysid_evo.controllers.linear_model import LinearModel, linear_model
+from sysid_evo.controllers.named import size_of
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.extras import missing_extra
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import register_controller
+from sysid_evo.tasks.following import Following, FollowingState
+from sysid_evo.tasks.task import Task
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import ControllerKernel
+    from sysid_evo.export.program import Program
+
+SAMPLES = 200
+NEAR = 0.01
+"""How far around targets the feedback is said in observations, in sizes of the states."""
+MISFIT = 0.05
+"""The largest share of the feedback that observations may fail to say."""
+
+
+@register_controller("lqr")
+class Lqr(Controller):
+    """u = u_r - g K (x - x_r), as outputs within [-1, 1], for tasks that lead states to targets.
+
+    K is the gain of the linear quadratic regulator (python-control's ``dlqr``) for the linear model
+    x' = A x + B u + c of the system: the matrices ``a``, ``b`` and ``c``, or a ``model`` (the file of a fitted one, an
+    emulated robot, a `Dynamics`), which is linearised numerically in the middle of the targets. x_r and u_r are at rest
+    with the led states on target. States count by their ``weights`` (led states 1, others 0.01), controls by
+    ``effort``, both squared in shares of their size. The law is then said in what the task shows, which is exact where
+    that is linear in states and targets. The parameter is the logarithm of g: with zero it is LQR itself.
+    """
+
+    hand_written: ClassVar[bool] = True
+    requires: ClassVar[tuple[str, ...]] = ("control",)
+    n_parameters = 1
+    n_memory = 0
+
+    def __init__(
+        self,
+        *,
+        model: str | Dynamics | None = None,
+        a: Sequence[Sequence[float]] | None = None,
+        b: Sequence[Sequence[float]] | None = None,
+        c: Sequence[float] | None = None,
+        weights: Mapping[str, float] | None = None,
+        effort: float = 0.1,
+    ) -> None:
+        if (model is None) == (a is None) or (a is None) != (b is None):
+            raise InvalidArgument("lqr: expected either a model, or the matrices a and b (and perhaps c)")
+        if not 0.0 < effort < np.inf or any(not 0.0 <= weight < np.inf for weight in (weights or {}).values()):
+            raise InvalidArgument(f"lqr: expected effort > 0 and weights >= 0, got {effort} and {weights}")
+        self.model, self.a, self.b, self.c = model, a, b, c
+        self.weights, self.effort = weights, effort
+
+    def bind_to(self, task: Task) -> Self:
+        if not isinstance(task, Following):
+            raise IncompatibleTask(f"lqr leads states to targets, as set_point does; {type(task).__name__} has none")
+        unknown = [name for name in self.weights or () if name not in task.system.state_names]
+        if unknown:
+            raise IncompatibleTask(f"lqr: weights: no state {unknown[0]!r}; there are {task.system.state_names}")
+        bound = copy.copy(self)
+        began = task.begin(trial_seeds(0, SAMPLES))
+        led = [goal.place for goal in task.goals]
+        middle = task.system.neutral_state.copy()
+        middle[led] = began.target.mean(axis=0)
+        linear = self._linear(task, middle)
+        gain = self._gain(task, linear, led)
+        bound.rest, bound.feedback = _in_observations(task, linear, gain, began, led)
+        return bound
+
+    rest: Array
+    feedback: Array
+
+    def _linear(self, task: Task, middle: Array) -> LinearModel:
+        if self.model is not None:
+            return linear_model(inner_model("lqr", self.model, task), middle)
+        nx, nu = task.system.nx, task.system.nu
+        a, b = check_shape("lqr: a", self.a or (), (nx, nx)), check_shape("lqr: b", self.b or (), (nx, nu))
+        return LinearModel(a, b, check_shape("lqr: c", np.zeros(nx) if self.c is None else self.c, (nx,)))
+
+    def _gain(self, task: Task, linear: LinearModel, led: Sequence[int]) -> Array:
+        """Return K (nu, nx)."""
+        try:
+            import control
+        except ModuleNotFoundError as error:
+            raise missing_extra("lqr", error.name) from error
+        system = task.system
+        wanted = {name: 1.0 if place in led else 0.01 for place, name in enumerate(system.state_names)}
+        wanted |= dict(self.weights or {})
+        q = np.diag([wanted[channel.name] / size_of(channel) ** 2 for channel in system.states])
+        r = np.diag([self.effort / (0.5 * (channel.high - channel.low)) ** 2 for channel in system.controls])
+        try:
+            gain, _, _ = control.dlqr(linear.a, linear.b, q, r)
+        except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+            raise InvalidArgument(f"lqr: no feedback stabilises this model: {error}") from error
+        if not np.abs(gain).max() > 0.0:
+            raise InvalidArgument("lqr: in this model no control acts on a state within one sample, as with a delay")
+        return np.asarray(gain, dtype=np.float64)
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        check_shape("parameters", parameters, (None, self.n_parameters))
+        strength = np.exp(np.clip(parameters, -5.0, 5.0))[:, :, None]
+        shown = np.concatenate([view.observation, np.ones((*view.observation.shape[:2], 1))], axis=-1)
+        return np.clip(shown @ self.rest + strength * (shown @ self.feedback), -1.0, 1.0), memory.copy()
+
+    def kernel(self) -> ControllerKernel:
+        from sysid_evo.engine.kernels.lqr import lqr_kernel
+
+        return lqr_kernel(self.rest, self.feedback)
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.export.program import Program, Statement, constant, dot, limited, observation
+
+        law = self.rest + np.exp(np.clip(parameters[0], -5.0, 5.0)) * self.feedback
+        pushed = dot("W", law[:-1].T, observation(len(law) - 1)) + constant("B", law[-1])
+        raw = Statement("raw", limited(pushed), "outputs in [-1, 1]")
+        return Program((raw,), raw.value)
+
+
+def _in_observations(
+    task: Following, linear: LinearModel, gain: Array, began: FollowingState, led: Sequence[int]
+) -> tuple[Array, Array]:
+    """Return tables (observations + 1, nu) that give the outputs at rest, and the feedback, from what is shown."""
+    system = task.system
+    at_rest = [linear.at_rest(target, led) for target in began.target]
+    states, controls = (np.array(part) for part in zip(*at_rest, strict=True))
+    sizes = np.array([size_of(channel) for channel in system.states])
+    off = NEAR * sizes * np.random.default_rng(0).standard_normal(states.shape)
+    shown = task.observe(began, states + off)
+    shown = np.concatenate([shown, np.ones((len(shown), 1))], axis=1)
+    span = np.array([0.5 * (channel.high - channel.low) for channel in system.controls])
+    middle = np.array([0.5 * (channel.high + channel.low) for channel in system.controls])
+    wanted = ((controls - middle) / span, -(off @ gain.T) / span)
+    tables = [np.linalg.lstsq(shown, outputs, rcond=1e-10)[0] for outputs in wanted]
+    for what, outputs, table in zip(("targets", "states"), wanted, tables, strict=True):
+        misfit = np.abs(shown @ table - outputs).max()
+        if misfit > MISFIT * max(np.abs(outputs).max(), 1e-9) and misfit > 1e-3:
+            raise IncompatibleTask(f"lqr: what {type(task).__name__} shows does not tell all {what} that it needs")
+    return cast("Array", tables[0]), cast("Array", tables[1])

@@ -1,0 +1,143 @@
+"""A controller as a Python file that needs NumPy only."""
+
+from __future__ import annotations
+
+from sysid_evo.arrays import Array
+from sysid_evo.export.law import Law
+from sysid_evo.export.program import Binary, Choice, Constant, Dot, Expression, Number, Take, Unary, Variable, parts_of
+
+SUM, PRODUCT, ATOM = 1, 2, 3
+"""How tightly an expression binds."""
+
+TEMPLATE = '''\
+"""{origin}
+
+Observations, in this order:
+{observations}
+
+Controls, in this order:
+{controls}
+
+    controller = Controller()
+    control = controller.step(observation)  # every {dt:g} s
+    controller.reset()                      # before another run
+
+Run this file to check it against the controller that it was written from.
+"""
+
+import numpy as np
+
+DT = {dt!r}  # s
+OBSERVATIONS = {observation_names}
+CONTROLS = {control_names}
+
+{tables}
+
+
+class Controller:
+    """The control law; it needs NumPy only."""
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        """Forget what was seen so far."""
+{reset}
+
+    def step(self, observation):
+        """Return the controls ({nu},) for one observation ({n},)."""
+        observation = np.asarray(observation, dtype=float)
+        if observation.shape != ({n},):
+            raise ValueError(f"observation: expected shape ({n},), got {{observation.shape}}")
+{statements}
+{after}        return np.concatenate([{results}])
+
+
+{vectors}
+
+
+if __name__ == "__main__":
+    controller = Controller()
+    for observation, expected in zip(TEST_OBSERVATIONS, TEST_CONTROLS):
+        np.testing.assert_allclose(controller.step(observation), expected, atol=1e-9)
+    print(f"ok: {{len(TEST_OBSERVATIONS)}} samples")
+'''
+
+
+def python_text(law: Law) -> str:
+    """Return the text of the file."""
+    program = law.program
+    tables = "\n".join(f"{name} = {_table(values)}" for name, values in program.constants().items())
+    reset = [f"self.{name} = np.zeros({value.size})" for name, value in program.remembered.items()]
+    statements = []
+    for statement in program.statements:
+        remark = f"  # {statement.remark}" if statement.remark else ""
+        text = _text(statement.expression)[0]
+        if not _has_size(statement.expression):
+            text = f"np.array([{text}])"
+        statements.append(f"{statement.name} = {text}{remark}")
+    after = [f"self.{name} = {value.name}" for name, value in program.remembered.items()]
+    return TEMPLATE.format(
+        origin="\n".join(law.origin),
+        observations=_indented(law.rows(law.observations), 4),
+        controls=_indented(law.rows(law.system.controls), 4),
+        dt=law.system.dt,
+        observation_names=tuple(channel.name for channel in law.observations),
+        control_names=law.system.control_names,
+        tables=tables,
+        reset=_indented(reset or ["pass"], 8),
+        n=len(law.observations),
+        nu=law.system.nu,
+        statements=_indented(statements, 8),
+        after=_indented(after, 8) + "\n" if after else "",
+        results=", ".join(control.name for control in law.controls),
+        vectors=f"TEST_OBSERVATIONS = {_table(law.seen)}\nTEST_CONTROLS = {_table(law.decided)}",
+    )
+
+
+def _indented(lines: list[str], spaces: int) -> str:
+    return "\n".join(" " * spaces + line for line in lines)
+
+
+def _table(values: Array) -> str:
+    if values.ndim == 1:
+        return f"np.array([{', '.join(repr(value) for value in values.tolist())}])"
+    rows = "".join(f"    [{', '.join(repr(value) for value in row)}],\n" for row in values.tolist())
+    return f"np.array([\n{rows}])"
+
+
+def _has_size(e: Expression) -> bool:
+    """Whether the text of ``e`` gives an array: somewhere in it stands a vector."""
+    return any(isinstance(part, (Variable, Constant, Dot, Take)) for part in parts_of(e))
+
+
+def _text(e: Expression) -> tuple[str, int]:
+    """Return an expression in Python, and how tightly it binds."""
+    match e:
+        case Number():
+            return (repr(e.value), ATOM) if e.value >= 0.0 else (f"({e.value!r})", ATOM)
+        case Variable():
+            return (f"self.{e.name}" if e.remembered else e.name), ATOM
+        case Constant():
+            return e.name, ATOM
+        case Dot():
+            return f"{e.name} @ {_text(e.of)[0]}", PRODUCT
+        case Take():
+            inside = f"{e.places[0]}:{e.places[0] + 1}" if e.size == 1 else e.name
+            return f"{_text(e.of)[0]}[{inside}]", ATOM
+        case Unary():
+            name = {"round": "rint"}.get(e.function, e.function)
+            return f"np.{name}({_text(e.of)[0]})", ATOM
+        case Choice():
+            parts = (_text(part)[0] for part in (e.left, e.right, e.yes, e.no))
+            return "np.where({} {operator} {}, {}, {})".format(*parts, operator=e.operator), ATOM
+        case Binary() if e.operator in ("min", "max"):
+            return f"np.{e.operator}imum({_text(e.left)[0]}, {_text(e.right)[0]})", ATOM
+        case Binary():
+            binds = SUM if e.operator in "+-" else PRODUCT
+            (left, of_left), (right, of_right) = _text(e.left), _text(e.right)
+            left = f"({left})" if of_left < binds else left
+            loose = of_right < binds or (of_right == binds and (e.operator in "-/" or isinstance(e.right, Dot)))
+            return f"{left} {e.operator} {f'({right})' if loose else right}", binds
+        case _:
+            raise TypeError(f"export: expected an expression, got {type(e).__name__}")

@@ -1,0 +1,114 @@
+"""What planning with a model achieves beside evolving in it: ``python -m tests.benchmarks.predictive --out FOLDER``.
+
+The emulated car is recorded for ``--minutes`` and the ``--models`` are fitted in ``FOLDER`` (what stands there is not
+done again). Each model then drives the car itself in ``--trials`` fresh trials of `point_to_point`: inside the
+predictive controller, and by a recurrent network evolved in it for ``--generations``; pursuit, written by hand, drives
+beside them. Prints waypoints and, for a single trial, how many milliseconds of processor time a decision takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from evaluation import compare
+from sysid_evo import (
+    ControllerEvolution,
+    DynamicsRunner,
+    evolve_controller,
+    load_model,
+    make_controller,
+    make_robot,
+    make_task,
+)
+from sysid_evo.arrays import Array
+from sysid_evo.controllers import Controller, Predictive, Pursuit, View
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import rollout
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.tasks import Task
+
+MODELS = "sindy,mlp_ensemble,nearest_neighbour"
+DECISIONS = 100
+PERIOD = 50.0  # ms at 20 Hz
+
+
+class Timed(Controller):
+    """A bound controller that keeps how many ms of processor time each decision took."""
+
+    def __init__(self, bound: Controller) -> None:
+        self.bound, self.spent = bound, list[float]()
+        self.n_parameters, self.n_memory = bound.n_parameters, bound.n_memory
+
+    def bind_to(self, task: Task) -> Self:
+        return self
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        began = time.thread_time()
+        acted = self.bound.act(parameters, memory, view)
+        self.spent.append(1e3 * (time.thread_time() - began))
+        return acted
+
+
+def milliseconds(controller: Controller, car: Dynamics) -> list[float]:
+    """Return the ms of processor time of each decision in one trial, the first left out."""
+    task = make_task("point_to_point", horizon=DECISIONS)
+    timed = Timed(controller.bind_to(task.bind(car.system)))
+    rollout(car, timed, np.zeros((1, timed.n_parameters)), task, trial_seeds(0, 1), engine="reference")
+    return timed.spent[1:]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--models", default=MODELS)
+    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--trials", type=int, default=30)
+    parser.add_argument("--generations", type=int, default=300)
+    options = parser.parse_args(arguments)
+    console = Console()
+    names = options.models.split(",")
+    compare(out=options.out, models=names, minutes=options.minutes, only="fit")
+    files = {name: next((options.out / "models").glob(f"{name}-*.json")) for name in names}
+    car, task, seeds = make_robot("emulated_car").dynamics, make_task("point_to_point"), trial_seeds(5, options.trials)
+
+    def achieved(controller: Controller, parameters: Array) -> tuple[str, str]:
+        fitness = DynamicsRunner(car).run(controller, parameters[None], task, seeds).fitness[0]
+        return f"{fitness.mean():.1f}", f"{fitness.std(ddof=1) / np.sqrt(len(fitness)):.1f}"
+
+    table = Table(title=f"waypoints on the emulated car, {options.trials} trials")
+    for heading in ("controller", "model", "achieved", "standard error", "ms, median", "ms, 99 %"):
+        table.add_column(heading, justify="left" if heading in ("controller", "model") else "right")
+    inside = {**{name: str(file) for name, file in files.items()}, "the car itself": "emulated_car"}
+    for name, model in inside.items():
+        planning = Predictive(model=model)
+        spent = milliseconds(planning, car)
+        row = (
+            "predictive",
+            name,
+            *achieved(planning, np.zeros(2)),
+            *(f"{np.percentile(spent, q):.1f}" for q in (50, 99)),
+        )
+        console.print(*row)
+        table.add_row(*row)
+        if name in files:
+            runners = {name: DynamicsRunner(load_model(files[name]))}
+            settings = ControllerEvolution(generations=options.generations, strategy="niches")
+            champion = evolve_controller(name, runners, car.system, settings, seed=0)
+            table.add_row("evolved", name, *achieved(make_controller(champion.controller), champion.parameters), "", "")
+    table.add_row("pursuit", "", *achieved(Pursuit(), np.zeros(4)), "", "")
+    console.print(table)
+    console.print(f"20 Hz leaves {PERIOD:.0f} ms for a decision.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
