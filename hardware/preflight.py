@@ -60,6 +60,9 @@ def check_recording(robot: Robot, folder: Path | None, *, duration: float) -> No
 
     Raises `IncompatibleSystem`, `InvalidArgument`, and what `Robot.check` raises.
     """
+    if robot.stepped:
+        robot.check()
+        return
     check_loop(robot.system)
     manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(0))
     if folder is not None:

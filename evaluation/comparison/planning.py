@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
-from evaluation.comparison.columns import Column, emulated
+from evaluation.comparison.columns import Column, runner_of
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
@@ -201,10 +201,10 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
             f"robot {robot.label!r} is not the one in the recordings: {'; '.join(differences)}. "
             "Leave --robot out, or name the robot that was recorded"
         )
-    if machine.dynamics is not None:
+    if not machine.physical:
         return Column(robot.label, robot.label, robot=robot)
     if experiment.yardstick:
-        emulated(robot)
+        runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
     return None
 
@@ -334,7 +334,8 @@ def _matrix(
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Column, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
-    usual = recorded and experiment.budget.recipe == "recommended"
+    quick = robot is not None and robot.robot is not None and make_robot(robot.robot).dynamics is not None
+    usual = quick and recorded and experiment.budget.recipe == "recommended"
     if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
     evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
