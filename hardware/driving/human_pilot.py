@@ -104,7 +104,11 @@ class HumanPilot(Pilot):
         pose, tape = self.in_arena(estimate.pose), self._tape
         if tape.states:
             self._state, _ = self._task.advance(
-                self._state, tape.states[-1][None], estimate.state[None], pose=pose[None]
+                self._state,
+                tape.states[-1][None],
+                estimate.state[None],
+                control=tape.controls[-1][None],
+                pose=pose[None],
             )
         tape.note(step, estimate.state, pose)
         if step >= self._task.horizon or not self._state.alive[0]:

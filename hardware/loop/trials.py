@@ -143,8 +143,10 @@ class TrialSeries(Pilot):
         if not tape.ticks:
             here = replace(here, pose=np.where(only[:, None], pose, here.pose))
         else:
-            before = np.tile(tape.states[-1], (len(only), 1))
-            moved, _ = task.advance(here, before, np.tile(state, (len(only), 1)), pose=np.tile(pose, (len(only), 1)))
+            before, after, control, seen = (
+                np.tile(row, (len(only), 1)) for row in (tape.states[-1], state, tape.controls[-1], pose)
+            )
+            moved, _ = task.advance(here, before, after, control=control, pose=seen)
             here = here.keep(moved, only)
         self._states[candidate] = here
         tape.note(step, state, pose)

@@ -60,7 +60,7 @@ def run(
                 going = alive & ~diverged
             stepped, touched = clip_state(stepped, dynamics.envelope)
             reached = stepped[:, : system.nx]
-            advanced, after = task.advance(task_state, state, reached)
+            advanced, after = task.advance(task_state, state, reached, control=control)
             if after is not reached:
                 stepped = np.concatenate([after, stepped[:, system.nx :]], axis=1)
             if going.all():

@@ -115,7 +115,7 @@ class PointToPoint(Task):
         return observation
 
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("PointToPointState", task_state)
         if pose is None:

@@ -80,12 +80,13 @@ class Task(ABC):
 
     @abstractmethod
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         """Return the trials one step on, and the state (B, nx), which a wall may have altered.
 
-        ``pose`` (B, n_pose) is where a tracker saw the robots after the step; without one the
-        motion moves them.
+        ``control`` (B, nu) led from the state ``before`` to the one ``after``. ``pose`` (B, n_pose) is
+        where a tracker saw the robots after the step; without one the motion
+        moves them.
         """
 
     @abstractmethod

@@ -37,16 +37,20 @@ class Given:
         """The system of the bound task."""
         return self.task.system
 
-    def moment(self) -> tuple[TaskState, Array, Array]:
-        """Return trials that have gone on for some steps, and the states (B, nx) before and after the next."""
+    def moment(self) -> tuple[TaskState, Array, Array, Array]:
+        """Return trials that have gone on for some steps, the states (B, nx) before and after the next, its control."""
         dynamics, rng = ExampleDynamics(self.system), np.random.default_rng(7)
         task_state = self.task.begin(SEEDS)
         before = task_state.state.copy()
         controls = self.system.actuate(rng.uniform(-1.0, 1.0, (4, TRIALS, self.system.nu)))
         for control in controls[:3]:
-            task_state, reached = self.task.advance(task_state, before, dynamics.step(before, control))
+            task_state, reached = self.advance(task_state, before, dynamics.step(before, control), control)
             before = np.array(reached, dtype=np.float64)
-        return task_state, before, dynamics.step(before, controls[3])
+        return task_state, before, dynamics.step(before, controls[3]), controls[3]
+
+    def advance(self, task_state: TaskState, before: Array, after: Array, control: Array) -> tuple[TaskState, Array]:
+        """Advance the task, the control as the last argument."""
+        return self.task.advance(task_state, before, after, control=control)
 
     def drive(self, parameters: Array, seeds: Any = SEEDS) -> Rollouts:
         """Return rollouts of networks with these parameters in the reference form."""
@@ -135,25 +139,25 @@ def candidates_meet_the_same_trials(given: Given) -> None:
 
 def an_observation_has_the_right_shape_and_type(given: Given) -> None:
     """observe gives one finite float64 number for each observation of each trial"""
-    task_state, before, _ = given.moment()
+    task_state, before, *_ = given.moment()
     expect_numbers("observation", given.task.observe(task_state, before), (TRIALS, len(given.task.observations)))
 
 
 def observing_is_pure(given: Given) -> None:
     """observe changes neither its arguments nor its own later results"""
-    task_state, before, _ = given.moment()
+    task_state, before, *_ = given.moment()
     twice("observation", given.task.observe, task_state, before)
 
 
 def advancing_is_pure(given: Given) -> None:
     """advance changes neither its arguments nor its own later results"""
-    twice("advance", given.task.advance, *given.moment())
+    twice("advance", given.advance, *given.moment())
 
 
 def advancing_keeps_shapes(given: Given) -> None:
     """advance gives trials and a state (B, nx) of the same shapes, finite and in float64"""
-    task_state, before, after = given.moment()
-    advanced, reached = given.task.advance(task_state, before, after)
+    task_state, *step = given.moment()
+    advanced, reached = given.advance(task_state, *step)
     expect(type(advanced) is type(task_state), f"the trials become a {type(advanced).__name__}")
     expect_numbers("state", reached, (TRIALS, given.system.nx))
     expect_numbers("pose", advanced.pose, (TRIALS, given.system.n_pose))
@@ -164,9 +168,9 @@ def a_tracked_pose_is_believed(given: Given) -> None:
     """advance takes the pose that a tracker saw, if it is given one"""
     if given.system.n_pose == 0:
         raise DoesNotApply
-    task_state, before, after = given.moment()
+    task_state, before, after, control = given.moment()
     seen = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
-    advanced, _ = given.task.advance(task_state, before, after, pose=seen)
+    advanced, _ = given.task.advance(task_state, before, after, control=control, pose=seen)
     expect(same(advanced.pose, seen), "the pose after the step is another one")
 
 
@@ -182,9 +186,9 @@ def fitness_is_a_number_and_never_below_the_worst(given: Given) -> None:
 
 def a_trial_that_is_over_keeps_its_fitness(given: Given) -> None:
     """A trial that is over can be held while others go on"""
-    task_state, before, after = given.moment()
+    task_state, *step = given.moment()
     going = np.arange(TRIALS) % 2 == 0
-    advanced, _ = given.task.advance(task_state, before, after)
+    advanced, _ = given.advance(task_state, *step)
     kept = given.task.fitness(task_state.keep(advanced, going))
     expected = np.where(going, given.task.fitness(advanced), given.task.fitness(task_state))
     expect(same(kept, expected), "the fitness of a trial that is held changes with the others")

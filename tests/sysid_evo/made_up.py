@@ -144,7 +144,7 @@ class Ladder(Task):
         return state
 
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         assert isinstance(task_state, LadderState)
         after = np.minimum(after, self.ceiling)

@@ -16,6 +16,8 @@ from sysid_evo.tasks.point_to_point import PointToPointState
 
 from .made_up import Ladder
 
+IDLE = np.zeros((1, 2))
+
 
 def seeds_of(*values: int) -> np.ndarray:
     return np.array(values, dtype=np.uint64)
@@ -37,7 +39,7 @@ def test_driving_straight_past_known_waypoints_counts_them_when_they_are_near(ca
     state = np.array([[1.0, 0.0, 0.0]])
     passed = []
     for _ in range(40):
-        trial, state = task.advance(trial, state, state)
+        trial, state = task.advance(trial, state, state, control=IDLE)
         passed.append(int(task.fitness(trial)[0]))
     assert passed.index(1) + 1 == 15
     assert passed.index(2) + 1 == 26
@@ -49,7 +51,7 @@ def test_at_most_one_waypoint_is_passed_in_a_step(car: System) -> None:
     task, trial = started(car, [(0.0, 0.0)], horizon=5)
     rest = np.zeros((1, 3))
     for k in range(5):
-        trial, _ = task.advance(trial, rest, rest)
+        trial, _ = task.advance(trial, rest, rest, control=IDLE)
         assert task.fitness(trial)[0] == k + 1
     assert np.isfinite(task.observe(trial, rest)).all()
 
@@ -59,7 +61,7 @@ def test_the_waypoint_radius_counts_from_the_centre_of_the_body(car: System) -> 
     for distance, passed in ((0.29, 1), (0.31, 0)):
         for direction in (0.0, 2.0, 4.0):
             task, trial = started(car, [(distance * np.cos(direction), distance * np.sin(direction)), (9.0, 9.0)])
-            assert task.fitness(task.advance(trial, rest, rest)[0])[0] == passed
+            assert task.fitness(task.advance(trial, rest, rest, control=IDLE)[0])[0] == passed
 
 
 @pytest.mark.parametrize(
@@ -107,7 +109,8 @@ def test_the_roles_of_the_motion_say_which_states_are_observed() -> None:
     task = PointToPoint().bind(system)
     trial = task.begin(seeds_of(3))
     np.testing.assert_array_equal(task.observe(trial, np.array([[0.5, 99.0, 2.0]]))[0, 1:3], [2.0, 0.5])
-    moved, _ = task.advance(trial, np.array([[0.0, 99.0, 2.0]]), np.array([[0.0, 99.0, 2.0]]))
+    state = np.array([[0.0, 99.0, 2.0]])
+    moved, _ = task.advance(trial, state, state, control=IDLE)
     np.testing.assert_allclose(moved.pose, [[0.1, 0.0, 0.0]])
 
 
@@ -115,7 +118,7 @@ def test_a_measured_pose_takes_the_place_of_the_motion(car: System) -> None:
     task = PointToPoint(horizon=20).bind(car)
     trial, rest = task.begin(seeds_of(3)), np.zeros((1, 3))
     there = np.array([[*trial.waypoint[0], 0.5]])
-    seen, _ = task.advance(trial, rest, rest, pose=there)
+    seen, _ = task.advance(trial, rest, rest, control=IDLE, pose=there)
     np.testing.assert_array_equal(seen.pose, there)
     assert task.fitness(seen)[0] == 1.0
 

@@ -25,7 +25,9 @@ CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, 
 """Write ``raw``, overwrite ``memory``."""
 OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
 """Write ``observation``."""
-ADVANCE = Signature(task=REALS, before=REALS, after=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS)
+ADVANCE = Signature(
+    task=REALS, before=REALS, after=REALS, control=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS
+)
 """Overwrite ``task``, perhaps ``after``.
 
 Row 0 of ``task`` is the fitness, row 1 is 1.0 while the trial is alive; ``trials`` (64,) is the trial

@@ -93,7 +93,7 @@ def closed_loop(
                 touched = view(clipped, block * LANES)
                 for lane in range(min(LANES, rollouts - block * LANES)):
                     touched[lane] += 1 if (marks[lane] > 0.0) & (dead[lane] == 0) else 0
-            advance(task, before, carry, trials, trial_data, task_parameters)
+            advance(task, before, carry, control, trials, trial_data, task_parameters)
             if n_dead > 0:
                 restore(carry, n_carry, task, n_task, kept, dead)
             if sizes[CLOSED.record] == 1:
@@ -280,10 +280,11 @@ def decide(
 
 
 def settle(
-    advance, sizes, task_parameters, trial_data, state, reached, task_of, dead_of, before, carry, kept, trials,
+    advance, sizes, task_parameters, trial_data, state, reached, control_of, task_of, dead_of,
+    before, carry, control, kept, trials,
 ):  # fmt: skip
     """Advance the task of every rollout that is not over; ``reached`` (rollouts, nx) may be altered."""
-    nx, n_task, rollouts = sizes[MIXED.nx], sizes[MIXED.n_task], sizes[MIXED.rollouts]
+    nx, nu, n_task, rollouts = sizes[MIXED.nx], sizes[MIXED.nu], sizes[MIXED.n_task], sizes[MIXED.rollouts]
     for block in range((rollouts + LANES - 1) // LANES):
         for lane in range(LANES):
             rollout = min(block * LANES + lane, rollouts - 1)
@@ -291,10 +292,12 @@ def settle(
             for row in range(nx):
                 before[row * LANES + lane] = state[rollout * nx + row]
                 carry[row * LANES + lane] = reached[rollout * nx + row]
+            for row in range(nu):
+                control[row * LANES + lane] = control_of[rollout * nu + row]
         task = view(task_of, block * n_task * LANES)
         for i in range(n_task * LANES):
             kept[i] = task[i]
-        advance(task, before, carry, trials, trial_data, task_parameters)
+        advance(task, before, carry, control, trials, trial_data, task_parameters)
         for lane in range(min(LANES, rollouts - block * LANES)):
             rollout = block * LANES + lane
             if dead_of[rollout] != 0:

@@ -134,10 +134,11 @@ def run(
                     trial_data=trial_data,
                     state=state.reshape(-1),
                     reached=reached.reshape(-1),
+                    control_of=control,
                     task_of=task_rows,
                     dead_of=dead,
                     trials=trial_of_lane,
-                    **{name: buffer[name] for name in ("before", "carry", "kept")},
+                    **{name: buffer[name] for name in ("before", "carry", "control", "kept")},
                 )
             )
             altered = reached != stepped[:, :nx].astype(REAL)

@@ -84,7 +84,7 @@ def observe(task, state, observation, parameters):
         observation[4 * LANES + lane] = math.sqrt(dx * dx + dy * dy)
 
 
-def advance(task, before, after, trials, trial_data, parameters):
+def advance(task, before, after, control, trials, trial_data, parameters):
     """Let the motion move the pose, and pass the waypoints within reach."""
     reach = parameters[HEAD.radius_squared]
     move(view(task, ROWS.x * LANES), before, after, parameters[HEAD.dt], view(parameters, HEAD.size))

@@ -50,8 +50,9 @@ def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated: Emu
     trajectory = pilot.trajectory("trial")
     bound = task.bind(emulated.system)
     state = bound.begin(np.array([SEED], dtype=np.uint64))
-    for before, after, pose in zip(trajectory.states, trajectory.states[1:], trajectory.pose[1:], strict=False):
-        state, _ = bound.advance(state, before[None], after[None], pose=pose[None])
+    steps = zip(trajectory.states, trajectory.states[1:], trajectory.controls, trajectory.pose[1:], strict=False)
+    for before, after, control, pose in steps:
+        state, _ = bound.advance(state, before[None], after[None], control=control[None], pose=pose[None])
     assert pilot.fitness == bound.fitness(state)[0] >= 2
     assert len(trajectory) == 200
     np.testing.assert_allclose(trajectory.pose[0], 0.0, atol=1e-12)

@@ -55,7 +55,7 @@ def observe(task, state, observation, parameters):
         observation[lane] = state[lane]
 
 
-def advance(task, before, after, trials, trial_data, parameters):
+def advance(task, before, after, control, trials, trial_data, parameters):
     top, ceiling = parameters[0], parameters[1]
     for lane in range(LANES):
         after[lane] = min(after[lane], ceiling)

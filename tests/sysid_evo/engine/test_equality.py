@@ -90,6 +90,7 @@ def test_the_waypoint_task_observes_and_advances_step_by_step(precision: Precisi
     )
     rows, data = kernel.rows(here), kernel.trial_data(here)
     before, tolerance = rng.normal(size=(LANES, system.nx)), RTOL[precision]
+    control = np.zeros((LANES, system.nu))
     for _ in range(40):
         observation = np.full((5, LANES), np.nan)
         seen = call_block(
@@ -101,9 +102,9 @@ def test_the_waypoint_task_observes_and_advances_step_by_step(precision: Precisi
         assert off.max() < 100 * tolerance
         after = 2.0 * rng.normal(size=(LANES, system.nx))
         after[:, system.state_names.index("r")] *= 200.0  # several turns in a step
-        given = [rows, before.T, after.T, np.arange(LANES), data, kernel.parameters]
+        given = [rows, before.T, after.T, control.T, np.arange(LANES), data, kernel.parameters]
         rows = call_block(kernel.advance.function, ADVANCE, precision, given, kernel.advance.bindings)[0]
-        here, _ = task.advance(here, before, after)
+        here, _ = task.advance(here, before, after, control=control)
         back: Any = kernel.state(here, rows)
         np.testing.assert_array_equal(back.passed, here.passed)
         np.testing.assert_allclose(back.pose[:, :2], here.pose[:, :2], atol=100 * tolerance)

@@ -52,7 +52,7 @@ class Upright(Task):
         return np.stack([np.sin(state[:, 0]), np.cos(state[:, 0]), state[:, 1]], axis=1)
 
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("UprightState", task_state)
         return replace(here, score=here.score + (1.0 + np.cos(after[:, 0])) / 2.0), after
@@ -120,7 +120,7 @@ class Scribbling(Upright):
 
 class ScoringInPlace(Upright):
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("UprightState", task_state)
         here.score[:] += (1.0 + np.cos(after[:, 0])) / 2.0
@@ -129,17 +129,17 @@ class ScoringInPlace(Upright):
 
 class SingleState(Upright):
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
-        advanced, after = super().advance(task_state, before, after, pose=pose)
+        advanced, after = super().advance(task_state, before, after, control=control, pose=pose)
         return advanced, after.astype(np.float32)
 
 
 class Blind(PointToPoint):
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, pose: Array | None = None
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
-        return super().advance(task_state, before, after)
+        return super().advance(task_state, before, after, control=control)
 
 
 class BelowWorst(Upright):
