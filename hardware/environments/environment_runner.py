@@ -102,7 +102,7 @@ class _Trials:
                 self.counts += behaviour.sides(self.state, control, centre) & going[:, None]
             after, ended = self._step(control, going)
             going = going & ~self.diverged
-            advanced, _ = self.task.advance(self.task_state, self.state, after)
+            advanced, _ = self.task.advance(self.task_state, self.state, after, control=control)
             self.task_state = self.task_state.keep(advanced, going)
             self.state = np.where(going[:, None], after, self.state)
             over |= ended

@@ -13,9 +13,10 @@ import pytest
 from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
+from hardware.robot import Connection, Robot
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, LinkLost
 from sysid_evo.plan import Cell, Silent, Store, execute
 from sysid_evo.registry import Registry, models, robots
 from sysid_evo.testing import ExampleDynamics, example_dataset
@@ -44,7 +45,7 @@ class FailsInFit(DynamicsModel):
         return carry
 
 
-class MadeUpRobot:
+class MadeUpRobot(Robot):
     """A robot that is emulated by a linear system."""
 
     name = "made_up_robot"
@@ -52,6 +53,9 @@ class MadeUpRobot:
     def __init__(self) -> None:
         self.system = switched_car()
         self.dynamics = ExampleDynamics(self.system)
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        raise LinkLost("nobody is there")
 
 
 class Swinging(MadeUpRobot):

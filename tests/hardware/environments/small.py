@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 
 NAME = "Rotor-v0"
-BREAKS = 3.0
+BREAKS = 2.95
 
 
 class Rotor(gymnasium.Env[Any, Any]):
     """Observes speed (rad/s), cosine and sine of the angle; the action is its acceleration."""
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 10}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 10}
 
     def __init__(self, actions: str = "box", limit: float = 1.0, bad: bool = False) -> None:
         high = np.array([np.inf, 1.0, 1.0], dtype=np.float32)
