@@ -9,7 +9,6 @@ import numpy as np
 from hardware.driving.keyboard import control_of, key_life
 from hardware.loop.demands import check_loop
 from hardware.loop.estimator import PoseEstimator
-from hardware.recording.excitation import excitation
 from hardware.recording.journal import check_journals
 from hardware.robot import Robot
 from sysid_evo.arrays import Array, check_shape
@@ -60,11 +59,7 @@ def check_recording(robot: Robot, folder: Path | None, *, duration: float) -> No
 
     Raises `IncompatibleSystem`, `InvalidArgument`, and what `Robot.check` raises.
     """
-    if robot.stepped:
-        robot.check()
-        return
-    check_loop(robot.system)
-    manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(0))
+    manoeuvres = robot.manoeuvres(duration=duration, rng=np.random.default_rng(0))
     if folder is not None:
         check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
     robot.check()

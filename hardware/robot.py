@@ -16,7 +16,10 @@ from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hardware.loop.stops import Stops
+    from hardware.recording.excitation import Manoeuvre
     from hardware.recording.scripted import Recorded
 
 __all__ = ["Connection", "Robot", "find_robot"]
@@ -58,6 +61,18 @@ class Robot(ABC):
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+
+    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
+        """Return what it is driven through for ``duration`` s to be recorded.
+
+        Raises `IncompatibleSystem` if it cannot be driven by the control loop, `InvalidArgument` if there is no
+        time for them.
+        """
+        from hardware.loop.demands import check_loop
+        from hardware.recording.excitation import excitation
+
+        check_loop(self.system)
+        return excitation(self.system, duration=duration, rng=rng)
 
     def record(
         self,

@@ -17,7 +17,10 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry import register_robot
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hardware.loop.stops import Stops
+    from hardware.recording.excitation import Manoeuvre
     from hardware.recording.scripted import Recorded
 
 
@@ -65,6 +68,13 @@ class GymnasiumRobot(Robot):
 
     def runner(self) -> EnvironmentRunner:
         return EnvironmentRunner(self.environment)
+
+    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
+        """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
+        from hardware.environments.recording import samples_each
+
+        samples_each(self.environment, duration)
+        return []
 
     def record(
         self,

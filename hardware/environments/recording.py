@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hardware.environments.environment import Environment, EnvironmentSession
+from hardware.environments.environment import LONGEST_SEED, Environment, EnvironmentSession
 from hardware.environments.scripts import HOLDS, RandomFeedback, Script, Steps, Sweep
 from hardware.loop.report import LoopReport, Reason
 from hardware.recording.scripted import Recorded
@@ -15,7 +15,6 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.progress import Progress
-from sysid_evo.randomness import trial_seeds
 
 if TYPE_CHECKING:
     from hardware.loop.stops import Stops
@@ -24,8 +23,8 @@ FEWEST = 100
 """Samples that every script must last to be worth a recording."""
 SHORTEST = 2
 """Samples of an episode that is kept."""
-FEEDBACKS = 4
-"""Scripts of random feedback: half of the recording."""
+SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" for i in range(1, 5)))
+"""Feedback is half of the recording."""
 
 
 def record_environment(
@@ -44,21 +43,15 @@ def record_environment(
     environment returns what is no number or ends every episode at once.
     """
     system = environment.system
-    scripts = [f"steps-{hold:g}" for hold in HOLDS] + ["sweep"] + [f"feedback-{i + 1}" for i in range(FEEDBACKS)]
-    each = round(duration / system.dt / len(scripts))
-    if each < FEWEST:
-        raise InvalidArgument(
-            f"recording of {environment.id}: expected at least {FEWEST * len(scripts) * system.dt / 60.0:.2g} min for "
-            f"{len(scripts)} scripts of {FEWEST} samples, got {duration / 60.0:.2g} min"
-        )
+    each = samples_each(environment, duration)
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
     reason = Reason.SAMPLES
     with environment.open() as session:
-        for number, name in enumerate(scripts):
+        for number, name in enumerate(SCRIPTS):
             script = _script(name, environment, episodes, rng.spawn(1)[0])
-            counted = _counter(progress, number * each, len(scripts) * each)
-            for count, episode in enumerate(_episodes(session, environment, script, each, (seed, number), counted)):
+            counted = _counter(progress, number * each, len(SCRIPTS) * each)
+            for count, episode in enumerate(_episodes(session, environment, script, each, rng, counted)):
                 if len(episode[1]) >= SHORTEST:
                     episodes.append(_trajectory(episode, environment, f"{name}-{count + 1}"))
                 if stops is not None and stops.reason is not None:
@@ -72,6 +65,18 @@ def record_environment(
         )
     report = LoopReport(reason, "", np.zeros(0), np.zeros(0))
     return Recorded((), Dataset(system, tuple(episodes)), report)
+
+
+def samples_each(environment: Environment, duration: float) -> int:
+    """Return the samples of each script in a recording of ``duration`` s. Raises `InvalidArgument` for too few."""
+    dt, count = environment.system.dt, len(SCRIPTS)
+    each = round(duration / dt / count)
+    if each < FEWEST:
+        raise InvalidArgument(
+            f"recording of {environment.id}: expected at least {FEWEST * count * dt / 60.0:.2g} min for "
+            f"{count} scripts of {FEWEST} samples, got {duration / 60.0:.2g} min"
+        )
+    return each
 
 
 def _script(name: str, environment: Environment, episodes: list[Trajectory], rng: np.random.Generator) -> Script:
@@ -90,14 +95,13 @@ def _episodes(
     environment: Environment,
     script: Script,
     steps: int,
-    key: tuple[int, int],
+    rng: np.random.Generator,
     counted: Callable[[int], None],
 ) -> Iterator[tuple[list[Array], list[Array]]]:
     """Yield states and controls of one episode after the other, ``steps`` in all."""
-    system, done, number = environment.system, 0, 0
+    system, done = environment.system, 0
     while done < steps:
-        (seed,) = trial_seeds(key[0], 1, generation=1000 * key[1] + number)
-        states, controls = [session.reset(int(seed))], []
+        states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
         script.begin()
         ended = False
         while done < steps and not ended:
@@ -108,7 +112,6 @@ def _episodes(
             ended = over or late
             done += 1
         counted(done)
-        number += 1
         yield states, controls
 
 

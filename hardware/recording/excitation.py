@@ -8,17 +8,17 @@ from itertools import chain
 
 import numpy as np
 
+from hardware.recording.signals import Segment, extremes, signals, switches
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.system import Channel, System
+from sysid_evo.system import System
 
 DURATION = 360.0  # s: "about 6 minutes of driving data"
+ROUND = 300
+"""Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
 SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
 LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
 HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
-
-Segment = tuple[Array, float]
-"""A control (nu,) and how long to hold it, in s."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,15 @@ class Manoeuvre:
 
 
 def excitation(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
-    """Return twelve manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
+    """Return manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
 
-    The first control is taken for the one that propels, the last for the one that steers; controls
-    between them move in the random manoeuvres only. A continuous control uses its two limits and
-    its neutral value. Manoeuvres for which a system has no control (steering, driving backward)
+    A system without a motion gets `signals`, in as many rounds as last some `ROUND` samples each. One with
+    a motion gets twelve manoeuvres that drive: the first control is taken for the one that propels, the last for
+    the one that steers; controls between them move in the random manoeuvres only. A continuous control uses
+    its two limits and its neutral value. Manoeuvres for which a system has no control (steering, driving backward)
     are left out. Raises `InvalidArgument`.
     """
-    scripts = _scripts(system, rng)
+    scripts = _driving(system, rng) if system.motion is not None else _rounds(system, duration, rng)
     each = duration / len(scripts)
     if each < SHORTEST:
         raise InvalidArgument(
@@ -52,7 +53,16 @@ def excitation(system: System, *, duration: float = DURATION, rng: np.random.Gen
     return [Manoeuvre(name, _sample(chain([rest], script), steps, system.dt)) for name, script in scripts.items()]
 
 
-def _scripts(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+    """Return the signals as often as there is time for, numbered from the second round on."""
+    scripts = signals(system, rng)
+    rounds = round(duration / (len(scripts) * ROUND * system.dt))
+    for number in range(2, rounds + 1):
+        scripts |= {f"{name}-{number}": script for name, script in signals(system, rng).items()}
+    return scripts
+
+
+def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
     """Return an endless script for each manoeuvre; each has its own stream of random numbers."""
     ends = _ends(system)
     scripts: dict[str, Iterator[Segment]] = {}
@@ -69,24 +79,13 @@ def _scripts(system: System, rng: np.random.Generator) -> dict[str, Iterator[Seg
     if len(ends) > 1:
         scripts["reversals"] = _reverse(system, own())
     for mean in HOLDS:
-        scripts[f"random-{mean:g}"] = _switch(system, mean, own())
+        scripts[f"random-{mean:g}"] = switches(system, mean, own())
     return scripts
-
-
-def _levels(channel: Channel) -> Array:
-    """Return the values of a control to excite with, in rising order."""
-    if channel.levels is not None:
-        return np.array(channel.levels)
-    if not channel.bounded:
-        raise InvalidArgument(
-            f"excitation: control {channel.name!r} has no finite limits: give it low and high, or levels"
-        )
-    return np.unique([channel.low, channel.neutral, channel.high])
 
 
 def _ends(system: System) -> list[float]:
     """Return full speed forward and, if the system can, backward."""
-    high, low = _levels(system.controls[0])[[-1, 0]].tolist()
+    high, low = extremes(system.controls[0])[[-1, 0]].tolist()
     return [high] if low == system.controls[0].neutral else [high, low]
 
 
@@ -106,7 +105,7 @@ def _shuffled(values: Array, rng: np.random.Generator) -> Iterator[float]:
 
 def _loop(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
     """Full speed, a few circles to one side, a straight, a few circles to the other."""
-    limits = _levels(system.controls[-1])[[-1, 0]].tolist()
+    limits = extremes(system.controls[-1])[[-1, 0]].tolist()
     while True:
         for steer in limits:
             yield _command(system, propel, steer), rng.uniform(3.0, 6.0)
@@ -115,7 +114,7 @@ def _loop(system: System, propel: float, rng: np.random.Generator) -> Iterator[S
 
 def _figure_8(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
     """Full speed, steering from one limit to the other about once a circle."""
-    limits = _levels(system.controls[-1])[[-1, 0]].tolist()
+    limits = extremes(system.controls[-1])[[-1, 0]].tolist()
     while True:
         for steer in limits:
             yield _command(system, propel, steer), rng.uniform(1.8, 2.8)
@@ -123,7 +122,7 @@ def _figure_8(system: System, propel: float, rng: np.random.Generator) -> Iterat
 
 def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """Full speed and short taps of the steering, forward and backward in turn."""
-    steers = _shuffled(_levels(system.controls[-1]), rng)
+    steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _ends(system):
             for _ in range(10):
@@ -132,7 +131,7 @@ def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
 
 def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """Launches in either direction, then coasting until the car stands, under every steering."""
-    steers = _shuffled(_levels(system.controls[-1]), rng)
+    steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _ends(system):
             steer = next(steers)
@@ -142,24 +141,10 @@ def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segmen
 
 def _reverse(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """From full speed one way to full speed the other, under every steering."""
-    steers = _shuffled(_levels(system.controls[-1]), rng)
+    steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _ends(system):
             yield _command(system, propel, next(steers)), rng.uniform(0.5, 2.0)
-
-
-def _switch(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
-    """Every control jumps to a random level at random times, each for itself."""
-    levels = [_levels(channel) for channel in system.controls]
-    control = np.array([rng.choice(values) for values in levels])
-    jumps = rng.exponential(mean, system.nu)
-    now = 0.0
-    while True:
-        channel = int(np.argmin(jumps))
-        yield control.copy(), float(jumps[channel]) - now
-        now = float(jumps[channel])
-        control[channel] = rng.choice(levels[channel])
-        jumps[channel] += rng.exponential(mean)
 
 
 def _sample(segments: Iterator[Segment], steps: int, dt: float) -> Array:

@@ -216,9 +216,9 @@ def record_dataset(
 
 
 def save_raw(log: RawLog, system: System, path: str | Path) -> Path:
-    """Write ``log`` as CSV: ``t`` in s, then the pose and the controls under the names of ``system``."""
-    header = ",".join(column_names(system))
-    table = np.column_stack([log.time, log.pose, log.controls])
+    """Write ``log`` as CSV: ``t`` in s, then pose, controls and other columns under the names of ``system``."""
+    header = ",".join((*column_names(system), *log.extra))
+    table = np.column_stack([log.time, log.pose, log.controls, *log.extra.values()])
 
     def write(file: Path) -> None:
         np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")

@@ -83,4 +83,7 @@ def test_a_stop_ends_the_recording_and_keeps_what_there_is() -> None:
 
 
 def test_a_recording_needs_no_loop_and_no_tracker() -> None:
-    check_recording(GymnasiumRobot(id="Acrobot-v1"), None, duration=60.0)
+    robot = GymnasiumRobot(id="Acrobot-v1")
+    check_recording(robot, None, duration=180.0)
+    with pytest.raises(InvalidArgument, match=r"at least 2\.7 min for 8 scripts of 100 samples, got 1 min"):
+        check_recording(robot, None, duration=60.0)

@@ -86,3 +86,26 @@ def test_what_cannot_be_excited_is_refused(car, rng):
         excitation(car, duration=5.0, rng=rng)
     with pytest.raises(InvalidArgument, match="'throttle' has no finite limits"):
         excitation(replace(car, controls=(Channel("throttle"),)), rng=rng)
+
+
+def test_a_system_that_goes_nowhere_gets_steps_switches_and_sweeps_over_all_of_its_range(rng):
+    system = make_robot("thermal").system
+    manoeuvres = {m.name: m.controls[5:, 0] for m in excitation(system, duration=1080.0, rng=rng)}
+    assert all(len(controls) > 250 for controls in manoeuvres.values())
+    assert "steps-0.6-2" in manoeuvres
+    fast, slow = (np.mean(np.diff(manoeuvres[name]) != 0.0) for name in ("steps-0.6", "steps-20"))
+    assert fast > 10.0 * slow > 0.0
+    assert np.histogram(manoeuvres["steps-0.6"], bins=4, range=(0.0, 1.0))[0].min() > 20
+    assert set(manoeuvres["switches-1"]) == {0.0, 1.0}
+    crossings = np.flatnonzero(np.diff(manoeuvres["sweep-to-fast"] > 0.5))
+    assert np.diff(crossings)[0] > 2 * np.diff(crossings)[-1]
+
+
+def test_a_sweep_of_a_switch_takes_its_nearest_level_one_control_after_the_other(car, rng):
+    system = replace(car, motion=None)
+    sweep = next(m for m in excitation(system, duration=720.0, rng=rng) if m.name == "sweep-to-slow").controls
+    assert np.isin(sweep, [-1.0, 0.0, 1.0]).all()
+    assert sweep[:150, 0].any()
+    assert not sweep[:150, 1].any()
+    assert sweep[150:290, 1].any()
+    assert not sweep[150:290, 0].any()

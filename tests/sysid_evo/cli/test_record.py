@@ -70,3 +70,12 @@ def test_interrupted_recording_is_kept_and_the_exit_code_says_so(tmp_path: Path)
     assert recording.returncode == 130, said
     assert "the recording was cut short: interrupted" in said
     assert "loops-forward" in Dataset.load(tmp_path / "car").names
+
+
+def test_a_robot_without_a_pose_is_recorded_by_what_its_sensors_say(tmp_path: Path) -> None:
+    done = run_here("record", "--robot", "pendulum", "--minutes", "0.3", "--out", "swing", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    dataset = Dataset.load(tmp_path / "swing")
+    assert dataset.system.state_names == ("angle", "angular_speed")
+    log = next((tmp_path / "swing" / "raw").glob("*.csv"))
+    assert log.read_text().splitlines()[0] == "t,torque,angle,angular_speed"

@@ -1,0 +1,126 @@
+"""A cart on a rail with a pole hanging from it: to be balanced, or swung up. Two encoders see the two positions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from hardware.arguments import seed as checked_seed
+from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
+from sysid_evo.arrays import Array
+from sysid_evo.registry import register_robot
+from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+FINE_DT = 0.005  # s
+REPEATS = 10  # fine steps in one sample of 50 ms
+GRAVITY = 9.81  # m/s2
+FORCE = 5.0  # N, what the motor gives
+ENCODER = 2.0 * math.pi / 4096.0  # rad
+
+SYSTEM = System(
+    states=(
+        Channel("position", "m", -2.0, 2.0),
+        Channel("speed", "m/s", -3.0, 3.0),
+        Channel("angle", "rad", period=2.0 * math.pi),
+        Channel("angular_speed", "rad/s", -12.0, 12.0),
+    ),
+    controls=(Channel("force", "N", -FORCE, FORCE),),
+    dt=FINE_DT,
+    name="cart-pole",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CartPoleParameters(Quantities):
+    """A cart of half a kilogram, a pole with a weight at its end, and rubber bands that keep the cart on its rail."""
+
+    cart: float = quantity(0.5, "kg", 0.1, "cart and belt")
+    bob: float = quantity(0.12, "kg", 0.1, "the weight at the end of the pole")
+    length: float = quantity(0.4, "m", 0.1, "from the cart to the weight")
+    bands: float = quantity(3.0, "N/m", 0.2, "rubber bands to both ends of the rail; full force reaches 1.7 m")
+    rail_friction: float = quantity(2.0, "N s/m", 0.3, "bearings and belt")
+    hinge_friction: float = quantity(0.0015, "N m s/rad", 0.3, "the hinge of the pole")
+    motor_lag: float = quantity(0.03, "s", 0.3, "the current takes time to follow")
+    force_noise: float = quantity(0.4, "N", 0.3, "teeth of the belt, standard deviation of each fine step")
+
+
+class CartPolePhysics(SensedPhysics):
+    """The cart-pole in steps of 5 ms; the angle is 0 hanging, counter-clockwise, and counts whole turns.
+
+    The carry is position x, speed, angle a, angular speed w, and the force F of the motor (N). M cart, m bob, l
+    length, k bands, b and d frictions of rail and hinge::
+
+        (M + m sin^2 a) x'' = F - k x - b x' + m sin a (l w^2 + g cos a) + d w cos a / l + noise
+        l w' = -x'' cos a - g sin a - d w / (m l)
+        F' = (command - F) / motor_lag
+    """
+
+    system = SYSTEM
+    sensors: ClassVar[Mapping[str, Sensor]] = {"position": Sensor(0.0002, 0.0001), "angle": Sensor(0.0005, ENCODER)}
+    rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
+    n_carry = 5
+    n_lags = 1
+    n_noise = 1
+
+    def __init__(self, parameters: CartPoleParameters | None = None) -> None:
+        self.parameters = CartPoleParameters() if parameters is None else parameters
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        p, (x, v, a, w, force) = self.parameters, carry.T
+        force = force + (control[:, 0] - force) * -math.expm1(-FINE_DT / p.motor_lag)
+        sine, cosine = np.sin(a), np.cos(a)
+        hinge = p.hinge_friction * w / p.length
+        push = force - p.bands * x - p.rail_friction * v + hinge * cosine
+        if noise is not None:
+            push = push + p.force_noise * noise[:, 0]
+        pull = p.bob * sine * (p.length * w * w + GRAVITY * cosine)
+        along = (push + pull) / (p.cart + p.bob * sine * sine)
+        v = v + FINE_DT * along
+        w = w - FINE_DT / p.length * (along * cosine + GRAVITY * sine + hinge / p.bob)
+        return np.stack([x + FINE_DT * v, v, a + FINE_DT * w, w, force], axis=1)
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.compiled.dialect import Lifted
+        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+        p = self.parameters
+        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
+        return DynamicsKernel(Lifted(fine_step, n_carry=5, nu=1, n_noise=1), numbers)
+
+    def let_go(self, rng: np.random.Generator) -> Array:
+        """Return the cart in the middle and the pole at any angle, at rest: somebody holds it there."""
+        return np.array([0.0, 0.0, rng.uniform(-math.pi, math.pi), 0.0])
+
+
+def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """`CartPolePhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
+    cart, bob, length = p[0], p[1], p[2]
+    force = x[4] + (u[0] - x[4]) * p[8]
+    sine, cosine, turning = math.sin(x[2]), math.cos(x[2]), x[3]
+    hinge = p[5] * turning / length
+    push = force - p[3] * x[0] - p[4] * x[1] + hinge * cosine + p[7] * w[0]
+    pull = bob * sine * (length * turning * turning + GRAVITY * cosine)
+    along = (push + pull) / (cart + bob * sine * sine)
+    speed = x[1] + FINE_DT * along
+    turning = turning - FINE_DT / length * (along * cosine + GRAVITY * sine + hinge / bob)
+    return x[0] + FINE_DT * speed, speed, x[2] + FINE_DT * turning, turning, force
+
+
+@register_robot("cart_pole")
+def cart_pole(*, seed: int | None = None) -> SensedRobot:
+    """A cart with a pole and two encoders, in simulation; with a ``seed`` another of its kind."""
+    nominal, seed = CartPoleParameters(), checked_seed("robot cart_pole", seed)
+    if seed is None:
+        return SensedRobot("cart_pole", CartPolePhysics(nominal), repeats=REPEATS)
+    return SensedRobot(f"cart_pole:{seed}", CartPolePhysics(nominal.perturbed(seed)), repeats=REPEATS)

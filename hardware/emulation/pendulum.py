@@ -1,0 +1,107 @@
+"""A pendulum on a motor too weak to lift it: it must be swung up. Its encoder sees the angle only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from hardware.arguments import seed as checked_seed
+from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
+from sysid_evo.arrays import Array
+from sysid_evo.registry import register_robot
+from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+FINE_DT = 0.005  # s
+REPEATS = 10  # fine steps in one sample of 50 ms
+STICKING = 0.1  # rad/s: dry friction grows up to here
+TORQUE = 0.45  # N m, what the motor gives; holding the pendulum level takes 1.2
+ENCODER = 2.0 * math.pi / 4096.0  # rad
+
+SYSTEM = System(
+    states=(Channel("angle", "rad", period=2.0 * math.pi), Channel("angular_speed", "rad/s", -15.0, 15.0)),
+    controls=(Channel("torque", "N m", -TORQUE, TORQUE),),
+    dt=FINE_DT,
+    name="pendulum",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PendulumParameters(Quantities):
+    """A rod with a weight at its end, on the shaft of a small motor."""
+
+    weight: float = quantity(1.2, "N m", 0.1, "m g l of 0.3 kg at 0.41 m: the torque of gravity when level")
+    inertia: float = quantity(0.05, "kg m2", 0.1, "m l^2; it swings at 0.78 Hz")
+    viscous: float = quantity(0.02, "N m s/rad", 0.3, "back-EMF, bearings and air; full torque spins it at 22 rad/s")
+    dry: float = quantity(0.012, "N m", 0.3, "brushes, at any speed")
+    motor_lag: float = quantity(0.03, "s", 0.3, "the current takes time to follow")
+    torque_noise: float = quantity(0.05, "N m", 0.3, "cogging and air, standard deviation of each fine step")
+
+
+class PendulumPhysics(SensedPhysics):
+    """The pendulum in steps of 5 ms; the angle is 0 hanging, counter-clockwise, and counts whole turns.
+
+    The carry is angle, angular speed, and the torque of the motor (N m)::
+
+        d angle / dt = speed
+        I d speed / dt = torque - weight sin(angle) - viscous speed - dry tanh(speed / 0.1) + noise
+        d torque / dt = (command - torque) / motor_lag
+    """
+
+    system = SYSTEM
+    sensors: ClassVar[Mapping[str, Sensor]] = {"angle": Sensor(0.0005, ENCODER)}
+    rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
+    n_carry = 3
+    n_lags = 1
+    n_noise = 1
+
+    def __init__(self, parameters: PendulumParameters | None = None) -> None:
+        self.parameters = PendulumParameters() if parameters is None else parameters
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        p, (angle, speed, torque) = self.parameters, carry.T
+        torque = torque + (control[:, 0] - torque) * -math.expm1(-FINE_DT / p.motor_lag)
+        push = torque - p.weight * np.sin(angle) - p.viscous * speed - p.dry * np.tanh(speed / STICKING)
+        if noise is not None:
+            push = push + p.torque_noise * noise[:, 0]
+        speed = speed + FINE_DT / p.inertia * push
+        return np.stack([angle + FINE_DT * speed, speed, torque], axis=1)
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.compiled.dialect import Lifted
+        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+        p = self.parameters
+        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
+        return DynamicsKernel(Lifted(fine_step, n_carry=3, nu=1, n_noise=1), numbers)
+
+    def let_go(self, rng: np.random.Generator) -> Array:
+        """Return any angle, at rest: somebody holds it there."""
+        return np.array([rng.uniform(-math.pi, math.pi), 0.0])
+
+
+def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """`PendulumPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
+    torque = x[2] + (u[0] - x[2]) * p[6]
+    push = torque - p[0] * math.sin(x[0]) - p[2] * x[1] - p[3] * math.tanh(x[1] / STICKING) + p[5] * w[0]
+    speed = x[1] + FINE_DT / p[1] * push
+    return x[0] + FINE_DT * speed, speed, torque
+
+
+@register_robot("pendulum")
+def pendulum(*, seed: int | None = None) -> SensedRobot:
+    """A pendulum with a weak motor and an encoder, in simulation; with a ``seed`` another of its kind."""
+    nominal, seed = PendulumParameters(), checked_seed("robot pendulum", seed)
+    if seed is None:
+        return SensedRobot("pendulum", PendulumPhysics(nominal), repeats=REPEATS)
+    return SensedRobot(f"pendulum:{seed}", PendulumPhysics(nominal.perturbed(seed)), repeats=REPEATS)

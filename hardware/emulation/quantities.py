@@ -1,0 +1,37 @@
+"""The numbers of an emulated robot: each with its unit, its reason, and how much copies differ in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sysid_evo.errors import InvalidArgument
+
+
+def quantity(value: float, unit: str, spread: float, reason: str) -> Any:
+    """Return a field whose perturbed value lies within ``spread`` (a share) of ``value``."""
+    return field(default=value, metadata={"unit": unit, "spread": spread, "reason": reason})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantities:
+    """Positive numbers, each a `quantity`: unit, spread and reason stand in its metadata. Raises `InvalidArgument`."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InvalidArgument(
+                    f"{type(self).__name__}: expected {item.name} > 0 {item.metadata['unit']}, got {value}"
+                )
+
+    def perturbed(self, seed: int) -> Self:
+        """Return another robot of the kind: every field uniform within its spread around this one's."""
+        rng = np.random.default_rng(seed)
+        drawn = {
+            item.name: getattr(self, item.name) * (1.0 + item.metadata["spread"] * rng.uniform(-1.0, 1.0))
+            for item in fields(self)
+        }
+        return replace(self, **drawn)

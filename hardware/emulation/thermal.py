@@ -1,0 +1,113 @@
+"""A heated block: a slow power stage, a delay, and only the temperature of the block is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from hardware.arguments import seed as checked_seed
+from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
+from sysid_evo.arrays import Array
+from sysid_evo.registry import register_robot
+from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+FINE_DT = 0.05  # s
+REPEATS = 4  # fine steps in one sample of 0.2 s
+LATENCY = 8  # fine steps: 0.4 s from the command to the power stage
+ROOM = 20.0  # degC
+
+SYSTEM = System(
+    states=(Channel("temperature", "degC", 0.0, 100.0, neutral=ROOM),),
+    controls=(Channel("heater", "", 0.0, 1.0),),
+    dt=FINE_DT,
+    name="thermal",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalParameters(Quantities):
+    """A small block of metal with a heating element, in a draught."""
+
+    power: float = quantity(45.0, "W", 0.1, "of the heater when full on; the block ends at 76 degC")
+    block: float = quantity(9.0, "J/K", 0.15, "heat that the block holds: with the loss a time constant of 11 s")
+    element: float = quantity(2.0, "J/K", 0.15, "heat that the element holds")
+    contact: float = quantity(1.5, "W/K", 0.15, "from the element to the block")
+    loss: float = quantity(0.8, "W/K", 0.15, "from the block to the room")
+    power_lag: float = quantity(1.0, "s", 0.3, "the power stage follows slowly")
+    draught: float = quantity(0.6, "1", 0.3, "change of the loss from one fine step to the next, standard deviation")
+
+
+class ThermalPhysics(SensedPhysics):
+    """The block in steps of 50 ms; the room has 20 degC.
+
+    The carry is the block's temperature T, the element's E (degC), the power h (share of full), and the eight
+    commands under way, the oldest first::
+
+        block T' = contact (E - T) - loss (1 + draught noise) (T - room)
+        element E' = power h - contact (E - T)
+        h' = (command of 0.4 s ago - h) / power_lag
+
+    A start takes the element for as warm as the block needs it to stay where it is.
+    """
+
+    system = SYSTEM
+    sensors: ClassVar[Mapping[str, Sensor]] = {"temperature": Sensor(0.05, 0.0625)}
+    rates: ClassVar[Mapping[str, str]] = {}
+    n_carry = 3 + LATENCY
+    n_lags = LATENCY
+    n_noise = 1
+
+    def __init__(self, parameters: ThermalParameters | None = None) -> None:
+        self.parameters = ThermalParameters() if parameters is None else parameters
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        p, block, commands = self.parameters, states[:, -1], controls[:, -LATENCY:, 0]
+        element = block + p.loss / p.contact * (block - ROOM)
+        return np.concatenate([block, element, commands[:, :1], commands], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        p, (block, element, power) = self.parameters, carry.T[:3]
+        power = power + (carry[:, 3] - power) * -math.expm1(-FINE_DT / p.power_lag)
+        loss = p.loss if noise is None else p.loss * (1.0 + p.draught * noise[:, 0])
+        flow = p.contact * (element - block)
+        element = element + FINE_DT / p.element * (p.power * power - flow)
+        block = block + FINE_DT / p.block * (flow - loss * (block - ROOM))
+        return np.concatenate([np.stack([block, element, power], axis=1), carry[:, 4:], control], axis=1)
+
+    def kernel(self) -> DynamicsKernel:
+        from sysid_evo.engine.compiled.dialect import Lifted
+        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+        p = self.parameters
+        numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.power_lag)])
+        return DynamicsKernel(Lifted(fine_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)
+
+    def let_go(self, rng: np.random.Generator) -> Array:
+        """Return the block as cold as the room, or still warm."""
+        return np.array([rng.uniform(ROOM, 60.0)])
+
+
+def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+    """`ThermalPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
+    power = x[2] + (x[3] - x[2]) * p[7]
+    flow = p[3] * (x[1] - x[0])
+    element = x[1] + FINE_DT / p[2] * (p[0] * power - flow)
+    block = x[0] + FINE_DT / p[1] * (flow - p[4] * (1.0 + p[6] * w[0]) * (x[0] - ROOM))
+    return block, element, power, x[4], x[5], x[6], x[7], x[8], x[9], x[10], u[0]
+
+
+@register_robot("thermal")
+def thermal(*, seed: int | None = None) -> SensedRobot:
+    """A heated block with a slow power stage and a delay, in simulation; with a ``seed`` another of its kind."""
+    nominal, seed = ThermalParameters(), checked_seed("robot thermal", seed)
+    if seed is None:
+        return SensedRobot("thermal", ThermalPhysics(nominal), repeats=REPEATS)
+    return SensedRobot(f"thermal:{seed}", ThermalPhysics(nominal.perturbed(seed)), repeats=REPEATS)
