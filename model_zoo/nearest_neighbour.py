@@ -67,10 +67,8 @@ class NearestNeighbour(DynamicsModel):
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import neighbour_predictor
+        from sysid_evo.engine.kernels import neighbour_predictor, with_angles
 
-        if not Features(self.system, self.lags).plain:
-            return None
         cells, tables, serving = self._tables
         place = {number: i for i, number in enumerate(tables)}
         predictor = neighbour_predictor(
@@ -78,9 +76,9 @@ class NearestNeighbour(DynamicsModel):
             np.array([place[int(number)] for number in serving]),
             cells.midpoints,
             cells.exact,
-            self.n_carry,
+            self.points_.shape[1] - len(cells.exact),
         )
-        return self.stepping(predictor)
+        return self.stepping(with_angles(predictor, self.system, self.lags))
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

@@ -164,7 +164,8 @@ def _lanes(values: Array) -> list[float]:
     """Return (k, n) values of at most 64 trials as rows of 64 lanes."""
     room = np.zeros((values.shape[1], LANES))
     room[:, : len(values)] = values.T
-    return cast("list[float]", room.ravel().tolist())
+    numbers: list[float] = room.ravel().tolist()
+    return numbers
 
 
 @lru_cache(maxsize=16)
