@@ -1,6 +1,7 @@
 """Models, ensembles and emulated robots as environments of Gymnasium; importing this registers them there."""
 
 from sysid_evo.environments.making import members_of
+from sysid_evo.environments.policies import champion_of
 from sysid_evo.environments.registered import ENVIRONMENTS, make_env, make_vector_env
 from sysid_evo.environments.single import ModelEnvironment
 from sysid_evo.environments.spaces import Actions
@@ -13,6 +14,7 @@ __all__ = [
     "ModelEnvironment",
     "ModelVectorEnvironment",
     "Trials",
+    "champion_of",
     "make_env",
     "make_vector_env",
     "members_of",

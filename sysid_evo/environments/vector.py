@@ -63,26 +63,28 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
                 self._generators.append(seeding.np_random(own)[0])
             elif own is not None:
                 self._generators[i] = seeding.np_random(own)[0]
-        self._begin(np.ones(self.num_envs, dtype=bool))
-        return self._observations(), self._info()
+        self.restart(np.ones(self.num_envs, dtype=bool))
+        return self.observations(), self._info()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         restarting = self._ended
         reward, over, late = self.trials.step(control_of(self.trials.system, self.single_action_space, actions))
         if restarting.any():
-            self._begin(restarting)
+            self.restart(restarting)
             reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
         over, late = over.astype(bool), late.astype(bool)
         self._ended = over | late
-        return self._observations(), reward, over, late, self._info()
+        return self.observations(), reward, over, late, self._info()
 
-    def _begin(self, which: BoolArray) -> None:
+    def restart(self, which: BoolArray) -> None:
+        """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
         rows = np.flatnonzero(which)
         picks = [drawn(self._generators[row], len(self.trials.members)) for row in rows]
         self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
-        self._ended = np.zeros(self.num_envs, dtype=bool)
+        self._ended = self._ended & ~which
 
-    def _observations(self) -> Any:
+    def observations(self) -> Any:
+        """Return what is to be seen in all copies now, (num_envs, n)."""
         return self.trials.observe().astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
