@@ -38,6 +38,7 @@ class PolynomialFamily(DynamicsModel):
     `regression`, `left_sides`, `next_state` and `anchored`. With functions there is no compiled form.
     """
 
+    periodic = True
     anchored: ClassVar[bool] = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
