@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from hardware.connection import Connection
 from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.progress import Progress
@@ -31,13 +32,24 @@ class Robot(ABC):
     its physics at that rate if it only exists as a program, None for a physical robot. A constructor
     takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
     process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
-    ``requires`` are the modules that it imports only then.
+    ``requires`` are the modules that it imports only then. One that is ``stepped`` goes on when it is told to:
+    it has no clock and no tracker, records itself, and is no physical robot either.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
+    stepped: ClassVar[bool] = False
     name: str
     system: System
     dynamics: Dynamics | None
+
+    @property
+    def physical(self) -> bool:
+        """Whether it is a thing in the world, which moves in real time."""
+        return self.dynamics is None and not self.stepped
+
+    def runner(self) -> Runner | None:
+        """Return how a comparison runs controllers on it; None for a physical robot, which is driven on its own."""
+        return None if self.dynamics is None else DynamicsRunner(self.dynamics)
 
     def check(self) -> None:
         """Raise what `connect` would raise and what can be known without opening anything.

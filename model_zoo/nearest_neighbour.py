@@ -30,6 +30,7 @@ class NearestNeighbour(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    periodic = True
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
     levels: int = 3
@@ -67,10 +68,8 @@ class NearestNeighbour(DynamicsModel):
 
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
-        from sysid_evo.engine.kernels import neighbour_predictor
+        from sysid_evo.engine.kernels import neighbour_predictor, with_angles
 
-        if not Features(self.system, self.lags).plain:
-            return None
         cells, tables, serving = self._tables
         place = {number: i for i, number in enumerate(tables)}
         predictor = neighbour_predictor(
@@ -78,9 +77,9 @@ class NearestNeighbour(DynamicsModel):
             np.array([place[int(number)] for number in serving]),
             cells.midpoints,
             cells.exact,
-            self.n_carry,
+            self.points_.shape[1] - len(cells.exact),
         )
-        return self.stepping(predictor)
+        return self.stepping(with_angles(predictor, self.system, self.lags))
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

@@ -3,6 +3,7 @@ from .cross_validation import EpisodeFold
 from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
+from .environments import make_env, make_vector_env
 from .errors import SysidEvoError
 from .evolution import (
     Aggregate,
@@ -79,10 +80,12 @@ __all__ = [
     "load_plugin",
     "make_aggregate",
     "make_controller",
+    "make_env",
     "make_model",
     "make_robot",
     "make_strategy",
     "make_task",
+    "make_vector_env",
     "register_aggregate",
     "register_controller",
     "register_model",

@@ -1,7 +1,7 @@
 """Comparisons: an experiment, the plan of its cells, and the report that is made of them."""
 
 from evaluation.comparison.champion_cells import EvolveCell, ensemble_name
-from evaluation.comparison.columns import Column, emulated
+from evaluation.comparison.columns import Column, emulated, runner_of
 from evaluation.comparison.comparing import check_run_folder, compare, finished, is_run
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
@@ -37,5 +37,6 @@ __all__ = [
     "finished",
     "is_run",
     "plan_comparison",
+    "runner_of",
     "unsettled",
 ]

@@ -100,9 +100,8 @@ class EvolveCell(ControllerFiles):
         }
 
     def compute(self, work: Work) -> Champion:
-        dynamics = {member.label: member.dynamics(work) for member in self.members}
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
-        system = next(iter(dynamics.values())).system
+        system = self.members[0].system(work)
         names = "+".join(member.registered for member in self.members)
         seed = cell_seed(self.seed, f"evolve {names}")
         return evolve_controller(

@@ -1,4 +1,4 @@
-"""What controllers are evolved against and run on: a fitted model, or an emulated robot."""
+"""What controllers are evolved against and run on: a fitted model, or a robot that is a program."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import observed_late
 from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, make_robot, robots
+from sysid_evo.system import System
 
 
 @dataclass(frozen=True)
@@ -46,24 +47,37 @@ class Column:
         """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
         return {"robot": None if self.robot is None else robots.identity(self.robot)}
 
-    def dynamics(self, work: Work) -> Dynamics:
-        """Return the model or the emulated robot."""
+    def system(self, work: Work) -> System:
+        """Return the system of the model or of the robot."""
         if self.model is not None:
             model: Dynamics = work.result(self.model)
-            return model
+            return model.system
         assert self.robot is not None
-        return emulated(self.robot)
+        system: System = make_robot(self.robot).system
+        return system
 
     def runner(self, work: Work, *, delay: float) -> Runner:
         """Return how controllers are run here, with states observed ``delay`` s late."""
-        return observed_late(self.label, DynamicsRunner(self.dynamics(work)), delay)
+        if self.model is not None:
+            return observed_late(self.label, DynamicsRunner(work.result(self.model)), delay)
+        assert self.robot is not None
+        return observed_late(self.label, runner_of(self.robot), delay)
 
 
-def emulated(spec: Spec) -> Dynamics:
-    """Return the dynamics of an emulated robot. Raises `InvalidArgument` for a physical one."""
-    dynamics: Dynamics | None = make_robot(spec).dynamics
-    if dynamics is None:
+def runner_of(spec: Spec) -> Runner:
+    """Return how controllers are run on a robot that is a program. Raises `InvalidArgument` for a physical one."""
+    runner: Runner | None = make_robot(spec).runner()
+    if runner is None:
         raise InvalidArgument(
             f"{spec} is a physical robot: controllers are evolved in models and driven on it with sysid-evo drive"
         )
+    return runner
+
+
+def emulated(spec: Spec) -> Dynamics:
+    """Return the dynamics of an emulated robot. Raises `InvalidArgument` for any other."""
+    runner_of(spec)
+    dynamics: Dynamics | None = make_robot(spec).dynamics
+    if dynamics is None:
+        raise InvalidArgument(f"{spec} is no model and no emulated robot: its equations are not known")
     return dynamics

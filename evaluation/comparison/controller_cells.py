@@ -62,7 +62,7 @@ class RunCell(Cell):
 
     def compute(self, work: Work) -> MatrixCell:
         champion: Champion = work.result(self.champion)
-        champion.check_system(self.column.dynamics(work).system)
+        champion.check_system(self.column.system(work))
         cell = run_on(
             champion,
             self.column.label,

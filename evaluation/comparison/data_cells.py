@@ -12,6 +12,10 @@ from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, make_robot, robots
 
 TRAINING, TEST = "training", "test"
+MANY = 8
+"""Fewest episodes of which whole ones can be held back."""
+PREDICTABLE = 65
+"""Samples that are enough for the longest prediction, and the history before it."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,11 @@ class Parts:
 
 @dataclass(frozen=True)
 class Split:
-    """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test."""
+    """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test.
+
+    Where most of the time is in many episodes of which the last share is too short to predict anything, whole ones
+    are held back, that share of the time.
+    """
 
     episodes: tuple[str, ...] | None = None
     share: float = 0.25
@@ -33,11 +41,27 @@ class Split:
         """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`."""
         if self.episodes is None and self.share == 0.0:
             return Parts(dataset, None)
-        return Parts(*dataset.split(self.share if self.episodes is None else self.episodes))
+        if self.episodes is not None:
+            return Parts(*dataset.split(self.episodes))
+        return Parts(*dataset.split(whole_episodes(dataset, self.share) or self.share))
 
     def inputs(self) -> dict[str, Any]:
         """Return the split as strict JSON."""
         return {"test": None if self.episodes is None else list(self.episodes), "share": self.share}
+
+
+def whole_episodes(dataset: Dataset, share: float) -> list[str]:
+    """Return the names of the episodes to hold back where parts of them would be too short, else none."""
+    short = sum(len(episode) for episode in dataset if share * len(episode) < PREDICTABLE)
+    if len(dataset) < MANY or short < 0.5 * dataset.n_steps:
+        return []
+    names, held, passed = [], 0, 0
+    for episode in dataset:
+        passed += len(episode)
+        if held + len(episode) <= share * passed:
+            names.append(episode.name)
+            held += len(episode)
+    return names
 
 
 class DataCell(Cell):
@@ -111,7 +135,7 @@ class RecordedData(DataCell):
         recorded = robot.record(
             seed=self.seed,
             duration=60.0 * self.minutes,
-            folder=None if robot.dynamics is not None else work.place / "journal",
+            folder=work.place / "journal" if robot.physical else None,
             progress=work.progress,
         )
         if recorded.report.reason.is_fault:
@@ -119,4 +143,4 @@ class RecordedData(DataCell):
         return self.split.of(recorded.dataset)
 
     def seconds(self) -> float:
-        return 0.5 * self.minutes if make_robot(self.robot).dynamics is not None else 60.0 * self.minutes
+        return 60.0 * self.minutes if make_robot(self.robot).physical else 0.5 * self.minutes

@@ -63,8 +63,8 @@ class Experiment(BaseModel):
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
     ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
     holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
-    on the emulated robot itself: what can be achieved there at all; None means where the program records an
-    emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
+    on the robot itself, one that is a program: what can be achieved there at all; None means where the program
+    records an emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
     prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
     ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
     ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.

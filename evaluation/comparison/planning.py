@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
-from evaluation.comparison.columns import Column, emulated
+from evaluation.comparison.columns import Column, runner_of
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
@@ -44,6 +44,8 @@ from sysid_evo.system import System
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
 OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
 """What is compared when no family is named; with the preset ``paper`` only the paper's own."""
+TURNING_FAMILIES = ("sindy_discrete", "narx")
+"""What stands in for the families that do not know periodic states, where a system has some."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 ALL = "all"
@@ -207,10 +209,10 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
             f"robot {robot.label!r} is not the one in the recordings: {'; '.join(differences)}. "
             "Leave --robot out, or name the robot that was recorded"
         )
-    if machine.dynamics is not None:
+    if not machine.physical:
         return Column(robot.label, robot.label, robot=robot)
     if experiment.yardstick:
-        emulated(robot)
+        runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
     return None
 
@@ -243,6 +245,11 @@ def _models(experiment: Experiment, system: System, remarks: list[str]) -> tuple
     if asked is not None:
         return tuple(_usable(spec, experiment.preset, system) for spec in asked)
     usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    if system.periods:
+        plain = [name for name in usual if not _knows_turns(name)]
+        names = ", ".join(channel.name for channel in system.states if channel.period)
+        remarks.append(f"{', '.join(plain)} are left out: they take {names} for a plain number. Name them to have them")
+        usual = tuple(name for name in (*usual, *TURNING_FAMILIES) if name not in plain)
     found = []
     for name in models.names() if experiment.models == (ALL,) else usual:
         try:
@@ -252,6 +259,14 @@ def _models(experiment: Experiment, system: System, remarks: list[str]) -> tuple
     if not found:
         raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
     return tuple(found)
+
+
+def _knows_turns(name: str) -> bool:
+    """Whether a family takes a periodic state for what it is; one that cannot be loaded is not judged."""
+    try:
+        return bool(getattr(models.get(name), "periodic", False))
+    except MissingExtra:
+        return True
 
 
 def _usable(spec: Spec, preset: str, system: System) -> Spec:
@@ -350,7 +365,8 @@ def _matrix(
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Column, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
-    usual = recorded and experiment.budget.recipe == "recommended"
+    quick = robot is not None and robot.robot is not None and make_robot(robot.robot).dynamics is not None
+    usual = quick and recorded and experiment.budget.recipe == "recommended"
     if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
     evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)

@@ -13,6 +13,9 @@ from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 
+MOST_LISTED = 6
+"""Names in a note; how many more there are is said in a number."""
+
 
 @dataclass(frozen=True)
 class FreeRun:
@@ -162,4 +165,6 @@ def _deviation(system: System, truth: Array) -> Array:
 
 
 def _listed(items: list[int] | list[str]) -> str:
-    return ", ".join(map(str, items))
+    if len(items) <= MOST_LISTED:
+        return ", ".join(map(str, items))
+    return f"{', '.join(map(str, items[:MOST_LISTED]))} and {len(items) - MOST_LISTED} others"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -35,9 +35,11 @@ class PolynomialFamily(DynamicsModel):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
     The polynomial is the next state, or the change of a periodic one; a differential equation says so in its own
-    `regression`, `left_sides`, `next_state` and `predictor`. With periodic states or functions there is no
-    compiled form.
+    `regression`, `left_sides`, `next_state` and `anchored`. With functions there is no compiled form.
     """
+
+    periodic = True
+    anchored: ClassVar[bool] = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
         """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
@@ -72,12 +74,14 @@ class PolynomialFamily(DynamicsModel):
         return self.features.anchor(carry[:, : self.system.nx]) + self.polynomial(carry, control)
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import polynomial_predictor, within
+        from sysid_evo.engine.kernels import polynomial_predictor, with_angles, within
 
-        if not self.features.plain:
+        if self.features.functions:
             return None
-        sums = polynomial_predictor(self.exponents_, self.coefficients_, self.n_carry, self.system.nu)
-        return within(sums, self.low_, self.high_, self.n_carry)
+        seen = len(self.features.names) - self.system.nu
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
+        clipped = within(sums, self.low_, self.high_, seen)
+        return with_angles(clipped, self.system, self.lags, anchored=self.anchored)
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""

@@ -23,6 +23,8 @@ class ContinuousSparse(SparsePolynomial):
     polynomial that pushes outwards there cannot run away.
     """
 
+    anchored = False
+
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         system = dataset.system
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)

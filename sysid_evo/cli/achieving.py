@@ -87,7 +87,7 @@ def drive_controller(
             champion,
             cell_of(champion, column, rollouts, goal, traces=TRACES),
             on_robot=True,
-            physical=machine.dynamics is None,
+            physical=machine.physical,
         )
         bars.end(title, report.sentence if report.reason.is_fault else None)
     out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)

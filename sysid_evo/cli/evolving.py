@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from sysid_evo.dynamics import Dynamics
     from sysid_evo.evolution import ControllerEvolution
     from sysid_evo.plan import Record, Store
+    from sysid_evo.system import System
 
 CLAIM_TRIALS = 100
 
@@ -121,7 +122,7 @@ def evolve(
             if value is not None:
                 unit = value.unit
                 found["claims"][cell.column.label] = {"mean": value.mean, "std": value.std, "trials": value.trials}
-        models = {column.label: dynamics_of(store, column) for column in columns}
+        models = {column.label: dynamics_of(store, column) for column in columns if has_dynamics(column)}
         regions = regions_of(store.outcome(champion).value, models)
         if json:
             unrecorded = [region.sentence for region in regions]
@@ -152,7 +153,7 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
     """Check that all members have one system, and that task and controller fit it. Raises what does not."""
     from sysid_evo.errors import IncompatibleSystem
 
-    systems = {column.label: dynamics_of(store, column).system for column in columns}
+    systems = {column.label: system_of(store, column) for column in columns}
     (first, system), *others = systems.items()
     for label, other in others:
         differences = system.differences(other)
@@ -165,7 +166,7 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
 
 def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
     """Return the models of the run that are of one system with ``columns`` and not among them."""
-    system = dynamics_of(store, columns[0]).system
+    system = system_of(store, columns[0])
     taken = {column.model.digest for column in columns if column.model is not None}
     found = []
     for record in store.records():
@@ -201,7 +202,7 @@ def is_model_of_a_run(name: str) -> bool:
 
 def find_column(store: Store, name: str) -> Column:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
-    from evaluation.comparison import Column, StoredModel, emulated
+    from evaluation.comparison import Column, StoredModel, runner_of
     from sysid_evo.registry import robot_spec
 
     if is_file(name):
@@ -212,7 +213,7 @@ def find_column(store: Store, name: str) -> Column:
         return Column(model.name, model.family, model=model)
     if is_robot(name):
         spec = robot_spec(name)
-        emulated(spec)
+        runner_of(spec)
         return Column(spec.label, spec.label, robot=spec)
     return column_of(store, find_model(store, name))
 
@@ -255,6 +256,23 @@ def find_model(store: Store, name: str) -> Record:
         raise InvalidArgument(f"{name!r} stands for several models of {store.path}: {several}; name one of these")
     known = ", ".join(dict.fromkeys(record.name for record in stored)) or "none"
     raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
+
+
+def has_dynamics(column: Column) -> bool:
+    """Whether the equations behind a column can be stepped: a model's and an emulated robot's, no environment's."""
+    from sysid_evo.registry import make_robot
+
+    return column.robot is None or make_robot(column.robot).dynamics is not None
+
+
+def system_of(store: Store, column: Column) -> System:
+    """Return the system of the model or robot behind a column."""
+    from sysid_evo.registry import make_robot
+
+    if column.robot is None:
+        return dynamics_of(store, column).system
+    system: System = make_robot(column.robot).system
+    return system
 
 
 def dynamics_of(store: Store, column: Column) -> Dynamics:

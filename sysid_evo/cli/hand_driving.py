@@ -171,6 +171,6 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
         engine="by hand",
         traces=tuple(traces),
     )
-    physical = driven.on_robot and driven.robot.dynamics is None
+    physical = driven.on_robot and driven.robot.physical
     row = person(name, task=driven.task, system=driven.robot.system)
     append(driven.run, Measured(row, cell, on_robot=driven.on_robot, physical=physical))

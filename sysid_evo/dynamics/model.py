@@ -58,7 +58,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
     ``limits`` what numbers they may be (types follow from the constructor's annotations);
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
-    exact enough.
+    exact enough. A family is ``periodic`` if equal angles are equal to it, however many turns apart.
 
     A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
     there, to the same model.
@@ -81,6 +81,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0

@@ -25,6 +25,7 @@ from .kernels import (
     separate_networks_predictor,
     stepping_kernel,
     turning_frame,
+    with_angles,
     within,
 )
 from .rollouts import DynamicsRunner, Engine, Rollouts, Runner, available_processors, rollout
@@ -66,5 +67,6 @@ __all__ = [
     "turning_frame",
     "view",
     "where_less",
+    "with_angles",
     "within",
 ]

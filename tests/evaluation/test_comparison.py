@@ -14,9 +14,10 @@ from evaluation.comparison import Comparison, Experiment, RunCell, compare, fini
 from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
+from hardware.robot import Connection, Robot
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, LinkLost
 from sysid_evo.plan import Cell, Silent, Store, execute
 from sysid_evo.registry import Registry, Spec, make_model, models, robots
 from sysid_evo.store import save_model
@@ -46,7 +47,7 @@ class FailsInFit(DynamicsModel):
         return carry
 
 
-class MadeUpRobot:
+class MadeUpRobot(Robot):
     """A robot that is emulated by a linear system."""
 
     name = "made_up_robot"
@@ -54,6 +55,9 @@ class MadeUpRobot:
     def __init__(self) -> None:
         self.system = switched_car()
         self.dynamics = ExampleDynamics(self.system)
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        raise LinkLost("nobody is there")
 
 
 class Swinging(MadeUpRobot):

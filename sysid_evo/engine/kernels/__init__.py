@@ -1,5 +1,6 @@
 """The kernel library: predictors, and the shells that make a model's step of them."""
 
+from sysid_evo.engine.kernels.angles import with_angles
 from sysid_evo.engine.kernels.command_networks import command_network_predictor
 from sysid_evo.engine.kernels.gaussian import gaussian_predictor
 from sysid_evo.engine.kernels.neighbours import neighbour_predictor
@@ -21,5 +22,6 @@ __all__ = [
     "separate_networks_predictor",
     "stepping_kernel",
     "turning_frame",
+    "with_angles",
     "within",
 ]

@@ -1,0 +1,182 @@
+"""The task that an environment sets itself: its own reward, start and end, on any model of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from hardware.environments.environment import LONGEST_SEED, make
+from hardware.environments.kernels import rewards
+from hardware.environments.known import KNOWN, KnownEnvironment
+from sysid_evo.arrays import Array, BoolArray, Seeds
+from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.errors import IncompatibleTask, InvalidArgument, UnknownName
+from sysid_evo.registry import register_task
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.task import Task, TaskState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from sysid_evo.engine.compiled.kernel import TaskKernel
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The reward of a step and when it is the last, see `rewards`.
+
+    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up.
+    """
+
+    reward: Callable[..., float]
+    over: Callable[..., float]
+    least: float
+    horizon: int
+
+
+SWING = Rules(rewards.pendulum, rewards.never, -(np.pi**2 + 0.1 * rewards.FASTEST_SWING**2 + 0.001 * 4.0), 200)
+CLIMB = Rules(rewards.continuous_hill, rewards.on_continuous_hill, -0.1, 999)
+
+RULES: Mapping[str, Rules] = {
+    "Pendulum-v1": SWING,
+    "CartPole-v0": Rules(rewards.one, rewards.fallen, 0.0, 200),
+    "CartPole-v1": Rules(rewards.one, rewards.fallen, 0.0, 500),
+    "MountainCar-v0": Rules(rewards.hill, rewards.on_hill, -1.0, 200),
+    "MountainCarContinuous-v0": CLIMB,
+    "Acrobot-v1": Rules(rewards.acrobot, rewards.raised, -1.0, 500),
+}
+"""Those of the classic environments."""
+
+
+@dataclass(frozen=True)
+class Earned(TaskState):
+    """``earned`` (B,) is the sum of the rewards so far."""
+
+    earned: Array
+
+
+@register_task("environment")
+class EnvironmentTask(Task):
+    """Fitness is the sum of the rewards of the classic environment ``id``, as it gives them itself.
+
+    A trial begins where the environment begins an episode with the trial's seed. It is over where the environment
+    ends it, or after ``horizon`` steps, by default those of the environment. The controller is shown a constant 1, then
+    every state: of an angle the sine and the cosine, of any other the distance from rest in units of its scale.
+    Raises `UnknownName` for an environment whose reward is not known here.
+    """
+
+    fitness_unit = "reward"
+
+    def __init__(self, *, id: str = "Pendulum-v1", horizon: int | None = None) -> None:  # noqa: A002  # as the robot
+        if id not in RULES:
+            raise UnknownName(
+                f"task environment: the reward of {id!r} is not known as a function of states and controls; known: "
+                f"{', '.join(RULES)}. Give yours to the task reward"
+            )
+        self.id, self.rules, self.known = id, RULES[id], KNOWN[id]
+        self.horizon = self.rules.horizon if horizon is None else horizon
+        if self.horizon < 1:
+            raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
+        self.worst = self.rules.least * self.horizon
+
+    def check_system(self, system: System) -> None:
+        for what, own, its in (
+            ("states", self.known.states, system.state_names),
+            ("controls", self.known.controls, system.control_names),
+        ):
+            names = tuple(channel.name for channel in own)
+            if names != tuple(its):
+                raise IncompatibleTask(
+                    f"the task of {self.id} needs the {what} {', '.join(names)}; "
+                    f"{system.name or 'this system'} has {', '.join(its) or 'none'}"
+                )
+
+    def bind(self, system: System) -> EnvironmentTask:
+        bound = super().bind(system)
+        shown = [Channel("bias", neutral=1.0)]
+        for i, channel in enumerate(system.states):
+            if i in system.periods:
+                shown += [Channel(f"sin {channel.name}"), Channel(f"cos {channel.name}")]
+            else:
+                shown.append(Channel(channel.name))
+        bound.observations = tuple(shown)
+        return bound
+
+    def begin(self, seeds: Seeds) -> Earned:
+        states = starts(self.id, tuple(seeds.tolist()))
+        alive = np.ones(len(seeds), dtype=bool)
+        return Earned(states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, np.zeros(len(seeds)))
+
+    def observe(self, task_state: TaskState, state: Array) -> Array:
+        columns = [np.ones(len(state))]
+        for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.known.scale, strict=True)):
+            if i in self.system.periods:
+                columns += [np.sin(state[:, i]), np.cos(state[:, i])]
+            else:
+                columns.append((state[:, i] - centre) / scale)
+        return np.stack(columns, axis=1)
+
+    def advance(
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
+    ) -> tuple[TaskState, Array]:
+        here = cast("Earned", task_state)
+        reward, over = self._judged(before, control, after)
+        return replace(here, earned=here.earned + reward, alive=here.alive & ~over), after
+
+    def fitness(self, task_state: TaskState) -> Array:
+        return cast("Earned", task_state).earned
+
+    def kernel(self) -> TaskKernel:
+        from hardware.environments.kernels import task
+        from sysid_evo.engine.compiled.dialect import KernelSource
+        from sysid_evo.engine.compiled.kernel import TaskKernel
+
+        states = [
+            task.STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)
+            for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.known.scale, strict=True))
+        ]
+        return TaskKernel(
+            observe=KernelSource(task.observe),
+            advance=KernelSource(task.advance, {"reward_of": self.rules.reward, "is_over": self.rules.over}),
+            n_rows=task.ROWS.size,
+            rows=lambda state: np.stack([cast("Earned", state).earned, state.alive.astype(np.float64)]),
+            trial_data=lambda state: np.zeros((len(state.alive), 1)),
+            state=lambda state, rows: replace(cast("Earned", state), earned=rows[0], alive=rows[1] > 0.0),
+            parameters=task.HEAD.pack(np.concatenate(states), nx=self.system.nx),
+        )
+
+    def _judged(self, before: Array, control: Array, after: Array) -> tuple[Array, BoolArray]:
+        """Return the rewards of a step (B,), and whether it was the last."""
+        reward, over = np.zeros(len(after)), np.zeros(len(after), dtype=bool)
+        for first in range(0, len(after), LANES):
+            part = slice(first, first + LANES)
+            rows = [_lanes(values[part]) for values in (before, control, after)]
+            for lane in range(len(after[part])):
+                reward[first + lane] = self.rules.reward(*rows, lane)
+                over[first + lane] = self.rules.over(rows[2], lane) > 0.0
+        return reward, over
+
+
+def _lanes(values: Array) -> list[float]:
+    """Return (k, n) values of at most 64 trials as rows of 64 lanes."""
+    room = np.zeros((values.shape[1], LANES))
+    room[:, : len(values)] = values.T
+    numbers: list[float] = room.ravel().tolist()
+    return numbers
+
+
+@lru_cache(maxsize=16)
+def starts(name: str, seeds: tuple[int, ...]) -> Array:
+    """Return the state (E, nx) in which the classic environment ``name`` begins with each of the seeds; read-only."""
+    known: KnownEnvironment = KNOWN[name]
+    env = make(name, {})
+    states = np.zeros((len(seeds), len(known.states)))
+    for row, seed in zip(states, seeds, strict=True):
+        env.reset(seed=seed % LONGEST_SEED)
+        row[:] = env.unwrapped.state  # type: ignore[attr-defined]  # every classic environment has one
+    env.close()
+    states.flags.writeable = False
+    return states

@@ -1,0 +1,65 @@
+"""What is compared by default where a state is an angle, and which episodes are held back where they are short."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from evaluation.comparison import Experiment, Split, plan_comparison
+from evaluation.comparison.data_cells import whole_episodes
+from sysid_evo.data import Dataset
+from sysid_evo.registry import models
+from sysid_evo.system import Channel, System
+
+SWING = System(
+    (Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")),
+    (Channel("torque", "N m", -1.0, 1.0),),
+    0.05,
+)
+
+
+def swings(lengths: list[int]) -> Dataset:
+    rng = np.random.default_rng(0)
+    states = [np.cumsum(rng.standard_normal((length + 1, 2)), axis=0) for length in lengths]
+    return Dataset.from_arrays(SWING, states, [rng.uniform(-1.0, 1.0, length) for length in lengths])
+
+
+def test_families_that_take_an_angle_for_a_plain_number_are_no_default_where_there_is_one() -> None:
+    plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
+    assert set(plan.fits) == {"nearest_neighbour", "sindy", "sindy_discrete", "narx"}
+    assert any("backprop27, evolved3, parametrised, mlp_ensemble are left out" in text for text in plan.plan.remarks)
+    asked = plan_comparison(Experiment(only="prediction", models=("mlp_ensemble",)), dataset=swings([400, 400]))
+    assert set(asked.fits) == {"mlp_ensemble"}
+
+
+def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later() -> None:
+    data = swings([300])
+    names = [name for name in models.names() if getattr(models.get(name), "periodic", False)]
+    assert {"nearest_neighbour", "k_neighbours", "sindy", "narx"} <= set(names)
+    quick: dict[str, dict[str, Any]] = {name: models.get(name).presets.get("quick", {}) for name in names}
+    for name in ("nearest_neighbour", "sindy_discrete", "narx"):
+        model = models.make(name, **quick[name]).fit(data)
+        carry, control = np.array([[0.4, 1.0]]), np.array([[0.5]])
+        turn = np.array([[2.0 * np.pi, 0.0]])
+        np.testing.assert_allclose(model.next_state(carry + turn, control), model.next_state(carry, control) + turn)
+
+
+def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short() -> None:
+    short = swings([40, 90] * 10)
+    names = whole_episodes(short, 0.25)
+    held = sum(len(episode) for episode in short if episode.name in names)
+    assert 0.15 * short.n_steps < held <= 0.25 * short.n_steps
+    parts = Split().of(short)
+    assert parts.test is not None
+    assert set(parts.test.names) == set(names)
+    assert {*parts.training.names, *names} == set(short.names)
+
+
+def test_a_few_episodes_or_long_ones_are_cut_instead() -> None:
+    assert whole_episodes(swings([40] * 7), 0.25) == []
+    assert whole_episodes(swings([400] * 9), 0.25) == []
+    assert whole_episodes(swings([400] * 9 + [20] * 9), 0.25) == []
+    parts = Split().of(swings([400] * 9))
+    assert parts.test is not None
+    assert len(parts.test) == len(parts.training) == 9
