@@ -17,7 +17,10 @@ def quantity(value: float, unit: str, spread: float, reason: str, *, or_zero: bo
 
 @dataclass(frozen=True, kw_only=True)
 class Quantities:
-    """Positive numbers (some may be 0), each a `quantity`: unit, spread and reason stand in its metadata. Raises `InvalidArgument`."""
+    """Positive numbers (some may be 0), each a `quantity`: unit, spread, reason are its metadata.
+
+    Raises `InvalidArgument`.
+    """
 
     def __post_init__(self) -> None:
         for item in fields(self):
