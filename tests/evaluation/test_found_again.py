@@ -149,8 +149,8 @@ def test_the_polish_alone_changes_with_its_generations() -> None:
 def test_a_polish_is_no_longer_than_the_search_before_it_unless_it_is_asked_for() -> None:
     assert Experiment.of({"generations": 3}).budget.polish == 3
     assert Experiment.of({"generations": 3, "polish": 9}).budget.polish == 9
-    assert Experiment.of({"generations": 5000}).budget.polish == 120
-    assert Experiment.of({}).budget.polish == 120
+    assert Experiment.of({"generations": 5000}).budget.polish == 240
+    assert Experiment.of({}).budget.polish == 240
 
 
 def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_given() -> None:
