@@ -91,6 +91,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--models", default=FAMILIES)
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--generations", type=int)
+    parser.add_argument("--aggregate", default="min")
+    parser.add_argument("--noise", default="", help="what controllers meet in evolution, envelope(...)")
+    parser.add_argument("--caution", default="", help="what they lose where models are doubted, doubt(...)")
     parser.add_argument("--yardstick", action="store_true", help="evolve on each car itself as well")
     parser.add_argument("--yardsticks", type=Path, help="what tests.benchmarks.search kept with --json")
     given = parser.parse_args(arguments)
@@ -106,6 +109,9 @@ def main(arguments: list[str] | None = None) -> int:
                 ensembles=tuple(name for name in PAPER if set(name.split("+")) <= set(models)),
                 preset=given.preset,
                 generations=given.generations,
+                aggregate=given.aggregate,
+                noise=given.noise,
+                caution=given.caution,
                 transfer_trials=TRIALS,
                 traces=0,
                 yardstick=given.yardstick,
