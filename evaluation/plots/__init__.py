@@ -4,7 +4,7 @@ from evaluation.plots.canvas import new_figure, style, to_svg
 from evaluation.plots.evolution import plot_fitness
 from evaluation.plots.exploitability import plot_probes
 from evaluation.plots.prediction import plot_free_run, plot_horizon_curve
-from evaluation.plots.traces import plot_trace
+from evaluation.plots.traces import plot_state, plot_trace, plotted_places
 from evaluation.plots.transfer import plot_claims, plot_transfer
 
 __all__ = [
@@ -14,8 +14,10 @@ __all__ = [
     "plot_free_run",
     "plot_horizon_curve",
     "plot_probes",
+    "plot_state",
     "plot_trace",
     "plot_transfer",
+    "plotted_places",
     "style",
     "to_svg",
 ]

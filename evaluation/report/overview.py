@@ -49,10 +49,12 @@ def overview_sheet(report: Report) -> Sheet | None:
 def drive_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
     """Return the command that runs a controller on the robot, None where its file is not known.
 
+    Nor is there one for a system without a motion, which the control loop cannot drive.
+
     ``folder`` is the run folder as seen from where the command is typed.
     """
     path = report.controllers.get(controller)
-    if path is None:
+    if path is None or report.data.system.motion is None:
         return None
     robot = str(report.settings.get("robot") or "ROBOT")
     return shlex.join(["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", robot])

@@ -17,7 +17,9 @@ from evaluation.plots import (
     plot_fitness,
     plot_free_run,
     plot_horizon_curve,
+    plot_state,
     plot_trace,
+    plotted_places,
     style,
 )
 from evaluation.prediction import PERSISTENCE, Prediction
@@ -32,6 +34,7 @@ SQUARE = (0.19, 0.17, 0.79, 0.79)
 """Left, bottom, width and height of the axes of a trace, as shares of its drawing."""
 SHOWN_MODELS = 5
 SHOWN_TRACES = 24
+OVER_TIME = "Blue: what the states did, grey: what they were to do, with the tolerance"
 DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
 
 
@@ -160,28 +163,52 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
 
 
 def traces_picture(matrix: TransferMatrix) -> Picture | None:
-    """Where each controller drove in its own model and on the robot, in the first trial of all."""
+    """What each controller did in its own model and on the robot, in the first trial: its path, or its states."""
     found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
     if not found:
         return None
+    paths = all(_planar(trace) and not trace.targets for _, _, trace in found)
     panels = []
     for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
-
-        def draw(figure: Figure, trace: Trace = trace) -> None:
-            figure.set_layout_engine("none")
-            plot_trace(trace, figure.add_axes(SQUARE))
-
-        label = f"path of {name} on {column}"
-        svg, _ = _drawn(f"trace-{number}", label, draw, QUARTER, QUARTER)
-        panels.append(Panel(svg, title=f"{name} on {column}", note=f"{trace.fitness:g} {matrix.unit}".strip()))
+        label = f"{name} on {column}"
+        svg = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
+        panels.append(Panel(svg, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
+    drawn = _path_words([trace for _, _, trace in found]) if paths else OVER_TIME
     return Picture(
         "Traces",
-        "Blue: forwards, orange: backwards; from the dot, through the waypoints in order (green: passed). Positions "
-        f"in metres; the first trial, the same for all.{left_out}",
+        f"{drawn}; the first trial, the same for all.{left_out}",
         tuple(panels),
-        columns=4,
+        columns=4 if paths else 3,
     )
+
+
+def _path_words(traces: Sequence[Trace]) -> str:
+    walls = ", between the walls (grey)" if any(trace.walls for trace in traces) else ""
+    waypoints = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for t in traces) else ""
+    return f"Blue: forwards, orange: backwards; from the dot{walls}{waypoints}. Positions in metres"
+
+
+def _path(number: int, label: str, trace: Trace) -> str:
+    def draw(figure: Figure) -> None:
+        figure.set_layout_engine("none")
+        plot_trace(trace, figure.add_axes(SQUARE))
+
+    return _drawn(f"trace-{number}", f"path of {label}", draw, QUARTER, QUARTER)[0]
+
+
+def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> str:
+    system = champion.system
+    assert system is not None
+    places = plotted_places(trace, system)
+
+    def draw(figure: Figure) -> None:
+        for place, ax in zip(places, figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0], strict=True):
+            plot_state(trace, system, place, ax)
+            ax.label_outer()
+
+    height = 0.5 + 1.3 * len(places)
+    return _drawn(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)[0]
 
 
 def _both(
@@ -223,15 +250,24 @@ def _liveliest(prediction: Prediction) -> int:
     return int(np.argmax(spread))
 
 
+def _champion(name: str, matrix: TransferMatrix) -> Champion:
+    return next(champion for champion in matrix.champions if champion.name == name)
+
+
 def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
-    """Return the first planar trace of a champion on a model it was evolved against, and on the robot."""
-    champion = next(champion for champion in matrix.champions if champion.name == name)
-    own = next((c for c in champion.against if c in matrix.models and _planar(matrix, name, c)), None)
-    columns = [column for column in (own, matrix.robot) if column is not None and _planar(matrix, name, column)]
-    return [(column, matrix.cell(name, column).traces[0]) for column in columns]
+    """Return the first trace of a champion on a model it was evolved against, and on the robot."""
+    champion = _champion(name, matrix)
+
+    def first(column: str) -> Trace | None:
+        traces = matrix.cell(name, column).traces
+        shown = bool(traces) and (_planar(traces[0]) or champion.system is not None)
+        return traces[0] if shown else None
+
+    own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
+    columns = [column for column in (own, matrix.robot) if column is not None]
+    return [(column, trace) for column in columns if (trace := first(column)) is not None]
 
 
-def _planar(matrix: TransferMatrix, name: str, column: str) -> bool:
-    traces = matrix.cell(name, column).traces
-    pose = traces[0].trajectory.pose if traces else None
+def _planar(trace: Trace) -> bool:
+    pose = trace.trajectory.pose
     return pose is not None and pose.shape[1] == 3

@@ -95,8 +95,8 @@ def _sheets(report: Report) -> list[Sheet]:
     if report.matrix is not None and report.transfer is not None:
         sheets.append(sheets_of.transfer_sheet(report.matrix))
         sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))
-        found = sheets_of.finalist_sheet(report.matrix)
-        sheets += [] if found is None else [found]
+        found = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
+        sheets += [sheet for sheet in found if sheet is not None]
     if report.exploitability:
         sheets.append(sheets_of.exploitability_sheet(report.exploitability))
         if report.exploitability[0].probes:

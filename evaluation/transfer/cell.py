@@ -14,7 +14,8 @@ from sysid_evo.engine import Rollouts, Runner
 from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_task
-from sysid_evo.tasks import Task
+from sysid_evo.system import Channel
+from sysid_evo.tasks import Target, Task
 
 TRANSFER = 2**31 + 1
 """The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
@@ -28,13 +29,15 @@ NOT_RUN = "not run"
 class Trace:
     """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
 
-    ``waypoint_radius`` is in m; a task without markers has none.
+    ``waypoint_radius`` is in m; a task without markers has none. ``walls`` and ``targets`` are those of the scene.
     """
 
     trajectory: Trajectory
     fitness: float
     waypoints: Array = field(default_factory=lambda: np.empty((0, 2)))
     waypoint_radius: float = 0.0
+    walls: tuple[Array, ...] = ()
+    targets: tuple[Target, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the trace as strict JSON."""
@@ -48,6 +51,16 @@ class Trace:
             "fitness": self.fitness,
             "waypoints": self.waypoints.tolist(),
             "waypoint_radius": self.waypoint_radius,
+            "walls": [wall.tolist() for wall in self.walls],
+            "targets": [
+                {
+                    "channel": target.channel.to_dict(),
+                    "place": target.place,
+                    "values": target.values.tolist(),
+                    "tolerance": target.tolerance,
+                }
+                for target in self.targets
+            ],
         }
 
     @classmethod
@@ -57,7 +70,17 @@ class Trace:
         states, controls = (np.asarray(value[key], dtype=np.float64) for key in ("states", "controls"))
         waypoints = np.asarray(value["waypoints"], dtype=np.float64).reshape(-1, 2)
         trajectory = Trajectory(states, controls, value["dt"], pose, value["name"])
-        return cls(trajectory, value["fitness"], waypoints, value["waypoint_radius"])
+        walls = tuple(np.asarray(wall, dtype=np.float64) for wall in value.get("walls", ()))
+        targets = tuple(
+            Target(
+                Channel.from_dict(target["channel"]),
+                target["place"],
+                np.asarray(target["values"], dtype=np.float64),
+                target["tolerance"],
+            )
+            for target in value.get("targets", ())
+        )
+        return cls(trajectory, value["fitness"], waypoints, value["waypoint_radius"], walls, targets)
 
 
 @dataclass(frozen=True)
@@ -67,6 +90,7 @@ class Cell:
     ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
     model's envelope; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
     form of the rollout that ran. ``missing`` gives a reason for each trial that a robot did not finish.
+    ``measures`` are the means of what else the task tells of its trials (`Task.measures`), None without a number.
     """
 
     champion: str
@@ -79,6 +103,7 @@ class Cell:
     traces: tuple[Trace, ...] = field(default=(), repr=False)
     reason: str = ""
     missing: tuple[str, ...] = ()
+    measures: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def failed(self) -> bool:
@@ -116,6 +141,7 @@ class Cell:
             "traces": [trace.to_dict() for trace in self.traces],
             "reason": self.reason,
             "missing": list(self.missing),
+            "measures": dict(self.measures),
         }
 
     @classmethod
@@ -164,7 +190,17 @@ def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, 
         engine=rollouts.engine,
         traces=_traces(rollouts, traces, task),
         missing=rollouts.missing,
+        measures={} if champion.system is None else _measures(rollouts, task.bind(champion.system)),
     )
+
+
+def _measures(rollouts: Rollouts, task: Task) -> dict[str, float | None]:
+    """Return the mean of each of the task's measures over the trials that have one."""
+    found: dict[str, float | None] = {}
+    for name, values in task.measures(rollouts.task_state).items():
+        known = values[np.isfinite(values)]
+        found[name] = float(known.mean()) if len(known) else None
+    return found
 
 
 def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
@@ -173,5 +209,6 @@ def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
     kept = []
     for trial, trajectory in list(zip(trials, rollouts.trajectories, strict=False))[:wanted]:
         scene = task.scene(rollouts.task_state, int(trial))
-        kept.append(Trace(trajectory, float(rollouts.fitness[0, trial]), scene.markers, scene.radius))
+        fitness = float(rollouts.fitness[0, trial])
+        kept.append(Trace(trajectory, fitness, scene.markers, scene.radius, scene.walls, scene.targets))
     return tuple(kept)

@@ -7,16 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_evo.arrays import Array
+from sysid_evo.system import Channel
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where the state called ``channel`` was wanted: ``values`` (K,) at each sample, or one for all of them.
+    """Where a state was wanted: its ``channel``, its ``place`` among the states, and what it was to be.
 
-    ``tolerance`` is what counts as met; both in the channel's unit.
+    ``values`` (K,) holds one for each sample, or one for all of them; an error below ``tolerance`` counts as met.
     """
 
-    channel: str
+    channel: Channel
+    place: int
     values: Array
     tolerance: float
 

@@ -157,7 +157,8 @@ def test_the_scene_names_the_targets_of_each_trial() -> None:
     trials = task.begin(SEEDS)
     for number in (0, 4):
         level, warmth = SetPoint().scene(trials, number).targets
-        assert (level.channel, warmth.channel, warmth.tolerance) == ("level", "warmth", 0.3)
+        assert (level.channel, level.place, warmth.place) == (TANK.states[0], 0, 1)
+        assert warmth.tolerance == 0.3
         np.testing.assert_array_equal(level.values, trials.reference[number, :, 0])
 
 

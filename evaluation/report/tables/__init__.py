@@ -5,6 +5,7 @@ from evaluation.report.tables.controllers import (
     controller_sheet,
     exploitability_sheet,
     finalist_sheet,
+    measure_sheet,
     probe_sheet,
     transfer_sheet,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "finalist_sheet",
     "failure_sheet",
     "key_sheet",
+    "measure_sheet",
     "model_sheet",
     "prediction_sheet",
     "probe_sheet",

@@ -68,6 +68,26 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     )
 
 
+def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
+    """What the task tells beside the fitness, where each controller was evolved and on the robot; None if nothing."""
+    rows, names = [], list(dict.fromkeys(name for cell in matrix.cells.values() for name in cell.measures))
+    for champion in matrix.champions:
+        own = next((column for column in champion.against if column in matrix.columns), None)
+        places = dict.fromkeys(column for column in (own, matrix.robot) if column is not None)
+        for column in places:
+            told = matrix.cell(champion.name, column).measures
+            shown = ["–" if told.get(name) is None else number(told[name]) for name in names]
+            rows.append((champion.name, folded(column), *shown))
+    if not names:
+        return None
+    return Sheet(
+        title="What else was measured",
+        columns=("controller", "on", *(name.replace(" ", "\n") for name in names)),
+        rows=tuple(rows),
+        note="Means over the trials that have the number; the first model that it was evolved on, and the robot.",
+    )
+
+
 def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
     """The best of each niche, what it claims, and what models of other families say; None without niches."""
     rows = []
