@@ -16,6 +16,7 @@ from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset,
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
+from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import (
@@ -27,6 +28,7 @@ from sysid_evo.errors import (
     SysidEvoError,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
+from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
     Registry,
@@ -104,6 +106,9 @@ def plan_comparison(
     column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
     if experiment.only is None:
         _check_control(evolution, system)
+        farthest = _farthest(dataset, robot)
+        if farthest is not None:
+            remarks += evolution.make_task(system).doubts(farthest)
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
@@ -172,6 +177,14 @@ def _check_control(evolution: ControllerEvolution, system: System) -> None:
     except IncompatibleTask as error:
         raise IncompatibleTask(f"{error}. Name a task that fits (--task), or compare --only prediction") from error
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
+    """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet."""
+    if dataset is not None:
+        return farthest_recorded(dataset)
+    dynamics = None if robot is None else make_robot(robot).dynamics
+    return None if dynamics is None else farthest_driven(dynamics)
 
 
 def _made(registry: Registry[Any], spec: Spec) -> Any:

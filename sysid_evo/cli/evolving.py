@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sysid_evo.cli.console import out, session
+from sysid_evo.cli.console import out, session, tell
 from sysid_evo.cli.exits import SOME_FAILED
 from sysid_evo.cli.options import (
     Aggregate,
@@ -101,7 +101,8 @@ def evolve(
     store = Store(check_run_folder(None) if alone else latest_run_folder(run))
     columns = tuple(find_column(store, member) for member in members)
     evolution = experiment.evolution
-    check_evolution(store, columns, evolution)
+    for doubt in check_evolution(store, columns, evolution):
+        tell(doubt, label="note: ", style="dim")
     champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
     delay = evolution.estimator_delay
     claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
@@ -149,9 +150,13 @@ def split_members(text: str) -> tuple[str, ...]:
     return members
 
 
-def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> None:
-    """Check that all members have one system, and that task and controller fit it. Raises what does not."""
+def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
+    """Check that all members have one system, and that task and controller fit it. Raises what does not.
+
+    Returns why the task cannot be done well by the first of them, in sentences.
+    """
     from sysid_evo.errors import IncompatibleSystem
+    from sysid_evo.evolution.feasibility import farthest_driven
 
     systems = {column.label: system_of(store, column) for column in columns}
     (first, system), *others = systems.items()
@@ -162,6 +167,8 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
     task = evolution.make_task(system)
     evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+    farthest = farthest_driven(dynamics_of(store, columns[0]))
+    return () if farthest is None else task.doubts(farthest)
 
 
 def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:

@@ -18,7 +18,7 @@ from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import register_controller
-from sysid_evo.tasks.following import Following, FollowingState
+from sysid_evo.tasks.following import SHOWN, Following, FollowingState
 from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -39,9 +39,10 @@ class Lqr(Controller):
     K is the gain of the linear quadratic regulator (python-control's ``dlqr``) for the linear model
     x' = A x + B u + c of the system: the matrices ``a``, ``b`` and ``c``, or a ``model`` (the file of a fitted one, an
     emulated robot, a `Dynamics`), which is linearised numerically in the middle of the targets. x_r and u_r are at rest
-    with the led states on target. States count by their ``weights`` (led states 1, others 0.01), controls by
-    ``effort``, both squared in shares of their size. The law is then said in what the task shows, which is exact where
-    that is linear in states and targets. The parameter is the logarithm of g: with zero it is LQR itself.
+    with the led states on target. States count by their ``weights`` (led states 1, others 0.01) and controls by
+    ``effort``, each times the square of its share of its size, for led states of ten tolerances. The law is then said
+    in what the task shows, which is exact where that is linear in states and targets. The parameter is the logarithm
+    of g: with zero it is LQR itself.
     """
 
     hand_written: ClassVar[bool] = True
@@ -57,7 +58,7 @@ class Lqr(Controller):
         b: Sequence[Sequence[float]] | None = None,
         c: Sequence[float] | None = None,
         weights: Mapping[str, float] | None = None,
-        effort: float = 0.1,
+        effort: float = 0.01,
     ) -> None:
         if (model is None) == (a is None) or (a is None) != (b is None):
             raise InvalidArgument("lqr: expected either a model, or the matrices a and b (and perhaps c)")
@@ -92,7 +93,7 @@ class Lqr(Controller):
         a, b = check_shape("lqr: a", self.a or (), (nx, nx)), check_shape("lqr: b", self.b or (), (nx, nu))
         return LinearModel(a, b, check_shape("lqr: c", np.zeros(nx) if self.c is None else self.c, (nx,)))
 
-    def _gain(self, task: Task, linear: LinearModel, led: Sequence[int]) -> Array:
+    def _gain(self, task: Following, linear: LinearModel, led: Sequence[int]) -> Array:
         """Return K (nu, nx)."""
         try:
             import control
@@ -101,7 +102,10 @@ class Lqr(Controller):
         system = task.system
         wanted = {name: 1.0 if place in led else 0.01 for place, name in enumerate(system.state_names)}
         wanted |= dict(self.weights or {})
-        q = np.diag([wanted[channel.name] / size_of(channel) ** 2 for channel in system.states])
+        sizes = [size_of(channel) for channel in system.states]
+        for goal in task.goals:
+            sizes[goal.place] = SHOWN * goal.tolerance
+        q = np.diag([wanted[channel.name] / size**2 for channel, size in zip(system.states, sizes, strict=True)])
         r = np.diag([self.effort / (0.5 * (channel.high - channel.low)) ** 2 for channel in system.controls])
         try:
             gain, _, _ = control.dlqr(linear.a, linear.b, q, r)

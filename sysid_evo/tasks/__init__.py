@@ -1,6 +1,7 @@
 """Tasks: what a controller is evolved for."""
 
 from sysid_evo.tasks.point_to_point import PointToPoint
+from sysid_evo.tasks.reward import Reward
 from sysid_evo.tasks.scene import Scene, Target
 from sysid_evo.tasks.set_point import SetPoint
 from sysid_evo.tasks.task import Task, TaskState
@@ -9,6 +10,6 @@ from sysid_evo.tasks.upright import Balance, SwingUp
 from sysid_evo.tasks.walled_track import WalledTrack
 
 __all__ = [
-    "Balance", "PointToPoint", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState", "TrackReference",
-    "WalledTrack",
+    "Balance", "PointToPoint", "Reward", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState",
+    "TrackReference", "WalledTrack",
 ]  # fmt: skip

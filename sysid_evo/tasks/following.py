@@ -139,9 +139,7 @@ class Following(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("FollowingState", task_state)
-        columns = [np.ones(len(state))]
-        for channel, values in zip(self.system.states, state.T, strict=True):
-            columns += _shown(channel, values, *scaling(channel))
+        columns = shown_states(self.system, state)
         errors = here.target - state[:, [goal.place for goal in self.goals]]
         for goal, error in zip(self.goals, errors.T, strict=True):
             columns += _shown(goal.channel, error, 0.0, 1.0 / (SHOWN * goal.tolerance))
@@ -228,6 +226,14 @@ def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]
     for channel, name in shown:
         found += [Channel(f"sin_{name}"), Channel(f"cos_{name}")] if channel.period else [Channel(name)]
     return tuple(found)
+
+
+def shown_states(system: System, state: Array) -> list[Array]:
+    """Return a bias and what is shown of every state (B, nx), (B,) each."""
+    columns = [np.ones(len(state))]
+    for channel, values in zip(system.states, state.T, strict=True):
+        columns += _shown(channel, values, *scaling(channel))
+    return columns
 
 
 def scaling(channel: Channel) -> tuple[float, float]:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
 
 POSE = ("x", "y", "heading")
+APART = 128.0 / (45.0 * np.pi)
+"""Mean distance of two random points of a disc, in its radii."""
+FEW, ENOUGH = 3.0, 10.0
+"""So few waypoints at full speed are told, and so many are what is proposed."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,36 @@ class PointToPoint(Task):
         here = cast("PointToPointState", task_state)
         dx, dy = here.to_waypoint(here.pose)
         return np.maximum(0.0, 1.0 - np.sqrt(dx * dx + dy * dy) / (2.0 * self.arena_radius))
+
+    def doubts(self, farthest: Array) -> tuple[str, ...]:
+        """Say if the waypoints are too far apart for the speed, or too small for one step, or the arena to turn in."""
+        forward, yaw_rate = self._rows
+        speed, turning, dt = farthest[forward], farthest[yaw_rate], self.system.dt
+        if speed <= 0.0:
+            return ("point_to_point: this robot was never seen to move, so that no waypoint can be reached",)
+        way = max(APART * self.arena_radius - self.waypoint_radius, 1e-9)
+        driven, size = speed * self.horizon * dt, 2.0 * self.waypoint_radius
+        fastest = f"point_to_point: at its fastest, {speed:.2g} m/s, this robot"
+        told = []
+        if driven < FEW * way:
+            arena, steps = (driven / ENOUGH + self.waypoint_radius) / APART, np.ceil(ENOUGH * way / speed / dt)
+            told.append(
+                f"{fastest} drives {driven:.2g} m in a trial of {self.horizon * dt:g} s, and from one waypoint to the "
+                f"next it is {way:.2g} m on average: it can pass about {driven / way:.1f}. Give it a smaller arena "
+                f"(arena_radius={arena:.2g}) or more steps (horizon={steps:.0f})"
+            )
+        if speed * dt > size:
+            told.append(
+                f"{fastest} drives {speed * dt:.2g} m in one step and may jump over a waypoint of {size:.2g} m: "
+                "give a larger waypoint_radius"
+            )
+        if speed > FEW * self.arena_radius * turning:
+            circle = f"circles of {speed / turning:.2g} m" if turning > 0.0 else "no circle"
+            told.append(
+                f"{fastest} turns at {turning:.2g} rad/s at most, in {circle}, in an arena of {self.arena_radius:g} m: "
+                "give a larger arena_radius"
+            )
+        return tuple(told)
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
         """Return the waypoints passed, in order, and the next one."""

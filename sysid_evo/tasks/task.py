@@ -115,6 +115,13 @@ class Task(ABC):
         """
         return np.zeros(len(state))
 
+    def doubts(self, farthest: Array) -> tuple[str, ...]:
+        """Return in sentences why the bound task cannot be done well by this robot; none by default.
+
+        ``farthest`` (nx,) is the largest absolute value that each state was seen to reach.
+        """
+        return ()
+
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return what else is to be told of each trial, by its name with the unit in brackets, (B,) each.
 

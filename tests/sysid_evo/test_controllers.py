@@ -16,9 +16,9 @@ from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import PointToPoint, Task, TaskState
+from sysid_evo.tasks import PointToPoint, SetPoint, Task, TaskState
 from sysid_evo.testing import check_controller
-from sysid_evo.testing.examples import continuous_car, switched_car
+from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
 
 TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
 
@@ -112,6 +112,9 @@ def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows()
     system = continuous_car()
     assert Pid().bind_to(Errors().bind(system)).n_parameters == 3 * 2 * 1 + 2
     assert Pid().bind_to(PointToPoint().bind(system)).n_parameters == 3 * 2 * 4 + 2
+    turning = SetPoint(channels="angle").bind(pendulum())
+    (loop,) = Pid().bind_to(turning).made
+    assert turning.observations[loop.observation].name == "sin_angle_error"
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def following_kernel(task: Following) -> TaskKernel | None:
     if motion is None:
         return None
     samples, m = task.horizon + 1 if task.changes else 1, len(goals)
-    states = np.array([_of_state(system, i) for i in range(system.nx)])
+    states = state_numbers(system)
     controls = np.zeros((0, CONTROL.size))
     if system.nu:
         controls = np.stack([system.neutral_control, full_controls(system)], axis=1)
@@ -74,6 +74,11 @@ def following_kernel(task: Following) -> TaskKernel | None:
         pose_row=ROWS.pose,
         n_pose=system.n_pose,
     )
+
+
+def state_numbers(system: System) -> Array:
+    """Return how each state is shown, `STATE` after `STATE`."""
+    return np.array([_of_state(system, i) for i in range(system.nx)])
 
 
 def _of_state(system: System, place: int) -> Array:

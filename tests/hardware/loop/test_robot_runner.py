@@ -118,7 +118,7 @@ def test_what_is_observed_and_scored_follows_the_measured_pose(robot: Robot) -> 
     for trial, trajectory in enumerate(ran.trajectories):
         assert trajectory.pose is not None
         np.testing.assert_allclose(state.pose[trial, :2], trajectory.pose[-1, :2], atol=1e-12)
-        first = spurt.distances[30 * trial][trial]
+        (first,) = spurt.distances[30 * trial]
         expected = np.hypot(*(state.waypoints[trial, 0] - trajectory.pose[0, :2]))
         assert first == pytest.approx(expected)
 

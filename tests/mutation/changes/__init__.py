@@ -1,7 +1,7 @@
 """The changes, by what they break."""
 
 from tests.mutation.change import Change
-from tests.mutation.changes import data, evolution, families, plans, robots, statistics, worlds
+from tests.mutation.changes import controllers, data, evolution, families, plans, robots, statistics, worlds
 
 ALL: tuple[Change, ...] = (
     *statistics.CHANGES,
@@ -11,4 +11,5 @@ ALL: tuple[Change, ...] = (
     *plans.CHANGES,
     *data.CHANGES,
     *robots.CHANGES,
+    *controllers.CHANGES,
 )

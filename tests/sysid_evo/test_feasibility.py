@@ -1,0 +1,61 @@
+"""A robot that cannot do its task is told so before anything is evolved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evaluation.comparison import Experiment, plan_comparison
+from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
+from sysid_evo.registry import make_robot
+from sysid_evo.system import System
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import example_dataset
+from sysid_evo.testing.examples import ExampleDynamics, pendulum
+
+
+def doubts(car: System, farthest: list[float], **sizes: float) -> tuple[str, ...]:
+    return PointToPoint(**sizes).bind(car).doubts(np.array(farthest))
+
+
+def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(car: System) -> None:
+    """At 0.1 m/s 2.5 m in 25 s; two random points of a disc of 1.5 m are 1.36 m apart, less the radius 1.06 m."""
+    (sentence,) = doubts(car, [0.1, 0.0, 3.0])
+    assert "drives 2.5 m in a trial of 25 s" in sentence
+    assert "it is 1.1 m on average: it can pass about 2.4" in sentence
+    assert "arena_radius=0.61" in sentence
+    assert "horizon=2117" in sentence
+    assert doubts(car, [0.1, 0.0, 3.0], horizon=2117) == ()
+    assert doubts(car, [0.1, 0.0, 3.0], arena_radius=0.6) == ()
+
+
+def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car: System) -> None:
+    assert "never seen to move" in doubts(car, [0.0, 0.0, 0.0])[0]
+    assert "drives 1 m in one step and may jump over" in doubts(car, [20.0, 0.0, 30.0])[0]
+    assert "in circles of 20 m, in an arena of 1.5 m" in doubts(car, [2.0, 0.0, 0.1])[0]
+    assert "in no circle" in doubts(car, [2.0, 0.0, 0.0])[0]
+
+
+def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands() -> None:
+    car = make_robot("emulated_car").dynamics
+    farthest = farthest_driven(car)
+    assert farthest is not None
+    assert 1.7 < farthest[0] < 2.3
+    assert 2.0 < farthest[2] < 12.0
+    data = example_dataset()
+    speeds = np.abs(np.concatenate([episode.states for episode in data]))
+    assert np.mean(speeds <= farthest_recorded(data), axis=0) == pytest.approx(0.99, abs=0.01)
+    swinging = farthest_driven(ExampleDynamics(pendulum()))
+    assert swinging is not None
+    assert swinging[0] > 0.0
+
+
+def test_a_comparison_says_so_before_any_work_of_recordings_and_of_an_emulated_robot() -> None:
+    far = "point_to_point(arena_radius=60)"
+    for plan in (
+        plan_comparison(Experiment(task=far, robot="emulated_car", models=("linear",))),
+        plan_comparison(Experiment(task=far, models=("linear",)), dataset=example_dataset()),
+    ):
+        assert any("Give it a smaller arena" in remark for remark in plan.plan.remarks)
+    usual = plan_comparison(Experiment(robot="emulated_car", models=("linear",)))
+    assert not any("point_to_point" in remark for remark in usual.plan.remarks)
