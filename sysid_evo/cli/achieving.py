@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hardware.loop.report import LoopReport
     from hardware.robot import Robot
     from sysid_evo.engine import Rollouts
+    from sysid_evo.evolution import Champion
 
 TRACES = 10
 """Trials whose trajectories are kept for the plots."""
@@ -51,6 +52,8 @@ def drive_controller(
     champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
     machine = find_robot(robot)
     champion.check_system(machine.system)
+    if machine.stepped:
+        return run_stepped(champion, machine, trials=trials, folder=folder or owner_of(controller), seed=seed)
     folder = folder or owner_of(controller)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
@@ -90,6 +93,24 @@ def drive_controller(
     if folder is not None and not measured.cell.failed:
         append(folder, measured)
     return code_of_loop(report.reason)
+
+
+def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path | None, seed: int | None) -> int:
+    """Run a controller on a robot that steps when it is told to, an environment, and return the exit code."""
+    from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from sysid_evo.registry import make_controller, make_task
+
+    runner, task = machine.runner(), make_task(champion.task)
+    assert runner is not None
+    seeds = transfer_seeds(seed if seed is not None else seed_of_run(folder) if folder else champion.seed, trials)
+    rollouts = runner.run(make_controller(champion.controller), champion.parameters[None], task, seeds, record=True)
+    cell = cell_of(champion, f"{machine.name} driven", rollouts, task, traces=TRACES)
+    measured = Measured(champion, cell, on_robot=True, physical=False)
+    out.print(f"{champion.name} on {machine.name}", style="bold", highlight=False, markup=False)
+    out.print(trials_table(measured, rollouts))
+    if folder is not None:
+        append(folder, measured)
+    return 0
 
 
 def seed_of_run(run: Path | None) -> int:
