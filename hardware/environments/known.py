@@ -47,7 +47,7 @@ KNOWN: Mapping[str, KnownEnvironment] = {
     "Pendulum-v1": KnownEnvironment(
         states=(Channel("angle", "rad", neutral=math.pi, period=TURN), Channel("angular_speed", "rad/s", -8.0, 8.0)),
         controls=(Channel("torque", "N m", -2.0, 2.0),),
-        scale=(1.0, 8.0),
+        scale=(1.0, 1.0),
         angle="0,1",
     ),
     "CartPole-v0": CART,

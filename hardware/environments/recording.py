@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hardware.environments.environment import LONGEST_SEED, Environment, EnvironmentSession
-from hardware.environments.scripts import HOLDS, RandomFeedback, Script, Steps, Sweep
+from hardware.environments.scripts import HOLDS, RandomFeedback, Script, Steps, Sweep, Tried
 from hardware.loop.report import LoopReport, Reason
 from hardware.recording.scripted import Recorded
 from sysid_evo.arrays import Array
@@ -46,10 +46,11 @@ def record_environment(
     each = samples_each(environment, duration)
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
+    tried: list[Tried] = []
     reason = Reason.SAMPLES
     with environment.open() as session:
         for number, name in enumerate(SCRIPTS):
-            script = _script(name, environment, episodes, rng.spawn(1)[0])
+            script = _script(name, environment, episodes, tried, rng.spawn(1)[0])
             counted = _counter(progress, number * each, len(SCRIPTS) * each)
             for count, episode in enumerate(_episodes(session, environment, script, each, rng, counted)):
                 if len(episode[1]) >= SHORTEST:
@@ -79,7 +80,9 @@ def samples_each(environment: Environment, duration: float) -> int:
     return each
 
 
-def _script(name: str, environment: Environment, episodes: list[Trajectory], rng: np.random.Generator) -> Script:
+def _script(
+    name: str, environment: Environment, episodes: list[Trajectory], tried: list[Tried], rng: np.random.Generator
+) -> Script:
     system = environment.system
     kind, _, which = name.partition("-")
     if kind == "steps":
@@ -87,7 +90,7 @@ def _script(name: str, environment: Environment, episodes: list[Trajectory], rng
     if kind == "sweep":
         return Sweep(system, rng)
     seen = [episode.states for episode in episodes]
-    return RandomFeedback(system, np.concatenate(seen) if seen else system.neutral_state[None], rng)
+    return RandomFeedback(system, np.concatenate(seen) if seen else system.neutral_state[None], tried, rng)
 
 
 def _episodes(
@@ -99,10 +102,10 @@ def _episodes(
     counted: Callable[[int], None],
 ) -> Iterator[tuple[list[Array], list[Array]]]:
     """Yield states and controls of one episode after the other, ``steps`` in all."""
-    system, done = environment.system, 0
+    system, done, lasted = environment.system, 0, 0
     while done < steps:
         states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
-        script.begin()
+        script.begin(lasted)
         ended = False
         while done < steps and not ended:
             control = system.actuate(script.next(states[-1]))
@@ -111,6 +114,7 @@ def _episodes(
             controls.append(control)
             ended = over or late
             done += 1
+        lasted = len(controls)
         counted(done)
         yield states, controls
 

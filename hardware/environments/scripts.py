@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,14 +19,16 @@ FASTEST, SLOWEST = 4.0, 100.0
 """Samples in one period at either end of a sweep."""
 FEEDBACK = 0.2
 """Mean share of a feedback's samples in which a step stands in for it."""
+FEW, AGAIN, NEAR = 20, 0.5, 0.1
+"""Feedbacks tried before one comes again, the share of episodes in which one does, and how far its weights move."""
 
 
 class Script(ABC):
     """Gives one control after the other, for ever: numbers in [-1, 1] for `System.actuate`."""
 
     @abstractmethod
-    def begin(self) -> None:
-        """Start anew: an episode begins."""
+    def begin(self, lasted: int) -> None:
+        """Start anew: an episode begins; the one before ``lasted`` so many steps, 0 if there was none."""
 
     @abstractmethod
     def next(self, state: Array) -> Array:
@@ -39,7 +42,7 @@ class Steps(Script):
         self._rng, self._mean = rng, mean
         self._value = self._drawn(system.nu)
 
-    def begin(self) -> None:
+    def begin(self, lasted: int) -> None:
         self._value = self._drawn(len(self._value))
 
     def next(self, state: Array) -> Array:
@@ -59,7 +62,7 @@ class Sweep(Script):
         self._rng, self._nu = rng, system.nu
         self._values: Iterator[Array] = iter(())
 
-    def begin(self) -> None:
+    def begin(self, lasted: int) -> None:
         self._values = iter(())
 
     def next(self, state: Array) -> Array:
@@ -75,29 +78,50 @@ class Sweep(Script):
         return self._rng.uniform(0.3, 1.0, self._nu) * np.sin(phase)
 
 
+@dataclass(frozen=True)
+class Tried:
+    """The ``weights`` (nu, n) of a feedback, and how many steps its episode ``lasted``."""
+
+    lasted: int
+    weights: Array
+
+
 class RandomFeedback(Script):
-    """A feedback of the state whose weights are drawn for every episode, with some steps in between.
+    """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
 
     An environment whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
-    some feedbacks, and swings far under others. ``seen`` are states (N, nx) that give the scale.
+    some feedbacks, and swings far under others. Every second episode takes weights near those of one that lasted
+    long, so that it goes where the state can be kept. ``seen`` are states (N, nx) that give scale and aims,
+    ``tried`` what was tried before, to which this one adds.
     """
 
-    def __init__(self, system: System, seen: Array, rng: np.random.Generator) -> None:
-        self._system, self._rng = system, rng
-        regressors = system.regressors(seen)
-        self._centre, spread = regressors.mean(axis=0), regressors.std(axis=0)
+    def __init__(self, system: System, seen: Array, tried: list[Tried], rng: np.random.Generator) -> None:
+        self._system, self._rng, self._tried = system, rng, tried
+        self._seen = system.regressors(seen)
+        spread = self._seen.std(axis=0)
         self._scale = 1.0 / np.where(spread > 0.0, spread, 1.0)
         self._steps = Steps(system, 3.0, rng)
-        self.begin()
+        self._weights = np.zeros((system.nu, len(self._scale)))
+        self.begin(0)
 
-    def begin(self) -> None:
-        self._weights = self._rng.standard_normal((self._system.nu, len(self._scale)))
-        self._gain = np.exp(self._rng.uniform(-1.5, 1.5))
+    def begin(self, lasted: int) -> None:
+        if lasted > 0:
+            self._tried.append(Tried(lasted, self._weights * self._scale))
+        self._weights = self._drawn()
+        self._aim = self._seen[self._rng.integers(len(self._seen))]
         self._dither = self._rng.uniform(0.0, 2.0 * FEEDBACK)
 
     def next(self, state: Array) -> Array:
         step = self._steps.next(state)
         if self._rng.random() < self._dither:
             return step
-        seen = (self._system.regressors(state) - self._centre) * self._scale
-        return np.tanh(self._gain * self._weights @ seen)
+        return np.tanh(self._weights @ ((self._system.regressors(state) - self._aim) * self._scale))
+
+    def _drawn(self) -> Array:
+        """Return new weights, or some near those that lasted longest."""
+        drawn = self._rng.standard_normal(self._weights.shape)
+        if len(self._tried) >= FEW and self._rng.random() < AGAIN:
+            longest = sorted(self._tried, key=lambda one: -one.lasted)[: max(1, len(self._tried) // 20)]
+            weights: Array = longest[self._rng.integers(len(longest))].weights / self._scale
+            return weights + NEAR * np.abs(weights) * drawn
+        return float(np.exp(self._rng.uniform(-1.5, 1.5))) * drawn

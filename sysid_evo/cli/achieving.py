@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hardware.loop.report import LoopReport
     from hardware.robot import Robot
     from sysid_evo.engine import Rollouts
+    from sysid_evo.evolution import Champion
 
 TRACES = 10
 """Trials whose trajectories are kept for the plots."""
@@ -58,6 +59,8 @@ def drive_controller(
     else:
         champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
+    if machine.stepped:
+        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
     column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
@@ -101,6 +104,24 @@ def drive_controller(
 def is_stored(controller: str) -> bool:
     """Whether ``controller`` is a file, not the spec of a controller."""
     return Path(controller).suffix in (".json", ".safetensors") or Path(f"{controller}.json").is_file()
+
+
+def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path | None, seed: int | None) -> int:
+    """Run a controller on a robot that steps when it is told to, an environment, and return the exit code."""
+    from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from sysid_evo.registry import make_controller, make_task
+
+    runner, task = machine.runner(), make_task(champion.task)
+    assert runner is not None
+    seeds = transfer_seeds(seed if seed is not None else seed_of_run(folder) if folder else champion.seed, trials)
+    rollouts = runner.run(make_controller(champion.controller), champion.parameters[None], task, seeds, record=True)
+    cell = cell_of(champion, f"{machine.name} driven", rollouts, task, traces=TRACES)
+    measured = Measured(champion, cell, on_robot=True, physical=False)
+    out.print(f"{champion.name} on {machine.name}", style="bold", highlight=False, markup=False)
+    out.print(trials_table(measured, rollouts))
+    if folder is not None:
+        append(folder, measured)
+    return 0
 
 
 def seed_of_run(run: Path | None) -> int:
