@@ -38,7 +38,7 @@ class EnvironmentRunner:
         """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `Runner`."""
         system = self.environment.system
         task = task.bind(system)
-        controller = controller.bind(len(task.observations), system.nu)
+        controller = controller.bind_to(task)
         parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument(f"{self.environment.id}: expected at least one candidate and one seed, got none")

@@ -80,7 +80,7 @@ def backwards(champion: Champion) -> float:
     dynamics = make_robot(ROBOT).dynamics
     assert dynamics is not None
     task = make_task(champion.task).bind(dynamics.system)
-    controller = make_controller(champion.controller).bind(len(task.observations), dynamics.system.nu)
+    controller = make_controller(champion.controller).bind_to(task)
     ran = DynamicsRunner(dynamics).run(controller, champion.parameters[None], task, trial_seeds(0, TRIALS))
     names = behaviour_names(dynamics.system)
     return float(ran.behaviour[0, :, names.index("forward_speed below")].mean())

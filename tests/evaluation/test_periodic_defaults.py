@@ -40,9 +40,10 @@ def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later() -> None
     quick: dict[str, dict[str, Any]] = {name: models.get(name).presets.get("quick", {}) for name in names}
     for name in ("nearest_neighbour", "sindy_discrete", "narx"):
         model = models.make(name, **quick[name]).fit(data)
-        carry, control = np.array([[0.4, 1.0]]), np.array([[0.5]])
-        turn = np.array([[2.0 * np.pi, 0.0]])
-        np.testing.assert_allclose(model.next_state(carry + turn, control), model.next_state(carry, control) + turn)
+        lags, control, turn = model.n_lags, np.array([[0.5]]), np.array([[2.0 * np.pi, 0.0]])
+        states = np.tile([[0.4, 1.0]], (1, lags + 1, 1))
+        begun, later = (model.start(some, np.zeros((1, lags, 1))) for some in (states, states + turn))
+        np.testing.assert_allclose(model.next_state(later, control), model.next_state(begun, control) + turn)
 
 
 def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short() -> None:

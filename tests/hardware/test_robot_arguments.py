@@ -19,12 +19,17 @@ KINDS = [(robots, name) for name in robots.names()] + [(trackers, name) for name
 
 SILENT = """
 import sys
+
+import gymnasium
+
+gymnasium.make("Pendulum-v1")  # the spaces of an environment are known once it is made; its code is read here
 from sysid_evo.registry import robots, trackers
 
 tracker = {"driver": "udp", "body": "car", "port": 5005}
 made = {
     "awkward_car": {"seed": 3, "stuck": 0.5},
-    "emulated_car": {"seed": 3},
+    "emulated_car": {"seed": 3}, "cart_pole": {"seed": 3}, "pendulum": {"seed": 3}, "thermal": {"seed": 3},
+    "gymnasium": {"id": "Pendulum-v1"},
     "serial": {"port": "/dev/nowhere", "tracker": tracker, "gate": {"speed": 8.0}},
     "terminal_car": {"seed": 3, "faults": [{"kind": "unplug", "at": 1.0}], "journal": "no/such/folder/journal"},
     "natnet": {"body": "car"}, "replay": {"body": "car", "path": "no such log"}, "udp": {"body": "car", "port": 5005},

@@ -37,7 +37,7 @@ MISTAKES = (
         "state_lags: expected a whole number >= 0, got -1",
     ),
     Mistake("wrong type for a model", ("compare", "--models", "linear(ridge=none)"), "ridge: expected a number >= 0"),
-    Mistake("unknown task", ("compare", "--task", "swing_up"), "no task is called 'swing_up'"),
+    Mistake("unknown task", ("compare", "--task", "juggling"), "no task is called 'juggling'"),
     Mistake(
         "unknown parameter of the task",
         ("compare", "--task", "point_to_point(horizn=9)"),
