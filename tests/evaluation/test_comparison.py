@@ -47,6 +47,16 @@ class FailsInFit(DynamicsModel):
         return carry
 
 
+class PredictsBadly(DynamicsModel):
+    """A family that does not see how the robot moves: everything is at its limit."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: object = None) -> PredictsBadly:
+        return self
+
+    def next_state(self, carry: np.ndarray, control: np.ndarray) -> np.ndarray:
+        return np.full_like(carry, 5.0)
+
+
 class MadeUpRobot(Robot):
     """A robot that is emulated by a linear system."""
 
@@ -71,6 +81,7 @@ class Swinging(MadeUpRobot):
 @pytest.fixture(autouse=True)
 def _made_up_things(register: Callable[[Registry[Any], str, Any], Any]) -> None:
     register(models, "fails_in_fit", FailsInFit)
+    register(models, "predicts_badly", PredictsBadly)
     register(robots, "made_up_robot", MadeUpRobot)
     register(robots, "swinging", Swinging)
 
@@ -141,6 +152,16 @@ def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_p
     assert report.matrix.champions[1].against == ("linear",)
     assert not report.matrix.cell("linear", "linear").failed
     assert report.matrix.cell("linear", "fails_in_fit").reason == "needs fit fails_in_fit, which failed"
+
+
+def test_a_model_that_predicts_badly_judges_nobody_and_is_not_polished_on(tmp_path: Path) -> None:
+    near = "narx=narx(degree=1, terms=6, state_lags=0, control_lags=0)"
+    matrix = run_in(tmp_path, "linear", near, "predicts_badly").matrix
+    assert matrix is not None
+    champions = {champion.name: champion for champion in matrix.champions}
+    assert champions["linear"].judges == ("narx",)
+    assert set(champions["predicts_badly"].judges) == {"linear", "narx"}
+    assert set(champions["recommended"].against) == {"linear", "narx"}
 
 
 def test_no_model_at_all_is_an_error_that_gives_the_reasons(tmp_path: Path) -> None:
