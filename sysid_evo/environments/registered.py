@@ -15,6 +15,11 @@ from sysid_evo.tasks.task import Task
 
 ENVIRONMENTS: Mapping[str, tuple[str, str]] = {
     "sysid_evo/PointToPoint-v0": ("emulated_car", "point_to_point"),
+    "sysid_evo/WalledTrack-v0": ("emulated_car", "walled_track"),
+    "sysid_evo/SwingUp-v0": ("pendulum", "swing_up"),
+    "sysid_evo/Balance-v0": ("cart_pole", "balance"),
+    "sysid_evo/SetPoint-v0": ("thermal", "set_point"),
+    "sysid_evo/TrackReference-v0": ("thermal", "track_reference"),
 }
 """The emulated robot and the task behind each name; both can be given to `gymnasium.make` instead."""
 
