@@ -153,7 +153,7 @@ def split_members(text: str) -> tuple[str, ...]:
 def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
     """Check that all members have one system, and that task and controller fit it. Raises what does not.
 
-    Returns why the task cannot be done well by the first of them, in sentences.
+    Returns why the task cannot be done well by the first of them whose equations are known, in sentences.
     """
     from sysid_evo.errors import IncompatibleSystem
     from sysid_evo.evolution.feasibility import farthest_driven
@@ -167,7 +167,8 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
     task = evolution.make_task(system)
     evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
-    farthest = farthest_driven(dynamics_of(store, columns[0]))
+    known = next((column for column in columns if has_dynamics(column)), None)
+    farthest = None if known is None else farthest_driven(dynamics_of(store, known))
     return () if farthest is None else task.doubts(farthest)
 
 
