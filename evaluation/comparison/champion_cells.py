@@ -151,8 +151,9 @@ class ChooseCell(ControllerFiles):
 
     @property
     def name(self) -> str:
-        names = tuple(contender.name for contender in self.contenders)
-        return names[0] if len(names) == 1 else f"best of {'+'.join(names)}"
+        if len(self.contenders) == 1:
+            return self.contenders[0].name
+        return f"best of {'+'.join(member.label for member in self.members)}"
 
     @property
     def needs(self) -> tuple[Cell, ...]:

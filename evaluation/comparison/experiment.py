@@ -44,7 +44,7 @@ class Budget(BaseModel):
 
 
 BUDGETS: dict[str, Budget] = {
-    "quick": Budget(generations=600, trials=5, runs=1, polish=240),
+    "quick": Budget(generations=900, trials=5, runs=1, polish=240),
     "standard": Budget(generations=1200, trials=5, runs=1, polish=400),
     "paper": Budget(
         generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"

@@ -387,7 +387,10 @@ def _matrix(
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
-            champions += (controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True),)
+            several = tuple(cell for cell in evolved if len(cell.members) > 1)
+            champions += (
+                controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True, further=several),
+            )
     champions += by_hand
     names = [champion.name for champion in champions]
     taken = [cell.name for cell in by_hand if names.count(cell.name) > 1]

@@ -17,12 +17,14 @@ def controller_cell(
     judges: tuple[Column, ...],
     label: str | None = None,
     sift: bool = False,
+    further: tuple[EvolveCell, ...] = (),
 ) -> ChampionCell:
     """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
 
     By the recommended one each member is searched alone, the best are chosen by their median on those of
     ``judges`` that are models of other families and predict well, and polished on all members at once; with
-    ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members.
+    ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members. The
+    finalists of ``further`` evolutions, in several models at once, can be chosen, too.
     """
     evolution = experiment.evolution
     if experiment.budget.recipe == "plain":
@@ -31,7 +33,7 @@ def controller_cell(
     singles = tuple(EvolveCell((member,), evolution, experiment.seed) for member in members)
     if len(members) == 1:
         return chosen_cell(experiment, singles, models)
-    chosen = ChooseCell(singles, models, experiment.selection_trials, experiment.seed)
+    chosen = ChooseCell((*singles, *further), models, experiment.selection_trials, experiment.seed)
     name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
     return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name, sift)
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from evaluation.comparison import Comparison, Experiment, StoredModel, plan_comparison, planning, unsettled
+from evaluation.comparison.champion_cells import PolishCell
 from evaluation.transfer import Cell, person
 from evaluation.transfer.measured import Measured
 from sysid_evo.data import Dataset
@@ -128,6 +129,15 @@ def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_
     assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "recommended"]
 
 
+def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again() -> None:
+    found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
+    assert found.matrix is not None
+    polished = found.matrix.champions[-1]
+    assert isinstance(polished, PolishCell)
+    assert [one.name for one in polished.chosen.contenders] == ["linear", "near", "parametrised", "linear+near"]
+    assert sum(cell.title == "evolve linear+near" for cell in found.plan) == 1
+
+
 def test_a_further_model_judges_and_evolves_nothing_again() -> None:
     fewer = planned(**{**RECOMMENDED, "models": ("linear", "near=nearest_neighbour")})
     anew = {title for title in changed(fewer, planned(**RECOMMENDED)) if "parametrised" not in title}
@@ -166,7 +176,7 @@ def test_a_stored_experiment_under_another_preset_is_what_it_would_have_been_fro
     asked = {"models": ("linear", "par=parametrised", "sure=parametrised(generations=7)"), "ensembles": (),
              "generations": None}  # fmt: skip
     stored = planned(**asked).experiment.model_dump(mode="json", exclude_none=True)
-    assert stored["generations"] == 600
+    assert stored["generations"] == 900
     assert "generations" not in unsettled(stored)
     assert unsettled(stored)["trials"] == 2  # asked for, not the preset's
     again = planned(**{**unsettled(stored), "preset": "standard", "generations": None})

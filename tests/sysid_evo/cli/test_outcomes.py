@@ -318,7 +318,7 @@ def test_without_debug_there_is_no_traceback(call: Caller) -> None:
 
 
 def test_another_preset_on_the_line_brings_its_own_budget(call: Caller, logs: Path) -> None:
-    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 600\ntrials = 5\nruns = 1\n'
+    settings = f'data = ["{logs}"]\nmodels = ["linear"]\npreset = "quick"\ngenerations = 900\ntrials = 5\nruns = 1\n'
     (call.folder / "quick.toml").write_text(settings)
 
     def seconds(*options: str) -> float:
@@ -327,8 +327,8 @@ def test_another_preset_on_the_line_brings_its_own_budget(call: Caller, logs: Pa
         (evolve,) = [cell["seconds"] for cell in json.loads(ended.stdout)["cells"] if cell["cell"] == "evolve linear"]
         return float(evolve)
 
-    assert seconds("--preset", "standard") == pytest.approx(2.0 * seconds(), rel=0.05)
-    assert seconds("--preset", "standard", "--runs", "3") == pytest.approx(6.0 * seconds(), rel=0.05)
+    assert seconds("--preset", "standard") == pytest.approx(1200 / 900 * seconds(), rel=0.05)
+    assert seconds("--preset", "standard", "--runs", "3") == pytest.approx(4.0 * seconds(), rel=0.05)
 
 
 def test_evolve_tells_its_claim_as_json_and_knows_a_model_by_name_and_by_file(there: Caller) -> None:
