@@ -11,46 +11,33 @@ from evaluation.comparison.columns import Column, runner_of
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
 from evaluation.comparison.hand_written import HandWrittenCell
-from evaluation.comparison.model_cells import FitCell, PredictCell, with_preset, without_preset
+from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import (
     IncompatibleSystem,
     IncompatibleTask,
     InvalidArgument,
     InvalidData,
-    MissingExtra,
-    SysidEvoError,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
 from sysid_evo.plan import Cell, Plan
 from sysid_evo.registry import (
-    Registry,
     Spec,
     aggregates,
     controllers,
     distinct,
     make_robot,
-    models,
     robot_spec,
     tasks,
 )
 from sysid_evo.system import System
-
-PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
-OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
-"""What is compared when no family is named; with the preset ``paper`` only the paper's own."""
-TURNING_FAMILIES = ("sindy_discrete", "narx")
-"""What stands in for the families that do not know periodic states, where a system has some."""
-DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
-"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
-ALL = "all"
 
 
 @dataclass(frozen=True)
@@ -100,9 +87,9 @@ def plan_comparison(
     else:
         system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
         data = _data(experiment, robot, dataset)
-    specs = _models(experiment, system, remarks)
+    specs = models_of(experiment, system, remarks)
     labels = tuple(spec.label for spec in specs)
-    ensembles = _ensembles(experiment, labels)
+    ensembles = ensembles_of(experiment, labels)
     column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
     if experiment.only is None:
         _check_control(evolution, system)
@@ -166,8 +153,8 @@ def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _constructible(evolution: ControllerEvolution) -> None:
     """Make what can be made without a system, so that wrong values are found now."""
     for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
-        _made(registry, spec)
-    _made(aggregates, Spec.parse(evolution.aggregate))
+        made(registry, spec)
+    made(aggregates, Spec.parse(evolution.aggregate))
 
 
 def _check_control(evolution: ControllerEvolution, system: System) -> None:
@@ -185,15 +172,6 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
         return farthest_recorded(dataset)
     dynamics = None if robot is None else make_robot(robot).dynamics
     return None if dynamics is None else farthest_driven(dynamics)
-
-
-def _made(registry: Registry[Any], spec: Spec) -> Any:
-    try:
-        return registry.make(spec)
-    except SysidEvoError:
-        raise
-    except Exception as error:  # a constructor may fail in any way when its values are wrong
-        raise InvalidArgument(f"{registry.kind} {spec}: {type(error).__name__}: {error}") from error
 
 
 def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
@@ -236,92 +214,11 @@ def check_experiment(experiment: Experiment) -> None:
     robot = _robot(experiment, has_data=experiment.data is not None)
     if robot is not None:
         make_robot(robot)
-    asked = _asked(experiment)
+    asked = asked_models(experiment)
     if asked is not None:
         for spec in asked:
-            _made_model(spec, experiment.preset)
-        _ensembles(experiment, tuple(spec.label for spec in asked))
-
-
-def _asked(experiment: Experiment) -> tuple[Spec, ...] | None:
-    """Return the specs of the models that are asked for by name, None if the choice is left open."""
-    if experiment.models is None or experiment.models == (ALL,):
-        return None
-    if not experiment.models:
-        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
-    return distinct(tuple(Spec.parse(text) for text in experiment.models))
-
-
-def _models(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
-    """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
-    asked = _asked(experiment)
-    if asked is not None:
-        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
-    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
-    if system.periods:
-        plain = [name for name in usual if not _knows_turns(name)]
-        names = ", ".join(channel.name for channel in system.states if channel.period)
-        remarks.append(f"{', '.join(plain)} are left out: they take {names} for a plain number. Name them to have them")
-        usual = tuple(name for name in (*usual, *TURNING_FAMILIES) if name not in plain)
-    found = []
-    for name in models.names() if experiment.models == (ALL,) else usual:
-        try:
-            found.append(_usable(Spec(name), experiment.preset, system))
-        except (MissingExtra, IncompatibleSystem) as error:
-            remarks.append(f"{name} is left out: {error}")
-    if not found:
-        raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
-    return tuple(found)
-
-
-def _knows_turns(name: str) -> bool:
-    """Whether a family takes a periodic state for what it is; one that cannot be loaded is not judged."""
-    try:
-        return bool(getattr(models.get(name), "periodic", False))
-    except MissingExtra:
-        return True
-
-
-def _usable(spec: Spec, preset: str, system: System) -> Spec:
-    """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
-    whole, model = _made_model(spec, preset)
-    model.check_system(system)
-    return whole
-
-
-def _made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
-    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
-    models.check(spec)
-    lacking = models.lacking(spec.name)
-    if lacking is not None:
-        raise lacking
-    whole = with_preset(spec, preset)
-    model: DynamicsModel = _made(models, whole)
-    return whole, model
-
-
-def _ensembles(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    if experiment.only is not None:
-        return ()
-    if experiment.ensembles is None:
-        chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
-        return chosen or ((labels,) if len(labels) > 1 else ())
-    return tuple(_ensemble(text, labels) for text in dict.fromkeys(experiment.ensembles))
-
-
-def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
-    members = tuple(member.strip() for member in text.split("+"))
-    if len(members) < 2:
-        raise InvalidArgument(
-            f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
-            "every model alone is compared anyway"
-        )
-    unknown = [member for member in members if member not in labels]
-    if unknown:
-        raise InvalidArgument(f"ensemble {text!r} names {', '.join(unknown)}, but the models are {', '.join(labels)}")
-    if len(set(members)) < len(members):
-        raise InvalidArgument(f"ensemble {text!r} names a model twice")
-    return members
+            made_model(spec, experiment.preset)
+        ensembles_of(experiment, tuple(spec.label for spec in asked))
 
 
 def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:

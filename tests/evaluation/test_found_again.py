@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.comparison import Comparison, Experiment, StoredModel, plan_comparison, planning, unsettled
+from evaluation.comparison import Comparison, Experiment, StoredModel, families, plan_comparison, unsettled
 from evaluation.comparison.champion_cells import PolishCell
 from evaluation.transfer import Cell, person
 from evaluation.transfer.measured import Measured
@@ -358,7 +358,7 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
         requires = ("no_such_package",)
 
     register(models, "lacking", Lacking)
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("linear", "lacking"))
+    monkeypatch.setattr(families, "OTHER_FAMILIES", ("linear", "lacking"))
     comparison = planned(models=None, ensembles=None)
     assert list(comparison.fits) == ["linear"]
     assert len(comparison.plan.remarks) == 1
@@ -366,6 +366,6 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
     assert 'pip install "no_such_package"' in comparison.plan.remarks[0]
     with pytest.raises(MissingExtra, match="needs the package 'no_such_package', which is not installed"):
         planned(models=("lacking",), ensembles=())
-    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("lacking",))
+    monkeypatch.setattr(families, "OTHER_FAMILIES", ("lacking",))
     with pytest.raises(InvalidArgument, match="none of the usual families can be compared here"):
         planned(models=None, ensembles=None)

@@ -1,0 +1,111 @@
+"""What an experiment leaves open about its models: which families are compared, alone and as ensembles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from evaluation.comparison.experiment import Experiment
+from evaluation.comparison.model_cells import with_preset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, SysidEvoError
+from sysid_evo.registry import Registry, Spec, distinct, models
+from sysid_evo.system import System
+
+PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
+OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
+"""What is compared when no family is named; with the preset ``paper`` only the paper's own."""
+TURNING_FAMILIES = ("sindy_discrete", "narx")
+"""What stands in for the families that do not know periodic states, where a system has some."""
+DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
+"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+ALL = "all"
+
+
+def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
+    """Return the specs of the models that are asked for by name, None if the choice is left open."""
+    if experiment.models is None or experiment.models == (ALL,):
+        return None
+    if not experiment.models:
+        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
+    return distinct(tuple(Spec.parse(text) for text in experiment.models))
+
+
+def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
+    """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
+    asked = asked_models(experiment)
+    if asked is not None:
+        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
+    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    if system.periods:
+        plain = [name for name in usual if not _knows_turns(name)]
+        names = ", ".join(channel.name for channel in system.states if channel.period)
+        remarks.append(f"{', '.join(plain)} are left out: they take {names} for a plain number. Name them to have them")
+        usual = tuple(name for name in (*usual, *TURNING_FAMILIES) if name not in plain)
+    found = []
+    for name in models.names() if experiment.models == (ALL,) else usual:
+        try:
+            found.append(_usable(Spec(name), experiment.preset, system))
+        except (MissingExtra, IncompatibleSystem) as error:
+            remarks.append(f"{name} is left out: {error}")
+    if not found:
+        raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
+    return tuple(found)
+
+
+def _knows_turns(name: str) -> bool:
+    """Whether a family takes a periodic state for what it is; one that cannot be loaded is not judged."""
+    try:
+        return bool(getattr(models.get(name), "periodic", False))
+    except MissingExtra:
+        return True
+
+
+def _usable(spec: Spec, preset: str, system: System) -> Spec:
+    """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
+    whole, model = made_model(spec, preset)
+    model.check_system(system)
+    return whole
+
+
+def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
+    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
+    models.check(spec)
+    lacking = models.lacking(spec.name)
+    if lacking is not None:
+        raise lacking
+    whole = with_preset(spec, preset)
+    model: DynamicsModel = made(models, whole)
+    return whole, model
+
+
+def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    if experiment.only is not None:
+        return ()
+    if experiment.ensembles is None:
+        chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
+        return chosen or ((labels,) if len(labels) > 1 else ())
+    return tuple(_ensemble(text, labels) for text in dict.fromkeys(experiment.ensembles))
+
+
+def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
+    members = tuple(member.strip() for member in text.split("+"))
+    if len(members) < 2:
+        raise InvalidArgument(
+            f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
+            "every model alone is compared anyway"
+        )
+    unknown = [member for member in members if member not in labels]
+    if unknown:
+        raise InvalidArgument(f"ensemble {text!r} names {', '.join(unknown)}, but the models are {', '.join(labels)}")
+    if len(set(members)) < len(members):
+        raise InvalidArgument(f"ensemble {text!r} names a model twice")
+    return members
+
+
+def made(registry: Registry[Any], spec: Spec) -> Any:
+    try:
+        return registry.make(spec)
+    except SysidEvoError:
+        raise
+    except Exception as error:  # a constructor may fail in any way when its values are wrong
+        raise InvalidArgument(f"{registry.kind} {spec}: {type(error).__name__}: {error}") from error
