@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    QUARTER,
+    load_quarter,
+    splat,
+    splat_quarter,
+    store,
+    view,
+    where_at_most,
+    where_less,
+)
 from sysid_evo.engine.compiled.layout import Layout
 
 HEAD = Layout("forward", "lateral", "yaw_rate", "drive", "steer", "nx", "dt", "oldest_command")
@@ -13,51 +23,53 @@ OWN = PHYSICAL + 8
 
 def car_rate(x, u, p, y, scratch):
     """Write the known part of dx/dt (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
-    for i in range(int(p[HEAD.nx]) * LANES):
-        y[i] = 0.0
-    forward, yaw_rate = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES
-    if p[HEAD.lateral] >= 0.0:
-        damp(view(x, int(p[HEAD.lateral]) * LANES), p[OWN], view(y, int(p[HEAD.lateral]) * LANES))
-    drive_and_turn(
-        view(x, forward), view(x, yaw_rate), view(u, int(p[HEAD.drive]) * LANES), view(u, int(p[HEAD.steer]) * LANES),
-        view(p, PHYSICAL), view(y, forward), view(y, yaw_rate),
-    )  # fmt: skip
+    forward, yaw_rate, lateral = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES, int(p[HEAD.lateral]) * LANES
+    drive, steer = int(p[HEAD.drive]) * LANES, int(p[HEAD.steer]) * LANES
+    physical = view(p, PHYSICAL)
+    clear(y, int(p[HEAD.nx]))
+    for lane in range(0, LANES, QUARTER):
+        speed, turn = load_quarter(x, forward + lane), load_quarter(x, yaw_rate + lane)
+        command = load_quarter(u, steer + lane)
+        store(y, forward + lane, speed_rate(speed, load_quarter(u, drive + lane), physical))
+        store(y, yaw_rate + lane, turn_rate(speed, turn, command, physical))
+        if lateral >= 0:
+            store(y, lateral + lane, -load_quarter(x, lateral + lane) * p[OWN])
 
 
 def equation_one(x, u, p, y, scratch):
     """Write the next state of the paper's Equation 1 (a predictor)."""
-    forward, yaw_rate = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES
-    for i in range(int(p[HEAD.nx]) * LANES):
-        y[i] = 0.0
-    drive, steer = view(u, int(p[HEAD.drive]) * LANES), view(u, int(p[HEAD.steer]) * LANES)
-    if p[HEAD.oldest_command] > 0.0:
-        command = view(x, int(p[HEAD.oldest_command]) * LANES)
-        drive, steer = view(command, int(p[HEAD.drive]) * LANES), view(command, int(p[HEAD.steer]) * LANES)
-    drive_and_turn(
-        view(x, forward), view(x, yaw_rate), drive, steer, view(p, PHYSICAL), view(y, forward), view(y, yaw_rate)
-    )
-    settle(view(x, forward), drive, p[HEAD.dt], p[OWN], p[OWN + 2], view(y, forward))
-    settle(view(x, yaw_rate), steer, p[HEAD.dt], p[OWN + 1], p[OWN + 3], view(y, yaw_rate))
+    forward, yaw_rate, oldest = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES, p[HEAD.oldest_command]
+    drive, steer = int(p[HEAD.drive]) * LANES, int(p[HEAD.steer]) * LANES
+    acting = view(x, int(oldest) * LANES) if oldest > 0.0 else u
+    physical, dt = view(p, PHYSICAL), p[HEAD.dt]
+    clear(y, int(p[HEAD.nx]))
+    for lane in range(0, LANES, QUARTER):
+        speed, turn = load_quarter(x, forward + lane), load_quarter(x, yaw_rate + lane)
+        throttle, wheel = load_quarter(acting, drive + lane), load_quarter(acting, steer + lane)
+        faster = speed + dt * speed_rate(speed, throttle, physical)
+        turned = turn + dt * turn_rate(speed, turn, wheel, physical)
+        store(y, forward + lane, settled(faster, throttle, p[OWN], p[OWN + 2]))
+        store(y, yaw_rate + lane, settled(turned, wheel, p[OWN + 1], p[OWN + 3]))
 
 
-def damp(sideways, drag, rate):
-    """rate = -drag sideways."""
-    for lane in range(LANES):
-        rate[lane] = -sideways[lane] * drag
+def clear(y, rows):
+    """Write zeros."""
+    for row in range(rows):
+        store(y, row * LANES, splat(0.0))
 
 
-def drive_and_turn(speed, turn, drive, steer, p, speed_rate, turn_rate):
-    """Thrust, steering and drag, line by line as in `model_zoo.car.physics`."""
-    u_f, u_b, r_l, r_r, d_ul, d_uv, d_rl, d_rv = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]
-    for lane in range(LANES):
-        u, r, u1, u2 = speed[lane], turn[lane], drive[lane], steer[lane]
-        speed_rate[lane] = u_f * max(u1, 0.0) - u_b * max(-u1, 0.0) - u * d_ul - u * abs(u) * d_uv
-        turn_rate[lane] = u * (r_l * max(u2, 0.0) - r_r * max(-u2, 0.0)) - r * d_rl - r * abs(r) * d_rv
+def speed_rate(speed, drive, p):
+    """Thrust and drag, as in `model_zoo.car.physics`."""
+    return p[0] * max(drive, 0.0) - p[1] * max(-drive, 0.0) - speed * p[4] - speed * abs(speed) * p[5]
 
 
-def settle(before, command, dt, least, most, rate):
-    """Turn a rate into the next value: still below ``least`` without a command, at most ``most``."""
-    for lane in range(LANES):
-        after = before[lane] + dt * rate[lane]
-        still = (abs(after) < least) & (command[lane] == 0.0)
-        rate[lane] = 0.0 if still else min(max(after, -most), most)
+def turn_rate(speed, turn, steer, p):
+    """Steering and drag, as in `model_zoo.car.physics`."""
+    return speed * (p[2] * max(steer, 0.0) - p[3] * max(-steer, 0.0)) - turn * p[6] - turn * abs(turn) * p[7]
+
+
+def settled(after, command, least, most):
+    """A next value: still below ``least`` without a command, at most ``most``."""
+    zero, moving = splat_quarter(0.0), min(max(after, -most), most)
+    at_rest = where_at_most(abs(command), zero, zero, moving)
+    return where_less(abs(after), splat_quarter(least), at_rest, moving)

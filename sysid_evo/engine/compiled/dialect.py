@@ -41,8 +41,8 @@ from sysid_evo.files import cache_folder, write_atomically
 Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = (
-    "first_lane", "lane_of_lowest", "lanes_less", "load", "load_quarter", "lowest", "pick", "power_of_two", "splat",
-    "splat_quarter", "store", "view", "where_less",
+    "first_lane", "lane_of_lowest", "lanes_at_most", "lanes_differ", "lanes_less", "load", "load_quarter",
+    "lowest", "pick", "power_of_two", "splat", "splat_quarter", "store", "view", "where_at_most", "where_bits", "where_less",
 )  # fmt: skip
 _IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
@@ -50,7 +50,7 @@ BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
 INNER = (
-    f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)"
+    f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)"
 )
 """How a function that only kernels call is compiled: without the forms that Python or C would call."""
 
@@ -125,7 +125,7 @@ def compile_kernel(source: Source, signature: Signature, precision: Precision, *
         signature.check(_plain(source.function))
     decorator = "@cfunc" if pointer else "@njit"
     options = "" if pointer else ", nogil=True"
-    options = f"cache=True, fastmath={FASTMATH}, error_model='numpy'{options}"
+    options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False{options}"
     return _import(generate(source, f"{decorator}({signature}, {options})", precision)).entry
 
 

@@ -52,11 +52,16 @@ class DynamicsKernel:
 
 @dataclass(frozen=True)
 class ControllerKernel:
-    """The compiled form of `Controller.act`."""
+    """The compiled form of `Controller.act`.
+
+    ``before_tanh`` says that ``raw`` is still to be squashed by tanh. The loop does that where a control is
+    continuous; a switch at b is one at artanh b before it.
+    """
 
     source: Source
     parameters: Array = field(default_factory=lambda: np.zeros(1))
     n_scratch: int = 0
+    before_tanh: bool = False
 
 
 @dataclass(frozen=True)

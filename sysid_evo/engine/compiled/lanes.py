@@ -14,6 +14,7 @@ would count references in the loop.
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -24,6 +25,8 @@ from numba.extending import intrinsic, models, overload, register_model
 
 LANES = 64
 QUARTER = LANES // 4
+FASTMATH = ("contract", "arcp", "nsz")
+"""What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
 
 
 class LanesType(types.Type):
@@ -119,7 +122,7 @@ def _operation(name: str) -> Any:
     @intrinsic
     def operation(typing_context, a, b):
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, name)(*arguments, flags=("contract",))
+            return getattr(builder, name)(*arguments, flags=FASTMATH)
 
         return a(a, b), generate
 
@@ -129,39 +132,167 @@ def _operation(name: str) -> Any:
 _add, _sub, _mul = _operation("fadd"), _operation("fsub"), _operation("fmul")
 
 
+_div = _operation("fdiv")
+
+
+def _choice(comparison: str) -> Any:
+    """Return a function of four rows: the third in the lanes where the first two compare, else the fourth."""
+
+    @intrinsic
+    def choice(typing_context, a, b, x, y):
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(comparison, *arguments[:2]), *arguments[2:])
+
+        return x(a, b, x, y), generate
+
+    return choice
+
+
+where_less = _choice("<")
+"""Return x in the lanes where a < b, else y."""
+where_at_most = _choice("<=")
+"""Return x in the lanes where a <= b, else y."""
+
+
 @intrinsic
-def where_less(typing_context, a, b, x, y):
-    """Return x in the lanes where a < b, else y."""
+def where_bits(typing_context, bits, x, y):
+    """Return x in the lanes whose bit is set, else y; rows of 64 lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.select(builder.fcmp_ordered("<", *arguments[:2]), *arguments[2:])
+        chosen = builder.bitcast(arguments[0], ir.VectorType(ir.IntType(1), LANES))
+        return builder.select(chosen, *arguments[1:])
 
-    return x(a, b, x, y), generate
+    return x(types.int64, x, y), generate
+
+
+@intrinsic
+def lanes_differ(typing_context, a, b):
+    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
+
+    return types.int64(a, b), generate
 
 
 def _are_lanes(a: Any, b: Any) -> bool:
     return isinstance(a, LanesType) and isinstance(b, LanesType)
 
 
-@overload(operator.add)
-def _lanes_add(a, b):
-    if _are_lanes(a, b):
-        return lambda a, b: _add(a, b)
+@intrinsic
+def _like(typing_context, row, number):
+    """Return a row like ``row`` with ``number`` in every lane."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _broadcast(builder, arguments[1], context.get_value_type(signature.args[0]))
+
+    return row(row, row.dtype), generate
+
+
+def _overload_with_numbers(function: Any, operation: Any) -> None:
+    """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
+
+    @overload(function)
+    def with_lanes(a, b):
+        if _are_lanes(a, b):
+            return lambda a, b: operation(a, b)
+        if isinstance(a, LanesType) and isinstance(b, types.Number):
+            return lambda a, b: operation(a, _like(a, b))
+        if isinstance(a, types.Number) and isinstance(b, LanesType):
+            return lambda a, b: operation(_like(b, a), b)
+        return None
+
+
+for _function, _instruction in (
+    (operator.add, _add), (operator.sub, _sub), (operator.mul, _mul), (operator.truediv, _div),
+):  # fmt: skip
+    _overload_with_numbers(_function, _instruction)
+
+
+@overload(operator.neg)
+def _lanes_neg(a):
+    if isinstance(a, LanesType):
+        return lambda a: _negative(a)
     return None
 
 
-@overload(operator.sub)
-def _lanes_sub(a, b):
-    if _are_lanes(a, b):
-        return lambda a, b: _sub(a, b)
+@intrinsic
+def _negative(typing_context, a):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fneg(arguments[0])
+
+    return a(a), generate
+
+
+@overload(abs)
+def _lanes_abs(a):
+    if isinstance(a, LanesType):
+        return lambda a: _magnitude(a)
     return None
 
 
-@overload(operator.mul)
-def _lanes_mul(a, b):
-    if _are_lanes(a, b):
-        return lambda a, b: _mul(a, b)
-    return None
+@intrinsic
+def _magnitude(typing_context, a):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _call(builder, "fabs", context.get_value_type(signature.args[0]), arguments)
+
+    return a(a), generate
+
+
+def _call(builder: Any, name: str, vector: Any, arguments: Any) -> Any:
+    """Call LLVM's own elementwise function ``name``."""
+    kind = "f32" if isinstance(vector.element, ir.FloatType) else "f64"
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(vector, [vector] * len(arguments)), f"llvm.{name}.v{vector.count}{kind}"
+    )
+    return builder.call(function, arguments)
+
+
+@intrinsic
+def _least(typing_context, a, b):
+    """The second where they do not compare, as the built-in function of two numbers."""
+    return a(a, b), _smaller("<")
+
+
+@intrinsic
+def _most(typing_context, a, b):
+    return a(a, b), _smaller(">")
+
+
+def _smaller(comparison: str) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        first, second = arguments
+        return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
+
+    return generate
+
+
+_overload_with_numbers(min, _least)
+_overload_with_numbers(max, _most)
+
+
+@intrinsic
+def _put(typing_context, row, lane, number):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector, place, value = arguments
+        return builder.insert_element(vector, value, place)
+
+    return row(row, types.int64, row.dtype), generate
+
+
+@overload(math.tanh)
+def _lanes_tanh(x):
+    """In float64, where the mathematics library stands behind it: lane by lane."""
+    if not isinstance(x, LanesType):
+        return None
+    count = x.count
+
+    def tanh(x):
+        for lane in range(count):
+            x = _put(x, lane, math.tanh(pick(x, lane)))
+        return x
+
+    return tanh
 
 
 def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -204,14 +335,23 @@ def lane_of_lowest(typing_context, row):
     return types.int64(row), generate
 
 
-@intrinsic
-def lanes_less(typing_context, a, b):
-    """Return an integer whose bit i says whether a < b in lane i of two quarters."""
+def _marks(comparison: str) -> Any:
+    """Return a function of two rows (or quarters): an integer whose bit i says whether lane i compares."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _bits(builder, builder.fcmp_ordered("<", *arguments), a.count)
+    @intrinsic
+    def marks(typing_context, a, b):
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return _bits(builder, builder.fcmp_ordered(comparison, *arguments), a.count)
 
-    return types.int64(a, b), generate
+        return types.int64(a, b), generate
+
+    return marks
+
+
+lanes_less = _marks("<")
+"""Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
+lanes_at_most = _marks("<=")
+"""Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
 
 
 @intrinsic

@@ -5,9 +5,22 @@ They know nothing about cars: kernels come as first-class functions, sizes in an
 
 from __future__ import annotations
 
+import math
+
 from sysid_evo.engine.behaviour import EVERY
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    first_lane,
+    lanes_differ,
+    load,
+    splat,
+    store,
+    view,
+    where_at_most,
+    where_bits,
+    where_less,
+)
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
 
@@ -24,7 +37,7 @@ def closed_loop(
     dynamics_parameters, controller_parameters, task_parameters,
     theta_of, start, task_start, trial_data, noise_of, envelope, actuation, centre, first, last,
     carry, control, noise, memory, observation, raw, before, task, theta, kept, tally, scratch, controller_scratch,
-    trials, dead,
+    trials,
     fitness, survived, clipped, diverged, final_task, counts, doubts, states, controls, poses,
 ):  # fmt: skip
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
@@ -38,24 +51,21 @@ def closed_loop(
             trial = rollout % n_trials
             candidate = rollout // n_trials
             trials[lane] = trial
-            dead[lane] = 0
             for row in range(n_carry):
                 carry[row * LANES + lane] = start[trial * n_carry + row]
             for row in range(n_task):
                 task[row * LANES + lane] = task_start[trial * n_task + row]
             for row in range(n_theta):
                 theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
-        for i in range(sizes[CLOSED.n_memory] * LANES):
-            memory[i] = 0.0
-        for i in range(2 * (nx + nu) * LANES):
-            tally[i] = 0.0
-        n_dead, marks = 0, observation  # observed anew before it is read
-        for lane in range(LANES):
-            if task[LANES + lane] == 0.0:
-                dead[lane] = 1
-                n_dead += 1
+        clear(memory, sizes[CLOSED.n_memory])
+        clear(tally, 2 * (nx + nu))
+        used = min(LANES, rollouts - block * LANES)
+        in_order = (block * LANES) % n_trials  # from here on the trials of the lanes follow each other
+        marks = observation  # observed anew before it is read
+        over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
+        lost = over & 0  # and for each that diverged
         for k in range(horizon):
-            if n_dead == LANES:
+            if over == -1:
                 break
             observe(task, view(carry, sizes[CLOSED.seen] * LANES), observation, task_parameters)
             controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
@@ -63,43 +73,46 @@ def closed_loop(
             if k % EVERY == 0:
                 count_sides(carry, view(task, LANES), view(centre, 0), nx, tally)
                 count_sides(control, view(task, LANES), view(centre, nx), nu, view(tally, 2 * nx * LANES))
-            if n_noise > 0:
-                for lane in range(LANES):
-                    drawn, column = view(noise_of, (trials[lane] * horizon + k) * n_noise), view(noise, lane)
-                    for row in range(n_noise):
-                        column[row * LANES] = drawn[row]
-            for i in range(nx * LANES):
-                before[i] = carry[i]
-            if n_dead > 0:
-                keep(carry, n_carry, task, n_task, kept)
+            drawn = view(noise_of, k * n_noise * (n_trials + LANES) + in_order)
+            for row in range(n_noise):
+                store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
+            copy_rows(carry, before, nx)
+            if over != 0:
+                copy_rows(carry, kept, n_carry)
+                copy_rows(task, view(kept, n_carry * LANES), n_task)
             dynamics(carry, control, noise, dynamics_parameters, scratch)
-            if suspicious(carry, envelope, n_carry, nx, marks) > 0:
-                for lane in range(LANES):
-                    if marks[lane] != marks[lane]:
-                        rollout = block * LANES + lane
-                        if dead[lane] == 0:
-                            dead[lane] = 2
-                            n_dead += 1
+            marked = suspicious(carry, envelope, n_carry, nx, marks)
+            if marked != 0:
+                touched = view(clipped, block * LANES)
+                while marked != 0:
+                    lane = first_lane(marked)
+                    marked &= marked - 1
+                    bit = 1 << lane
+                    if marks[lane] == marks[lane]:
+                        if over & bit == 0 and lane < used:
+                            touched[lane] += 1
+                    else:
+                        if over & bit == 0:
+                            over |= bit
+                            lost |= bit
                             for row in range(n_task):
                                 kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
-                            if rollout < rollouts:
-                                diverged[rollout] = 1
-                                survived[rollout] = k
-                        if dead[lane] == 2:
+                            if lane < used:
+                                diverged[block * LANES + lane] = 1
+                                survived[block * LANES + lane] = k
+                        if lost & bit != 0:
                             for row in range(n_carry):
                                 carry[row * LANES + lane] = 0.0
                                 kept[row * LANES + lane] = 0.0
                 clip(carry, envelope, nx)
-                touched = view(clipped, block * LANES)
-                for lane in range(min(LANES, rollouts - block * LANES)):
-                    touched[lane] += 1 if (marks[lane] > 0.0) & (dead[lane] == 0) else 0
             advance(task, before, carry, control, trials, trial_data, task_parameters)
-            if n_dead > 0:
-                restore(carry, n_carry, task, n_task, kept, dead)
+            if over != 0:
+                restore(carry, kept, n_carry, over)
+                restore(task, view(kept, n_carry * LANES), n_task, over)
             if sizes[CLOSED.record] == 1:
-                for lane in range(LANES):
+                for lane in range(used):
                     rollout = block * LANES + lane
-                    if dead[lane] == 0 and rollout < rollouts:
+                    if (over >> lane) & 1 == 0:
                         at = rollout * (horizon + 1) + k
                         for row in range(nx):
                             states[at * nx + row] = before[row * LANES + lane]
@@ -108,112 +121,97 @@ def closed_loop(
                             controls[(rollout * horizon + k) * nu + row] = control[row * LANES + lane]
                         for row in range(n_pose):
                             poses[(at + 1) * n_pose + row] = task[(pose_row + row) * LANES + lane]
-            ended = 0
-            for lane in range(LANES):
-                ended += 1 if task[LANES + lane] == 0.0 else 0
-            if ended > 0:
-                for lane in range(LANES):
-                    if dead[lane] == 0 and task[LANES + lane] == 0.0:
-                        dead[lane] = 1
-                        n_dead += 1
-                        if block * LANES + lane < rollouts:
-                            survived[block * LANES + lane] = k + 1
-        for lane in range(LANES):
+            ended = ~lanes_differ(load(task, LANES), splat(0.0)) & ~over
+            over |= ended
+            while ended != 0:
+                lane = first_lane(ended)
+                ended &= ended - 1
+                if lane < used:
+                    survived[block * LANES + lane] = k + 1
+        for lane in range(used):
             rollout = block * LANES + lane
-            if rollout < rollouts:
-                fitness[rollout] = task[lane]
-                for row in range(n_task):
-                    final_task[rollout * n_task + row] = task[row * LANES + lane]
-                for row in range(2 * (nx + nu)):
-                    counts[rollout * 2 * (nx + nu) + row] = tally[row * LANES + lane]
-                if sizes[CLOSED.doubt_at] >= 0:
-                    doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
-                if dead[lane] == 0:
-                    survived[rollout] = horizon
+            fitness[rollout] = task[lane]
+            for row in range(n_task):
+                final_task[rollout * n_task + row] = task[row * LANES + lane]
+            for row in range(2 * (nx + nu)):
+                counts[rollout * 2 * (nx + nu) + row] = tally[row * LANES + lane]
+            if sizes[CLOSED.doubt_at] >= 0:
+                doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
+            if (over >> lane) & 1 == 0:
+                survived[rollout] = horizon
 
 
 def count_sides(values, alive, centre, rows, tally):
     """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
+    counted, nothing = load(alive, 0), splat(0.0)
     for row in range(rows):
-        value, middle = view(values, row * LANES), centre[row]
-        above, below = view(tally, 2 * row * LANES), view(tally, (2 * row + 1) * LANES)
-        for lane in range(LANES):
-            above[lane] += alive[lane] if value[lane] > middle else 0.0
-            below[lane] += alive[lane] if value[lane] < middle else 0.0
+        value, middle, above = load(values, row * LANES), splat(centre[row]), 2 * row * LANES
+        store(tally, above, load(tally, above) + where_less(middle, value, counted, nothing))
+        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, nothing))
 
 
 def suspicious(carry, envelope, n_carry, nx, marks):
-    """Count the lanes that need care; their mark is above 0 outside the envelope, nan if not finite."""
-    for lane in range(LANES):
-        marks[lane] = 0.0
+    """Return a bit for each lane that needs care; its mark is above 0 outside the envelope, nan if not finite."""
+    one, zero = splat(1.0), splat(0.0)
+    mark = splat(0.0)
     for row in range(nx):
-        low, high = envelope[row], envelope[nx + row]
-        for lane in range(LANES):
-            value = carry[row * LANES + lane]
-            inside = (value >= low) & (value <= high)
-            marks[lane] += (value - value) + (0.0 if inside else 1.0)
+        value = load(carry, row * LANES)
+        mark = mark + (value - value)
+        mark = mark + where_less(value, splat(envelope[row]), one, zero)
+        mark = mark + where_less(splat(envelope[nx + row]), value, one, zero)
     for row in range(nx, n_carry):
-        for lane in range(LANES):
-            value = carry[row * LANES + lane]
-            marks[lane] += value - value
-    count = 0
-    for lane in range(LANES):
-        count += 1 if marks[lane] != 0.0 else 0
-    return count
+        value = load(carry, row * LANES)
+        mark = mark + (value - value)
+    marked = lanes_differ(mark, zero)
+    if marked != 0:
+        store(marks, 0, mark)
+    return marked
 
 
 def clip(carry, envelope, nx):
     """Clip every state to the envelope (low, then high of each state)."""
     for row in range(nx):
-        low, high, value = envelope[row], envelope[nx + row], view(carry, row * LANES)
-        for lane in range(LANES):
-            value[lane] = min(max(value[lane], low), high)
+        low, high = splat(envelope[row]), splat(envelope[nx + row])
+        store(carry, row * LANES, min(max(load(carry, row * LANES), low), high))
 
 
 def actuate(raw, control, actuation, nu):
     """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
     width = int(actuation[0])
     for row in range(nu):
-        at = 1 + row * width
+        at, value = 1 + row * width, load(raw, row * LANES)
         count = int(actuation[at])
-        if count == 0:
-            low = actuation[at + 1]
-            span = actuation[at + 2] - low
-            for lane in range(LANES):
-                share = (min(max(raw[row * LANES + lane], -1.0), 1.0) + 1.0) * 0.5
-                control[row * LANES + lane] = low + share * span
+        if count <= 0:
+            low, value = actuation[at + 1], math.tanh(value) if count < 0 else value
+            share = (min(max(value, splat(-1.0)), splat(1.0)) + splat(1.0)) * splat(0.5)
+            store(control, row * LANES, splat(low) + share * splat(actuation[at + 2] - low))
         else:
-            for lane in range(LANES):
-                control[row * LANES + lane] = actuation[at + 3]
+            chosen = splat(actuation[at + 3])
             for i in range(1, count):
-                boundary = actuation[at + 3 + 2 * i]
-                level = actuation[at + 2 + 2 * i]
-                if boundary < 0.0:
-                    for lane in range(LANES):
-                        hit = raw[row * LANES + lane] >= boundary
-                        control[row * LANES + lane] = level if hit else control[row * LANES + lane]
+                level, boundary = splat(actuation[at + 2 + 2 * i]), splat(actuation[at + 3 + 2 * i])
+                if actuation[at + 3 + 2 * i] < 0.0:  # a boundary belongs to the level nearer to zero
+                    chosen = where_at_most(boundary, value, level, chosen)
                 else:
-                    for lane in range(LANES):
-                        hit = raw[row * LANES + lane] > boundary
-                        control[row * LANES + lane] = level if hit else control[row * LANES + lane]
+                    chosen = where_less(boundary, value, level, chosen)
+            store(control, row * LANES, chosen)
 
 
-def keep(carry, n_carry, task, n_task, kept):
-    """Copy carry and task, so that lanes whose trial is over can be put back."""
-    for i in range(n_carry * LANES):
-        kept[i] = carry[i]
-    for i in range(n_task * LANES):
-        kept[n_carry * LANES + i] = task[i]
+def clear(array, rows):
+    """Write zeros."""
+    for row in range(rows):
+        store(array, row * LANES, splat(0.0))
 
 
-def restore(carry, n_carry, task, n_task, kept, dead):
-    """Undo the step of the lanes whose trial is over."""
-    for lane in range(LANES):
-        if dead[lane] != 0:
-            for row in range(n_carry):
-                carry[row * LANES + lane] = kept[row * LANES + lane]
-            for row in range(n_task):
-                task[row * LANES + lane] = kept[(n_carry + row) * LANES + lane]
+def copy_rows(source, target, rows):
+    """Copy rows, one after the other: no test whether the arrays overlap."""
+    for row in range(rows):
+        store(target, row * LANES, load(source, row * LANES))
+
+
+def restore(array, kept, rows, over):
+    """Undo a step in the lanes whose trial is over."""
+    for row in range(rows):
+        store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))
 
 
 def open_loop(
@@ -316,7 +314,7 @@ def one_step(dynamics, carry, control, noise, parameters, scratch):
 CLOSED_LOOP = Signature.of(
     closed_loop,
     dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
-    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES, dead=WHOLES,
+    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)

@@ -111,20 +111,21 @@ def aligned(array: Any, real: Any = None) -> Any:
     return copied
 
 
-def actuation_table(system: System) -> Array:
+def actuation_table(system: System, *, before_tanh: bool = False) -> Array:
     """Return `System.actuate` as numbers: the width of a row, then one row a control.
 
-    ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous.
+    ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous, -1 too,
+    but of an output that is still to be squashed (``before_tanh``); boundaries are then those before tanh.
     """
     most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
     system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
     table = np.zeros((system.nu, 4 + 2 * most))
     for row, channel in zip(table, system.controls, strict=True):
-        row[1], row[2] = channel.low, channel.high
+        row[0], row[1], row[2] = -1.0 if before_tanh else 0.0, channel.low, channel.high
         if channel.levels is not None:
             row[0], row[3] = len(channel.levels), channel.levels[0]
             for i, boundary in enumerate(level_boundaries(len(channel.levels)), start=1):
-                row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], boundary
+                row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], np.arctanh(boundary) if before_tanh else boundary
     return np.concatenate([[table.shape[1]], table.ravel()])
 
 
@@ -159,6 +160,7 @@ def run(
 
     if dynamics.n_noise:
         spread(lambda: draw, trials, threads)
+    in_order = np.arange(trials + LANES) % trials  # the trials of any 64 rollouts that follow each other
     sizes = loops.CLOSED.integers(
         trials=trials,
         horizon=task.horizon,
@@ -190,9 +192,9 @@ def run(
         "start": carry,
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
-        "noise_of": noise,
+        "noise_of": noise.transpose(1, 2, 0)[:, :, in_order],
         "envelope": envelope,
-        "actuation": actuation_table(system),
+        "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
     shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
@@ -228,7 +230,7 @@ def run(
 
     def prepare() -> Work:
         own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
-        own |= {name: np.zeros(LANES, np.int64) for name in ("trials", "dead")}
+        own["trials"] = np.zeros(LANES, np.int64)
 
         def work(first: int, last: int) -> None:
             loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **shared, **own, **results))

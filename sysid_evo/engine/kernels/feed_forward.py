@@ -15,11 +15,11 @@ HEAD = Layout("n_layers", "widest")
 def feed_forward_kernel(sizes: tuple[int, ...]) -> ControllerKernel:
     """Return the compiled form of `FeedForward` with layers of these sizes, inputs first."""
     parameters = HEAD.pack(sizes, n_layers=len(sizes) - 1, widest=max(sizes))
-    return ControllerKernel(KernelSource(feed_forward), parameters, 2 * max(sizes))
+    return ControllerKernel(KernelSource(feed_forward), parameters, 2 * max(sizes), before_tanh=True)
 
 
 def feed_forward(theta, memory, observation, raw, parameters, scratch):
-    """y = tanh(W h + b), layer after layer, see `FeedForward`."""
+    """W h + b, layer after layer, with tanh in between, see `FeedForward`."""
     n_layers, even = int(parameters[HEAD.n_layers]), view(scratch, 0)
     odd = view(scratch, int(parameters[HEAD.widest]) * LANES)
     weights = view(theta, 0)
@@ -32,6 +32,7 @@ def feed_forward(theta, memory, observation, raw, parameters, scratch):
             for i in range(n_in):
                 total = total + load(weights, (i * n_out + j) * LANES) * load(source, i * LANES)
             store(target, j * LANES, total)
-        for i in range(n_out * LANES):
-            target[i] = math.tanh(target[i])
+        if layer < n_layers - 1:
+            for i in range(n_out * LANES):
+                target[i] = math.tanh(target[i])
         weights = view(weights, (n_in + 1) * n_out * LANES)

@@ -53,13 +53,13 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
 def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
     n_networks = int(p[HEAD.n_networks])
-    room, weights = gather(x, u, p, scratch), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
+    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
     n_out = int(p[HEAD.size + int(p[HEAD.n_layers])])
-    weights = forward(p, weights, scratch, room, y)
+    weights = view(weights, forward(p, weights, scratch, room, y))
     if n_networks > 1:
         other = view(room, 2 * widest(p) * LANES)
         for _ in range(1, n_networks):
-            weights = forward(p, weights, scratch, room, other)
+            weights = view(weights, forward(p, weights, scratch, room, other))
             move_rows(y, other, 1.0, y, n_out)
         share = 1.0 / float(n_networks)
         for i in range(n_out * LANES):
@@ -68,18 +68,18 @@ def network(x, u, p, y, scratch):
 
 def separate_networks(x, u, p, y, scratch):
     """Write the outputs of every network one after the other (a predictor, see `stepping`)."""
-    room, weights = gather(x, u, p, scratch), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
+    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
     size = int(p[HEAD.size + int(p[HEAD.n_layers])]) * LANES
     for member in range(int(p[HEAD.n_networks])):
-        weights = forward(p, weights, scratch, room, view(y, member * size))
+        weights = view(weights, forward(p, weights, scratch, room, view(y, member * size)))
 
 
 def gather(x, u, p, scratch):
-    """Write the inputs of the networks to the head of ``scratch``; return what comes after them."""
+    """Write the inputs of the networks to the head of ``scratch``; return where they end."""
     n_carry, n_control = int(p[HEAD.n_carry]), int(p[HEAD.n_control])
     copy(x, scratch, n_carry * LANES)
     copy(u, view(scratch, n_carry * LANES), n_control * LANES)
-    return view(scratch, (n_carry + n_control) * LANES)
+    return (n_carry + n_control) * LANES
 
 
 def widest(p):
@@ -91,20 +91,20 @@ def widest(p):
 
 
 def forward(p, weights, inputs, room, y):
-    """Write the output of one network; return the weights after its own."""
-    n_layers, even = int(p[HEAD.n_layers]), room
+    """Write the output of one network; return how many weights it has."""
+    n_layers, even, place = int(p[HEAD.n_layers]), room, 0
     odd = view(room, widest(p) * LANES)
     for layer in range(n_layers):
         n_in, n_out = int(p[HEAD.size + layer]), int(p[HEAD.size + layer + 1])
         source = inputs if layer == 0 else (even if layer % 2 == 1 else odd)
         if layer == n_layers - 1:
-            dense(source, n_in, weights, y, n_out)
+            dense(source, n_in, view(weights, place), y, n_out)
         else:
             target = even if layer % 2 == 0 else odd
-            dense(source, n_in, weights, target, n_out)
+            dense(source, n_in, view(weights, place), target, n_out)
             squash(target, n_out * LANES)
-        weights = view(weights, n_out * (n_in + 1))
-    return weights
+        place += n_out * (n_in + 1)
+    return place
 
 
 def squash(x, count):

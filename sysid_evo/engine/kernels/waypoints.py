@@ -12,7 +12,7 @@ from sysid_evo import angles
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, first_lane, lanes_at_most, load, splat, view
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.motion.compiled_form import motion_kernel
 from sysid_evo.motion.planar_body_kernel import wrap
@@ -88,18 +88,14 @@ def advance(task, before, after, control, trials, trial_data, parameters):
     """Let the motion move the pose, and pass the waypoints within reach."""
     reach = parameters[HEAD.radius_squared]
     move(view(task, ROWS.x * LANES), before, after, parameters[HEAD.dt], view(parameters, HEAD.size))
-    passes = 0
-    for lane in range(LANES):
-        dx = task[ROWS.next_x * LANES + lane] - task[ROWS.x * LANES + lane]
-        dy = task[ROWS.next_y * LANES + lane] - task[ROWS.y * LANES + lane]
-        passes += 1 if dx * dx + dy * dy <= reach else 0
-    if passes > 0:
-        for lane in range(LANES):
-            dx = task[ROWS.next_x * LANES + lane] - task[ROWS.x * LANES + lane]
-            dy = task[ROWS.next_y * LANES + lane] - task[ROWS.y * LANES + lane]
-            if dx * dx + dy * dy <= reach:
-                task[ROWS.passed * LANES + lane] += 1.0
-                number = int(task[ROWS.passed * LANES + lane])
-                place = trials[lane] * int(parameters[HEAD.n_data]) + 2 * number
-                task[ROWS.next_x * LANES + lane] = trial_data[place]
-                task[ROWS.next_y * LANES + lane] = trial_data[place + 1]
+    dx = load(task, ROWS.next_x * LANES) - load(task, ROWS.x * LANES)
+    dy = load(task, ROWS.next_y * LANES) - load(task, ROWS.y * LANES)
+    passing = lanes_at_most(dx * dx + dy * dy, splat(reach))
+    while passing != 0:
+        lane = first_lane(passing)
+        passing &= passing - 1
+        task[ROWS.passed * LANES + lane] += 1.0
+        number = int(task[ROWS.passed * LANES + lane])
+        place = trials[lane] * int(parameters[HEAD.n_data]) + 2 * number
+        task[ROWS.next_x * LANES + lane] = trial_data[place]
+        task[ROWS.next_y * LANES + lane] = trial_data[place + 1]
