@@ -6,6 +6,7 @@ import numpy as np
 from hardware.emulation.car_physics import BODY
 from model_zoo.channels.command_cells import CommandCells
 from sysid_evo.engine.kernels.neighbours import packed, split
+from sysid_evo.engine.kernels.stepping import HEAD
 from sysid_evo.randomness import trial_draws
 
 COMMANDS = [(drive, steer) for drive in (-1.0, 0.0, 1.0) for steer in (-1.0, 0.0, 1.0)]
@@ -27,7 +28,8 @@ def parametrised(model, seeds):
 
 
 def evolved3(model, seeds):
-    layers = model.kernel().parameters[16:]  # behind the header of the shell
+    parameters = model.kernel().parameters
+    layers = parameters[int(parameters[HEAD.own]) :]  # behind the header of the shell
     hidden, n = model.hidden, 5
     first = layers[4 + 3 :]
     bias, weights = first[: 3 * hidden], first[3 * hidden : 3 * hidden * (1 + n)].reshape(n, 3 * hidden)
@@ -57,8 +59,9 @@ def nearest_neighbour(model, seeds):
         rows = np.flatnonzero(model.cell_ == cell)
         points, values = model.points_[rows], model.accelerations_[rows]
         boxes, near, value = packed(points, values, split(points, np.arange(len(points))))
-        counts[command] = len(boxes)
-        blocks += [boxes.ravel(), near.ravel(), value.ravel()]
+        by_group = boxes.reshape(len(boxes), 2, -1, 16).transpose(2, 0, 1, 3)
+        blocks += [by_group.ravel(), near.ravel(), value.ravel()]
+        counts[command] = len(by_group)
     return [counts, *blocks], {}
 
 
