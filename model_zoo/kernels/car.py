@@ -7,7 +7,6 @@ from sysid_evo.engine.compiled.lanes import (
     QUARTER,
     load_quarter,
     splat,
-    splat_quarter,
     store,
     view,
     where_at_most,
@@ -23,7 +22,11 @@ OWN = PHYSICAL + 8
 
 def car_rate(x, u, p, y, scratch):
     """Write the known part of dx/dt (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
-    forward, yaw_rate, lateral = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES, int(p[HEAD.lateral]) * LANES
+    forward, yaw_rate, lateral = (
+        int(p[HEAD.forward]) * LANES,
+        int(p[HEAD.yaw_rate]) * LANES,
+        int(p[HEAD.lateral]) * LANES,
+    )
     drive, steer = int(p[HEAD.drive]) * LANES, int(p[HEAD.steer]) * LANES
     physical = view(p, PHYSICAL)
     clear(y, int(p[HEAD.nx]))
@@ -70,6 +73,5 @@ def turn_rate(speed, turn, steer, p):
 
 def settled(after, command, least, most):
     """A next value: still below ``least`` without a command, at most ``most``."""
-    zero, moving = splat_quarter(0.0), min(max(after, -most), most)
-    at_rest = where_at_most(abs(command), zero, zero, moving)
-    return where_less(abs(after), splat_quarter(least), at_rest, moving)
+    moving = min(max(after, -most), most)
+    return where_less(abs(after), least, where_at_most(abs(command), 0.0, 0.0, moving), moving)

@@ -49,9 +49,7 @@ PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
-INNER = (
-    f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)"
-)
+INNER = f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)"
 """How a function that only kernels call is compiled: without the forms that Python or C would call."""
 
 HEADER = """\

@@ -136,14 +136,22 @@ _div = _operation("fdiv")
 
 
 def _choice(comparison: str) -> Any:
-    """Return a function of four rows: the third in the lanes where the first two compare, else the fourth."""
+    """Return a function of rows or numbers: the third in the lanes where the first two compare, else the fourth."""
 
     @intrinsic
     def choice(typing_context, a, b, x, y):
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.select(builder.fcmp_ordered(comparison, *arguments[:2]), *arguments[2:])
+        row = next(kind for kind in (a, b, x, y) if isinstance(kind, LanesType))
+        kinds = [kind if isinstance(kind, LanesType) else row.dtype for kind in (a, b, x, y)]
 
-        return x(a, b, x, y), generate
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            vector = context.get_value_type(row)
+            first, second, yes, no = (
+                value if isinstance(kind, LanesType) else _broadcast(builder, value, vector)
+                for kind, value in zip(kinds, arguments, strict=True)
+            )
+            return builder.select(builder.fcmp_ordered(comparison, first, second), yes, no)
+
+        return row(*kinds), generate
 
     return choice
 

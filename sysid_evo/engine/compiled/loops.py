@@ -143,26 +143,24 @@ def closed_loop(
 
 def count_sides(values, alive, centre, rows, tally):
     """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
-    counted, nothing = load(alive, 0), splat(0.0)
+    counted = load(alive, 0)
     for row in range(rows):
-        value, middle, above = load(values, row * LANES), splat(centre[row]), 2 * row * LANES
-        store(tally, above, load(tally, above) + where_less(middle, value, counted, nothing))
-        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, nothing))
+        value, middle, above = load(values, row * LANES), centre[row], 2 * row * LANES
+        store(tally, above, load(tally, above) + where_less(middle, value, counted, 0.0))
+        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
 
 
 def suspicious(carry, envelope, n_carry, nx, marks):
     """Return a bit for each lane that needs care; its mark is above 0 outside the envelope, nan if not finite."""
-    one, zero = splat(1.0), splat(0.0)
     mark = splat(0.0)
     for row in range(nx):
         value = load(carry, row * LANES)
-        mark = mark + (value - value)
-        mark = mark + where_less(value, splat(envelope[row]), one, zero)
-        mark = mark + where_less(splat(envelope[nx + row]), value, one, zero)
+        mark = mark + value * 0.0  # nan for a number that is not finite
+        mark = mark + where_less(value, envelope[row], 1.0, 0.0)
+        mark = mark + where_less(envelope[nx + row], value, 1.0, 0.0)
     for row in range(nx, n_carry):
-        value = load(carry, row * LANES)
-        mark = mark + (value - value)
-    marked = lanes_differ(mark, zero)
+        mark = mark + load(carry, row * LANES) * 0.0
+    marked = lanes_differ(mark, splat(0.0))
     if marked != 0:
         store(marks, 0, mark)
     return marked
@@ -171,8 +169,7 @@ def suspicious(carry, envelope, n_carry, nx, marks):
 def clip(carry, envelope, nx):
     """Clip every state to the envelope (low, then high of each state)."""
     for row in range(nx):
-        low, high = splat(envelope[row]), splat(envelope[nx + row])
-        store(carry, row * LANES, min(max(load(carry, row * LANES), low), high))
+        store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))
 
 
 def actuate(raw, control, actuation, nu):
@@ -183,13 +180,13 @@ def actuate(raw, control, actuation, nu):
         count = int(actuation[at])
         if count <= 0:
             low, value = actuation[at + 1], math.tanh(value) if count < 0 else value
-            share = (min(max(value, splat(-1.0)), splat(1.0)) + splat(1.0)) * splat(0.5)
-            store(control, row * LANES, splat(low) + share * splat(actuation[at + 2] - low))
+            share = (min(max(value, -1.0), 1.0) + 1.0) * 0.5
+            store(control, row * LANES, low + share * (actuation[at + 2] - low))
         else:
             chosen = splat(actuation[at + 3])
             for i in range(1, count):
-                level, boundary = splat(actuation[at + 2 + 2 * i]), splat(actuation[at + 3 + 2 * i])
-                if actuation[at + 3 + 2 * i] < 0.0:  # a boundary belongs to the level nearer to zero
+                level, boundary = actuation[at + 2 + 2 * i], actuation[at + 3 + 2 * i]
+                if boundary < 0.0:  # a boundary belongs to the level nearer to zero
                     chosen = where_at_most(boundary, value, level, chosen)
                 else:
                     chosen = where_less(boundary, value, level, chosen)

@@ -9,7 +9,6 @@ from sysid_evo.engine.compiled.kernel import ControllerKernel
 from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, splat_quarter, store, view
 
 
-
 def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:
     """Return the compiled form of `RecurrentNetwork`."""
     sizes = {"N_INPUTS": n_inputs, "HIDDEN": hidden, "N_OUTPUTS": n_outputs}
@@ -19,7 +18,12 @@ def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKe
 def recurrent(theta, memory, observation, raw, parameters, scratch):
     """h = tanh(W_in o + W_h h) and W_out h, see `RecurrentNetwork`."""
     for first in range(0, LANES, QUARTER):
-        weights, seen, before, after = view(theta, first), view(observation, first), view(memory, first), view(scratch, first)
+        weights, seen, before, after = (
+            view(theta, first),
+            view(observation, first),
+            view(memory, first),
+            view(scratch, first),
+        )
         sums(weights, seen, before, after, N_INPUTS, HIDDEN)
         for j in range(HIDDEN):
             store(before, j * LANES, math.tanh(load_quarter(after, j * LANES)))

@@ -118,13 +118,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", default=",".join(NAMES))
     parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "c_reference", help="where fitted models are kept")
+    parser.add_argument(
+        "--folder", type=Path, default=Path(tempfile.gettempdir()) / "c_reference", help="where fitted models are kept"
+    )
     parser.add_argument("--flags", default="", help="further flags for gcc")
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args()
     chosen.folder.mkdir(exist_ok=True)
-    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; million steps a second, one thread, processor time")
-    print(f"{'model':<18}{'C':>7}{'engine':>8}{'JAX':>7}{'NumPy':>7}{'eng./C':>8} {'quartiles':<10}{'/JAX':>6}{'/NumPy':>7}  mean fitness, C off by, engine, JAX")
+    print(
+        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; million steps a second, one thread, processor time"
+    )
+    print(
+        f"{'model':<18}{'C':>7}{'engine':>8}{'JAX':>7}{'NumPy':>7}{'eng./C':>8} {'quartiles':<10}{'/JAX':>6}{'/NumPy':>7}  mean fitness, C off by, engine, JAX"
+    )
     rows = []
     for name in chosen.models.split(","):
         row = measure(name, chosen.folder, chosen.repeats, chosen.flags.split())
