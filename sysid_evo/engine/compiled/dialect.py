@@ -42,7 +42,7 @@ Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = (
     "first_lane", "lane_of_lowest", "lanes_at_most", "lanes_differ", "lanes_less", "load", "load_quarter",
-    "lowest", "pick", "power_of_two", "splat", "splat_quarter", "store", "view", "where_at_most", "where_bits", "where_less",
+    "look_up", "lowest", "pick", "power_of_two", "splat", "splat_quarter", "store", "view", "where_at_most", "where_bits", "where_less",
 )  # fmt: skip
 _IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}

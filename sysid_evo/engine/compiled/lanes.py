@@ -16,9 +16,12 @@ from __future__ import annotations
 
 import math
 import operator
+from functools import cache
 from typing import Any
 
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
+from numba import config as numba_settings
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
@@ -250,10 +253,12 @@ def _magnitude(typing_context, a):
 def _call(builder: Any, name: str, vector: Any, arguments: Any) -> Any:
     """Call LLVM's own elementwise function ``name``."""
     kind = "f32" if isinstance(vector.element, ir.FloatType) else "f64"
-    function = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(vector, [vector] * len(arguments)), f"llvm.{name}.v{vector.count}{kind}"
-    )
-    return builder.call(function, arguments)
+    return _call_named(builder, f"llvm.{name}.v{vector.count}{kind}", vector, arguments)
+
+
+def _call_named(builder: Any, name: str, result: Any, arguments: Any) -> Any:
+    kind = ir.FunctionType(result, [argument.type for argument in arguments])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
 
 
 @intrinsic
@@ -380,6 +385,49 @@ def pick(typing_context, row, lane):
         return builder.extract_element(*arguments)
 
     return row.dtype(row, types.int64), generate
+
+
+@intrinsic
+def look_up(typing_context, table, place):
+    """Return for each lane of a quarter the number of ``table`` (another quarter) at ``place``, from 0.0 to 15.0."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        numbers, places = arguments
+        whole = ir.VectorType(ir.IntType(32), QUARTER)
+        index = builder.fptosi(places, whole)
+        single = table.dtype == types.float32
+        if single and _host_has("avx512f"):
+            return _call_named(builder, "llvm.x86.avx512.permvar.sf.512", numbers.type, [numbers, index])
+        if single and _host_has("avx2"):
+            return _look_up_eights(builder, numbers, index)
+        found = ir.Constant(numbers.type, ir.Undefined)
+        for lane in range(QUARTER):
+            here = ir.Constant(ir.IntType(32), lane)
+            value = builder.extract_element(numbers, builder.extract_element(index, here))
+            found = builder.insert_element(found, value, here)
+        return found
+
+    return table(table, place), generate
+
+
+def _look_up_eights(builder: Any, numbers: Any, index: Any) -> Any:
+    """`look_up` with an instruction that takes one of eight numbers for each of eight lanes."""
+    whole, eight = ir.IntType(32), QUARTER // 2
+    halves = [ir.Constant(ir.VectorType(whole, eight), list(range(first, first + eight))) for first in (0, eight)]
+    low, high = (builder.shuffle_vector(numbers, numbers, half) for half in halves)
+    found = []
+    for half in halves:
+        places = builder.shuffle_vector(index, index, half)
+        first, second = (_call_named(builder, "llvm.x86.avx2.permps", low.type, [part, places]) for part in (low, high))
+        bound = ir.Constant(places.type, [eight] * eight)
+        found.append(builder.select(builder.icmp_signed("<", places, bound), first, second))
+    return builder.shuffle_vector(*found, ir.Constant(ir.VectorType(whole, QUARTER), list(range(QUARTER))))
+
+
+@cache
+def _host_has(feature: str) -> bool:
+    """Whether this processor has a feature by LLVM's name, and compiled code may use it."""
+    return bool(get_host_cpu_features().get(feature)) and not numba_settings.CPU_NAME
 
 
 @intrinsic
