@@ -1,89 +1,57 @@
-"""The project's rollout engine against hand-written C and plain JAX: python run.py [--models a,b] [--repeats 15] [--json FILE].
+"""The rollout engine against hand-written C and plain JAX: ``python -m tests.benchmarks.c_reference``.
 
-Run with the project's interpreter, from anywhere. For every model: fits it (or loads it), compiles <model>.c, then times
-C, the float32 engine on one thread and, less often, JAX and the NumPy reference, in turn in one process, by processor
-time. One generation is 100 evolved candidates in 10 trials of 500 steps. Columns: million steps a second (medians), the
-median of the paired ratios engine / C with its quartiles, engine / JAX, engine / NumPy, and how far the mean fitness of
-C, engine and JAX is from that of the float64 reference. C and JAX get the trials' noise and waypoints ready made.
+Every model is fitted (or found in ``--folder``) and its .c file compiled with the system's compiler. Then C, the
+float32 engine on one thread and, less often, JAX and the NumPy reference run a generation in turn, in one process and
+by processor time: 100 evolved controllers in 10 trials of 500 steps. C and JAX get noise and waypoints ready made. The
+table shows million steps a second (medians), the median of the paired ratios engine / C with its range, and
+how far the mean fitness of C is from that of the float64 reference.
 """
 
 from __future__ import annotations
 
 import argparse
-import ctypes
+import importlib.util
 import json
 import os
-import subprocess
+import shutil
 import tempfile
 import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
 
-try:
-    from tests.benchmarks.c_reference import jax_forms as jax
-except ImportError:  # only the JAX column is left out
-    jax = None
-from tests.benchmarks.c_reference.export import export
-from tests.benchmarks.c_reference.models import FAMILIES, SEED, TRIALS, dynamics, population
+from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
-from sysid_evo.randomness import step_noise, trial_seeds
+from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
+from tests.benchmarks.c_reference.compiled import Compiled
+from tests.benchmarks.c_reference.export import FORMS
+from tests.benchmarks.c_reference.models import SEED, TRIALS, dynamics, population
 
-HERE = Path(__file__).parent
-FLAGS = "-O3 -march=native -ffast-math -mprefer-vector-width=512 -Wno-psabi -shared -fPIC -std=gnu11".split()
-NAMES = (*FAMILIES, "emulated_car")
-
-
-def pointer(array):
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
-class Compiled:
-    """A model's closed loop in C."""
-
-    def __init__(self, name, model, theta, task, seeds, flags):
-        parameters, sizes = export(name, model, seeds)
-        macros = [f"-D{key}={value}" for key, value in sizes.items()]
-        with tempfile.TemporaryDirectory() as folder:
-            library = f"{folder}/{name}.so"
-            subprocess.run(["gcc", *FLAGS, *flags, *macros, HERE / f"{name}.c", "-o", library, "-lm"], check=True)
-            self.rollout = ctypes.CDLL(library).rollout
-        low, high = np.full((2, 3), 1e30) * [[-1], [1]] if model.envelope is None else model.envelope
-        bound = task.bind(model.system)
-        drawn = np.zeros((task.horizon, model.n_noise, 16), np.float32)
-        if model.n_noise:
-            drawn[:, :, : len(seeds)] = step_noise(seeds, task.horizon, model.n_noise).transpose(1, 2, 0)
-        self.arrays = [
-            np.ascontiguousarray(array, np.float32)
-            for array in (
-                parameters, [model.system.dt, task.waypoint_radius**2, *low, *high], theta,
-                bound.begin(seeds).waypoints, drawn, np.zeros((len(theta), len(seeds))),
-            )
-        ]  # fmt: skip
-        self.shape = len(theta), len(seeds), task.horizon
-
-    def __call__(self):
-        parameters, settings, theta, waypoints, noise, fitness = map(pointer, self.arrays)
-        candidates, trials, horizon = self.shape
-        self.rollout(parameters, settings, theta, candidates, waypoints, trials, horizon, noise, fitness)
-        return self.arrays[-1]
+LATER = 10_000  # a generation that evolution does not reach: fresh trials
+SHORTEST = 0.05  # s that a turn lasts at least
+EVERY = {"numpy": 5, "jax": 3}
+"""These run in every so many turns."""
 
 
-def in_turn(programs, repeats, shortest=0.05):
-    """Return processor seconds (repeats,) of each program; every turn lasts at least ``shortest`` seconds."""
-    calls, taken = {}, {name: [] for name in programs}
-    for name, (program, _) in programs.items():
+def in_turn(programs: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Array]:
+    """Return processor seconds of each program, one number for each turn that it ran in."""
+    calls, taken = {}, {name: list[float]() for name in programs}
+    for name, program in programs.items():
         program()
         began = time.process_time()
         program()
-        calls[name] = max(1, round(shortest / max(time.process_time() - began, 1e-4)))
+        calls[name] = max(1, round(SHORTEST / max(time.process_time() - began, 1e-4)))
     for turn in range(repeats):
-        for name, (program, every) in programs.items():
-            if turn % every == 0:
+        for name, program in programs.items():
+            if turn % EVERY.get(name, 1) == 0:
                 began = time.process_time()
                 for _ in range(calls[name]):
                     program()
@@ -91,60 +59,80 @@ def in_turn(programs, repeats, shortest=0.05):
     return {name: np.array(times) for name, times in taken.items()}
 
 
-def measure(name, folder, repeats, flags):
-    model, task, seeds = dynamics(name, folder), PointToPoint(), trial_seeds(SEED, TRIALS, generation=10_000)
-    theta = population(name, model, folder)
-    c = Compiled(name, model, theta, task, seeds, flags)
+def measure(compiler: str, name: str, folder: Path, repeats: int, *, jax: bool, quick: bool) -> dict[str, Any]:
+    """Return one row of the table."""
+    task, seeds = PointToPoint(horizon=50 if quick else 500), trial_seeds(SEED, TRIALS, generation=LATER)
+    model = dynamics(name, folder, seconds=60.0 if quick else 360.0)
+    theta = population(name, model, folder, candidates=10 if quick else 100, generations=2 if quick else 60)
 
-    def by(engine):
+    def by(engine: Any) -> Array:
         return rollout(model, RecurrentNetwork(), theta, task, seeds, engine=engine, threads=1).fitness
 
-    steps = theta.shape[0] * len(seeds) * task.horizon / 1e6
-    programs = {"c": (c, 1), "engine": (lambda: by("float32"), 1), "numpy": (lambda: by("reference"), 5)}
-    if jax is not None and (form := jax.program(name, model, theta, task, seeds)) is not None:
-        programs["jax"] = (form, 3)
+    programs: dict[str, Callable[[], Array]] = {
+        "c": Compiled(compiler, name, model, theta, task, seeds),
+        "engine": lambda: by("float32"),
+        "numpy": lambda: by("reference"),
+    }
+    if jax:
+        from tests.benchmarks.c_reference import jax_forms
+
+        form = jax_forms.program(name, model, theta, task, seeds)
+        if form is not None:
+            programs["jax"] = form
     seconds, exact = in_turn(programs, repeats), by("reference")
+    steps, paired = theta.shape[0] * len(seeds) * task.horizon / 1e6, seconds["c"] / seconds["engine"]
     return {
         "model": name,
-        "fitness": float(exact.mean()),
-        "off": {form: float(program().mean() / exact.mean() - 1) for form, (program, _) in programs.items()},
-        "equal": float((c() == exact).mean()),
-        "speed": {form: float(steps / np.median(times)) for form, times in seconds.items()},
-        "ratio": np.quantile(seconds["c"] / seconds["engine"], (0.5, 0.25, 0.75)).tolist(),
+        "mean_fitness": float(exact.mean()),
+        "off_percent": {
+            form: float(100.0 * (program().mean() / exact.mean() - 1.0)) for form, program in programs.items()
+        },
+        "million_steps_per_second": {form: float(steps / np.median(times)) for form, times in seconds.items()},
+        "engine_to_c": {"median": float(np.median(paired)), "least": float(paired.min()), "most": float(paired.max())},
     }
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", default=",".join(NAMES))
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument(
-        "--folder", type=Path, default=Path(tempfile.gettempdir()) / "c_reference", help="where fitted models are kept"
-    )
-    parser.add_argument("--flags", default="", help="further flags for gcc")
-    parser.add_argument("--json", type=Path)
-    chosen = parser.parse_args()
-    chosen.folder.mkdir(exist_ok=True)
-    print(
-        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; million steps a second, one thread, processor time"
-    )
-    print(
-        f"{'model':<18}{'C':>7}{'engine':>8}{'JAX':>7}{'NumPy':>7}{'eng./C':>8} {'quartiles':<10}{'/JAX':>6}{'/NumPy':>7}  mean fitness, C off by, engine, JAX"
-    )
-    rows = []
-    for name in chosen.models.split(","):
-        row = measure(name, chosen.folder, chosen.repeats, chosen.flags.split())
-        speed, (middle, low, high) = row["speed"], row["ratio"]
-        jax_speed = speed.get("jax", np.nan)
-        print(
-            f"{name:<18}{speed['c']:7.1f}{speed['engine']:8.1f}{jax_speed:7.2f}{speed['numpy']:7.2f}{middle:8.2f} {low:.2f}-{high:.2f} "
-            f"{speed['engine'] / jax_speed:6.1f}{speed['engine'] / speed['numpy']:7.1f}  {row['fitness']:6.3f} "
-            + " ".join(f"{row['off'].get(form, np.nan):+.2%}" for form in ("c", "engine", "jax")),
-            flush=True,
-        )
-        rows.append(row)
-    if chosen.json:
-        chosen.json.write_text(json.dumps(rows, indent=1))
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the rows as a table of at most 80 columns."""
+    shown = Table(title="Million steps a second, one thread", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
+    for column in ("model", "C", "engine", "JAX", "NumPy", "eng./C", "range", "C off"):
+        shown.add_column(column, justify="left" if column == "model" else "right", no_wrap=True)
+    for row in rows:
+        speed, ratio = row["million_steps_per_second"], row["engine_to_c"]
+        jax = speed.get("jax")
+        shown.add_row(
+            row["model"], f"{speed['c']:.1f}", f"{speed['engine']:.1f}", "" if jax is None else f"{jax:.1f}",
+            f"{speed['numpy']:.1f}", f"{ratio['median']:.2f}", f"{ratio['least']:.2f}-{ratio['most']:.2f}",
+            f"{row['off_percent']['c']:+.1f} %",
+        )  # fmt: skip
+    return shown
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print the table, perhaps write JSON."""
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.c_reference", description=__doc__)
+    parser.add_argument("--models", nargs="*", default=list(FORMS), choices=list(FORMS), metavar="MODEL")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--quick", action="store_true", help="small populations and little data: does it run?")
+    parser.add_argument("--folder", type=Path, help="where fitted models are kept (default: anew, for this run alone)")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    chosen = parser.parse_args(arguments)
+    console, compiler = Console(), shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        console.print("There is no C compiler (cc or gcc) on this machine, so nothing is compared.")
+        return
+    jax = importlib.util.find_spec("jax") is not None
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as own, threadpool_limits(1):
+        folder = chosen.folder or Path(own)
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = [measure(compiler, name, folder, chosen.repeats, jax=jax, quick=chosen.quick) for name in chosen.models]
+    console.print(table(rows))
+    console.print(f"Processor time; load average at the start {load:.1f} on {os.cpu_count()} processors.")
+    if not jax:
+        console.print("JAX is not installed and was left out: pip install '.[bench]' brings it.", markup=False)
+    if chosen.json is not None:
+        chosen.json.write_text(json.dumps({"load": load, "models": rows}, indent=1))
 
 
 if __name__ == "__main__":
