@@ -192,7 +192,7 @@ def run(
         "start": carry,
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
-        "noise_of": noise.transpose(1, 2, 0)[:, :, in_order],
+        "noise_of": noise.transpose(1, 2, 0).astype(real).take(in_order, axis=2),
         "envelope": envelope,
         "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
