@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from model_zoo.channels.command_cells import CommandCells
-from model_zoo.channels.integrals import Integrals
+from model_zoo.channels.integrals import integrals, next_state, next_state_predictor
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
 from sysid_evo import Dataset, DynamicsModel, System, register_model
@@ -36,7 +36,7 @@ class Backprop27(DynamicsModel):
     hidden units and the learning rate are not stated in the paper.
 
     With ``state_lags`` and ``control_lags``, earlier samples join the inputs. Of a state that is an integral of others
-    the networks give the change, see `Integrals`.
+    the networks give the change, see `integrals`.
     """
 
     knowledge = "black"
@@ -67,9 +67,8 @@ class Backprop27(DynamicsModel):
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
         centre, scale = inputs.mean(axis=0), deviation(inputs)
-        integrals = Integrals.of(dataset)
-        self.added_, self.reach_ = integrals.added.astype(np.float64), integrals.reach
-        wanted = data.after - np.where(integrals.added, data.state, 0.0)
+        self.added_ = integrals(dataset).astype(np.float64)
+        wanted = data.after - np.where(self.added_ > 0.0, data.state, 0.0)
         target_centre, target_scale = wanted.mean(axis=0), deviation(wanted)
         standard, targets = (inputs - centre) / scale, (wanted - target_centre) / target_scale
         trained = []
@@ -94,12 +93,7 @@ class Backprop27(DynamicsModel):
             hidden = np.tanh(inputs[rows] @ self.first_[command] + self.first_bias_[command])
             by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
-        return self.integrals.next_state(carry[:, : self.system.nx], after)
-
-    @property
-    def integrals(self) -> Integrals:
-        """Of which states the networks give the change."""
-        return Integrals(self.added_ > 0.0, self.reach_)
+        return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor:
         from sysid_evo.engine.kernels import command_network_predictor
@@ -117,7 +111,7 @@ class Backprop27(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
-        return self.integrals.predictor(networks)
+        return next_state_predictor(self.added_, networks)
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

@@ -28,7 +28,7 @@ class Narx(PolynomialFamily):
     candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
     orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
     over one second on held-out blocks of time; with ``lag_search="few"`` among none, (0, 3) and (1, 3). Inputs are
-    clipped to the training range; a periodic state stands as its sine and cosine; of an integral (`Integrals`) the
+    clipped to the training range; a periodic state stands as its sine and cosine; of an integral (`integrals`) the
     change is predicted.
     """
 

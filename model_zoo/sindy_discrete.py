@@ -14,7 +14,7 @@ class SindyDiscrete(SparsePolynomial):
 
     Sequentially thresholded least squares drops coefficients below ``threshold`` (of quantities
     divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
-    open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `Integrals`.
+    open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `integrals`.
     """
 
     knowledge = "black"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from model_zoo.channels.features import Features
-from model_zoo.channels.integrals import Integrals
+from model_zoo.channels.integrals import between_limits, integrals, next_state, next_state_predictor
 from model_zoo.sparse.polynomial import equation, evaluate
-from sysid_evo.arrays import Array, IntArray
+from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.system import System
@@ -23,25 +23,23 @@ if TYPE_CHECKING:
 class Regression:
     """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx).
 
-    ``integrals`` says of which states the targets are changes.
+    ``added`` (nx,) says of which states the targets are changes.
     """
 
     regressors: Array
     targets: Array
     measured: Array
     states: Array
-    integrals: Integrals
+    added: BoolArray
 
     def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(
-            self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows], self.integrals
-        )
+        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows], self.added)
 
 
 class PolynomialFamily(DynamicsModel):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
-    The polynomial is the next state, or the change of an integral, see `Integrals`; a differential equation says so
+    The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
     in its own `regression`, `left_sides`, `next_state` and `predictor`. With functions there is no compiled form.
     """
 
@@ -59,9 +57,10 @@ class PolynomialFamily(DynamicsModel):
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         """Return what the polynomial is fitted to."""
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features = self.features_of(dataset.system, lags)
-        seen, integrals = features(data.carry, data.control), Integrals.of(dataset)
-        return Regression(seen, data.after - np.where(integrals.added, data.state, 0.0), seen, data.state, integrals)
+        features, added = self.features_of(dataset.system, lags), integrals(dataset)
+        seen = features(data.carry, data.control)
+        found = Regression(seen, data.after - np.where(added, data.state, 0.0), seen, data.state, added)
+        return found[np.flatnonzero(between_limits(dataset.system, data.after))]
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
@@ -70,7 +69,7 @@ class PolynomialFamily(DynamicsModel):
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
         self.exponents_ = np.ascontiguousarray(exponents[used])
         self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
-        self.added_, self.reach_ = data.integrals.added.astype(np.float64), data.integrals.reach
+        self.added_ = data.added.astype(np.float64)
 
     def polynomial(self, carry: Array, control: Array) -> Array:
         """Return the right-hand side (B, nx), its features clipped to the training range."""
@@ -78,16 +77,11 @@ class PolynomialFamily(DynamicsModel):
         return evaluate(inputs, self.exponents_) @ self.coefficients_
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        return self.integrals.next_state(carry[:, : self.system.nx], self.polynomial(carry, control))
-
-    @property
-    def integrals(self) -> Integrals:
-        """Which states the polynomial is the change of."""
-        return Integrals(self.added_ > 0.0, self.reach_)
+        return next_state(self.added_, carry[:, : self.system.nx], self.polynomial(carry, control))
 
     def predictor(self) -> Predictor | None:
         right_side = self.right_side()
-        return None if right_side is None else self.integrals.predictor(right_side)
+        return None if right_side is None else next_state_predictor(self.added_, right_side)
 
     def right_side(self) -> Predictor | None:
         """Return the compiled form of the polynomial of the clipped features."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from model_zoo.channels.integrals import Integrals
+from model_zoo.channels.integrals import between_limits, integrals
 from model_zoo.flows.runge_kutta import rk4
 from model_zoo.sparse.family import Regression
 from model_zoo.sparse.regression import SparsePolynomial
@@ -21,7 +21,7 @@ class ContinuousSparse(SparsePolynomial):
     """A sparse differential equation: what `Sindy` and its bagged form share.
 
     What a state has beyond the training range decays with the time constant dt, so that a
-    polynomial that pushes outwards there cannot run away. Integrals run on to the limits of their channels.
+    polynomial that pushes outwards there cannot run away. Integrals run on.
     """
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
@@ -32,12 +32,13 @@ class ContinuousSparse(SparsePolynomial):
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
         features = self.features_of(system, lags)
         seen, measured = features(carry, data.control), features(data.carry, data.control)
-        return Regression(seen, rate, measured, data.state, Integrals.of(dataset))
+        found = Regression(seen, rate, measured, data.state, integrals(dataset))
+        return found[np.flatnonzero(between_limits(system, data.after))]
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         super().adopt(data, coefficients, exponents)
         seen = np.stack([data.states.min(axis=0), data.states.max(axis=0)])
-        self.state_range_ = np.where(data.integrals.added, data.integrals.reach, seen)
+        self.state_range_ = np.where(data.added, [[-np.inf], [np.inf]], seen)
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]

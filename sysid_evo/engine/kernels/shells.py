@@ -112,16 +112,13 @@ def clip_rows(x, low, high, count, y):
             there[lane] = min(max(here[lane], least), most)
 
 
-ON_TOP = Layout("nx", "rows", "own", align=CACHE_LINE)
+ON_TOP = Layout("nx", "added", "own", align=CACHE_LINE)
 
 
-def on_top(inner: Predictor, added: BoolArray, low: Array, high: Array) -> Predictor:
-    """Return a predictor of the next state where ``inner`` predicts the change of those states that are ``added``.
-
-    All are (nx,); such a state stays between ``low`` and ``high``.
-    """
-    nx, rows = len(added), padded(np.concatenate([added.astype(np.float64), low, high]))
-    parameters = ON_TOP.pack(rows, inner.parameters, nx=nx, rows=ON_TOP.size, own=ON_TOP.size + len(rows))
+def on_top(inner: Predictor, added: BoolArray) -> Predictor:
+    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,)."""
+    rows = padded(added.astype(np.float64))
+    parameters = ON_TOP.pack(rows, inner.parameters, nx=len(added), added=ON_TOP.size, own=ON_TOP.size + len(rows))
     return Predictor(
         KernelSource(put_on_top, inner.bindings),
         parameters,
@@ -138,12 +135,12 @@ def prepare_on_top(u, p, scratch):
 def put_on_top(x, u, p, y, scratch):
     """Predict, and add changes to their states."""
     predict(x, u, view(p, int(p[ON_TOP.own])), y, scratch)
-    nx, rows = int(p[ON_TOP.nx]), view(p, int(p[ON_TOP.rows]))
-    for row in range(nx):
-        if rows[row] > 0.0:
-            here, there, low, high = view(x, row * LANES), view(y, row * LANES), rows[nx + row], rows[2 * nx + row]
+    added = view(p, int(p[ON_TOP.added]))
+    for row in range(int(p[ON_TOP.nx])):
+        if added[row] > 0.0:
+            here, there = view(x, row * LANES), view(y, row * LANES)
             for lane in range(LANES):
-                there[lane] = min(max(here[lane] + there[lane], low), high)
+                there[lane] += here[lane]
 
 
 SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
