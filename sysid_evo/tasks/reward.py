@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
 
@@ -12,7 +12,7 @@ from sysid_evo.arrays import Array, BoolArray, Seeds, check_shape
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.following import observations, shown_states
+from sysid_evo.tasks.following import formulas_of_states, observations, shown_states
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
@@ -84,6 +84,9 @@ class Reward(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         return np.stack(shown_states(self.system, state), axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        return formulas_of_states(self.system)
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
