@@ -11,6 +11,7 @@ import numpy as np
 
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
+from hardware.finding import Finding
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
@@ -27,7 +28,7 @@ NOISE_BLOCK = 1024  # fine steps of noise drawn at once
 
 @dataclass(frozen=True)
 class Sensor:
-    """Reads a state with a normal error of standard deviation ``noise``, in whole steps of ``resolution``; 0 is none."""
+    """Reads a state with a normal error of deviation ``noise``, in whole steps of ``resolution``; 0 is none."""
 
     noise: float = 0.0
     resolution: float = 0.0
@@ -69,6 +70,12 @@ class SensedRobot(SimulatedRobot):
 
     def connect(self, *, seed: int | None = None) -> SensedConnection:
         return SensedConnection(self.name, self.physics, seed=seed)
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say what the sensors read at rest, and what the equations do under each control."""
+        from hardware.emulation.examination import examine
+
+        return examine(self, seconds=seconds, seed=seed, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         return excitation(self.system, duration=duration, rng=rng)

@@ -43,7 +43,8 @@ def test_each_formula_gives_what_the_task_shows(spec: str, robot: str) -> None:
     for place, channel in enumerate(task.observations):
         formula = formulas.get(channel.name, channel.name)
         known = dict(zip(system.state_names, state[0], strict=True))
-        known |= {"bias": 1.0} | {"target": targets[name] for name in targets if f"{name}_error" in channel.name}
+        known["bias"] = 1.0
+        known["target"] = next((targets[name] for name in targets if f"{name}_error" in channel.name), math.nan)
         formula = formula.partition(",")[0]
         plain = re.sub(rf"(\d) (?:{units})(?=\W|$)", r"\1", formula) if units else formula
         plain = re.sub(r"^(sin|cos)\(([\d.]+) (.*)\)$", r"\1(\2 * \3)", plain)
