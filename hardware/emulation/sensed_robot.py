@@ -61,6 +61,8 @@ class SensedPhysics(Dynamics):
 class SensedRobot(SimulatedRobot):
     """A robot without a pose; its sensors are read at every fine step, controllers see every ``repeats``-th."""
 
+    stepped: ClassVar[bool] = True
+
     def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1) -> None:
         self.name = name
         self.physics = physics

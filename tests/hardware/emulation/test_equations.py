@@ -11,7 +11,8 @@ from hardware.emulation.equations import Equations
 from hardware.emulation.sensed_robot import SensedRobot, Sensor
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
-from sysid_evo.errors import InvalidSystem, ShapeError
+from sysid_evo.errors import InvalidArgument, InvalidSystem, ShapeError
+from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import Channel, System
 
 
@@ -126,3 +127,9 @@ def test_what_is_missing_or_wrong_is_said_by_name() -> None:
         after(Misnamed(), [0.0, 0.0], [0.0, 0.0], 0.05)
     with pytest.raises(ShapeError, match=r"Misshapen.rates_of_change: expected shape \(1, 2\)"):
         after(Misshapen(), [0.0, 0.0], [0.0, 0.0], 0.05)
+
+
+def test_dynamics_that_are_registered_instead_of_a_robot_are_refused_with_what_to_write(register) -> None:
+    register(robots, "wheel_of_mine", Wheel)
+    with pytest.raises(InvalidArgument, match=r"'wheel_of_mine': expected a robot, got the dynamics Wheel. .* Sensed"):
+        make_robot("wheel_of_mine")
