@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, cast
@@ -19,7 +20,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from sysid_evo.engine.compiled.kernel import TaskKernel
 
@@ -120,6 +121,16 @@ class EnvironmentTask(Task):
             else:
                 columns.append((state[:, i] - centre) / scale)
         return np.stack(columns, axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        found: dict[str, str] = {}
+        for channel, scale in zip(self.system.states, self.known.scale, strict=True):
+            if channel.period:
+                found |= {f"sin {channel.name}": f"sin({channel.name})", f"cos {channel.name}": f"cos({channel.name})"}
+            else:
+                off = f"({channel.name} - {channel.neutral:.10g})" if channel.neutral else channel.name
+                found[channel.name] = f"{off} / {scale:.10g}"
+        return found
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None

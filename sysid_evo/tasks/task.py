@@ -90,6 +90,13 @@ class Task(ABC):
     def observe(self, task_state: TaskState, state: Array) -> Array:
         """Return what the controller is given, (B, len(observations)), in state (B, nx)."""
 
+    def formulas(self) -> Mapping[str, str]:
+        """Return how observations are computed from states and targets, by their names.
+
+        It stands in the head of an exported controller. Those whose name says it are left out. The task is bound.
+        """
+        return {}
+
     @abstractmethod
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
