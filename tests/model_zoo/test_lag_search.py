@@ -37,3 +37,20 @@ def test_a_quick_model_has_lags_where_a_force_acts_late_and_none_where_it_acts_a
     spec = with_preset(Spec(family), "quick")
     assert make_model(spec).fit(recorded(0), rng=0).lags == (0, 0)
     assert make_model(spec).fit(recorded(2), rng=0).lags[1] == 3
+
+
+def test_of_models_without_error_the_one_without_lags_is_taken() -> None:
+    """With an earlier speed, too, the recording is predicted, and better where the drag is no polynomial."""
+    rng = np.random.default_rng(5)
+    states, controls = [], []
+    for _ in range(6):
+        force, state = np.repeat(rng.uniform(-1.0, 1.0, 40), 4), [np.zeros(2)]
+        for u in force:
+            speed, angle = state[-1]
+            state.append(
+                np.array([speed + 0.1 * (3.0 * u - 2.0 * angle - 0.3 * np.tanh(2.0 * speed)), angle + 0.1 * speed])
+            )
+        states.append(np.array(state))
+        controls.append(force[:, None])
+    dataset = Dataset.from_arrays(SYSTEM, states, controls)
+    assert make_model(with_preset(Spec("narx"), "quick")).fit(dataset, rng=0).lags == (0, 0)
