@@ -59,10 +59,14 @@ class TaskState:
 
 
 class Task(ABC):
-    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``."""
+    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``.
+
+    ``most`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by default.
+    """
 
     horizon: int
     worst: float = 0.0
+    most: float = np.inf
     fitness_unit: str = ""
     observations: tuple[Channel, ...]
     system: System
