@@ -1,5 +1,6 @@
 """Tasks: what a controller is evolved for."""
 
+from sysid_evo.tasks.duel import Duel
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.reward import Reward
 from sysid_evo.tasks.scene import Scene, Target
@@ -10,6 +11,6 @@ from sysid_evo.tasks.upright import Balance, SwingUp
 from sysid_evo.tasks.walled_track import WalledTrack
 
 __all__ = [
-    "Balance", "PointToPoint", "Reward", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState",
+    "Balance", "Duel", "PointToPoint", "Reward", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState",
     "TrackReference", "WalledTrack",
 ]  # fmt: skip
