@@ -131,15 +131,21 @@ def evolve_rivals(
         evolve(one.strategy, partial(objective, side), settings.generations, start=start)
         for side, one in enumerate(sides)
     ]
-    for generations in zip(*loops, strict=True):
-        for one, generation in zip(sides, generations, strict=True):
-            one.tell(generation)
-        done = generations[0].index + 1
-        if checkpoint is not None and (checkpoint.due() or done == settings.generations):
-            checkpoint.save(owner, _state(sides))
-        if progress is not None:
-            best = ", ".join(f"{generation.fitness.max():+.1f}" for generation in generations)
-            progress(done, settings.generations, f"best lead {best} m")
+    kept = saved = _state(sides)
+    try:
+        for generations in zip(*loops, strict=True):
+            for one, generation in zip(sides, generations, strict=True):
+                one.tell(generation)
+            kept = _state(sides)
+            if checkpoint is not None and checkpoint.due():
+                checkpoint.save(owner, kept)
+                saved = kept
+            if progress is not None:
+                best = ", ".join(f"{generation.fitness.max():+.1f}" for generation in generations)
+                progress(generations[0].index + 1, settings.generations, f"best lead {best} m")
+    finally:  # Ctrl-C, too
+        if checkpoint is not None and kept is not saved:
+            checkpoint.save(owner, kept)
     seeds = selection_seeds(seed, settings.selection_trials)
     return tuple(
         _champion(

@@ -25,6 +25,8 @@ POSE = ("x", "y", "heading")
 COLLISIONS = ("slow", "end")
 KEPT = 0.5
 """Share of its speed that a body keeps in each step at a wall."""
+PRESSED = 1e-6
+"""How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
 AHEAD = 0.1
 """What a body that stands well promises, in m."""
 
@@ -153,7 +155,7 @@ class WalledTrack(Task):
         )
         progress = here.progress + turned * place.per_radian
         room = here.half - self.body
-        touching = np.abs(place.offset) > room
+        touching = np.abs(place.offset) > room + PRESSED
         advanced = replace(
             here,
             progress=progress,

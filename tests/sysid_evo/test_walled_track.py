@@ -166,6 +166,14 @@ def test_a_controller_that_plans_ahead_comes_round_without_evolution() -> None:
     assert planned.task_state.touches.max() < 10
 
 
+def test_a_body_that_rests_at_a_wall_does_not_touch_it() -> None:
+    """0.3 - 0.07 m from the centre line, to within the rounding of single precision."""
+    task, trial = circle()
+    rest, _ = task.advance(at(trial, 0.0, -0.23 - 5e-7), np.zeros((1, 3)), np.zeros((1, 3)), control=IDLE)
+    pushed, _ = task.advance(at(trial, 0.0, -0.23 - 5e-6), np.zeros((1, 3)), np.zeros((1, 3)), control=IDLE)
+    assert (rest.touches[0], pushed.touches[0]) == (0, 1)
+
+
 def test_a_collision_may_end_the_trial() -> None:
     task, trial = circle(collision="end")
     state = np.array([[2.0, 0.0, 0.0]])
