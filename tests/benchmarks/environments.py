@@ -129,8 +129,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, default=100)
     given = parser.parse_args(arguments)
-    heads = ("environment", "controller", "achieved", "yardstick", "floor", "share", "processor s", "clock s")
-    table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials")
+    heads = ("environment", "controller", "achieved", "yardstick", "floor", "share", "proc. s", "clock s")
+    table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials", box=None)
     for name in given.ids.split(","):
         robot = GymnasiumRobot(id=name)
         made = compared(name, given.out / f"{name}-{given.seed}", given.seed)
