@@ -39,11 +39,12 @@ class Law:
     controls: tuple[Variable, ...]
     seen: Array
     decided: Array
+    called: str = ""
 
     @property
     def name(self) -> str:
-        """The champion's name as an identifier."""
-        name = _identifier(self.champion.name).strip("_").lower()
+        """What it is ``called``, by default the champion's name, as an identifier."""
+        name = _identifier(self.called or self.champion.name).strip("_").lower()
         return name if name[:1].isalpha() else f"controller_{name}".rstrip("_")
 
     @property

@@ -46,6 +46,15 @@ def test_it_names_the_file_and_how_to_use_it(to: str, suffix: str, stored: Path,
     assert again.says(f"best_of_a_b{suffix} exists already")
 
 
+def test_it_may_be_called_otherwise_in_its_file(stored: Path, tmp_path: Path, call: Caller) -> None:
+    done = call("export", stored, "--to", "c", "--name", "controller")
+    assert "written to controller.c" in done.stdout
+    text = (tmp_path / "controller.c").read_text()
+    assert "void controller_step(controller_memory *memory" in text
+    assert "controller 'best of a+b'" in text
+    assert "best_of_a_b" not in text
+
+
 def test_wrong_words_are_refused_with_those_that_would_do(stored: Path, call: Caller) -> None:
     assert call("export", stored, "--to", "java").says("--to: expected python, c, onnx, got 'java'")
     wrong = call("export", stored, "--to", "c", "--real", "half")
