@@ -21,7 +21,8 @@ class Linear(DynamicsModel):
     """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
-    penalises the squares of A and B on standardised inputs; ``intercept`` fits c.
+    penalises the squares of A and B on standardised inputs; ``intercept`` fits c. It is linear in the states as
+    they are, an angle too, since LQR needs its A and B: good near one angle only, and another model a turn later.
     """
 
     knowledge = "black"
