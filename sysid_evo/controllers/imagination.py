@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -14,15 +14,18 @@ from sysid_evo.tasks.task import Task, TaskState
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.imagined import CompiledTrials
 
+Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
+
 
 class Imagination:
     """Runs trials of a bound ``task`` in ``dynamics``, from where they stand, without noise.
 
-    Both in their compiled form where they have one, unless ``compiled`` is false: the same to rounding.
+    ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy); "auto" takes the lowest
+    precision that the model allows where there are kernels. The scores are the same to rounding.
     """
 
-    def __init__(self, dynamics: Dynamics, task: Task, *, compiled: bool = True) -> None:
-        self.dynamics, self.task, self.wanted = dynamics, task, compiled
+    def __init__(self, dynamics: Dynamics, task: Task, *, engine: Engine = "auto") -> None:
+        self.dynamics, self.task, self.engine = dynamics, task, engine
 
     def scores(self, states: Array, controls: Array, sequences: Array, task_state: TaskState) -> Array:
         """Return fitness and promise at the end of every sequence, (K, B).
@@ -48,7 +51,7 @@ class Imagination:
     @cached_property
     def compiled(self) -> CompiledTrials | None:
         """The compiled form; None if it is not wanted, or the model or the task has none."""
-        if not self.wanted:
+        if self.engine == "reference":
             return None
         of_dynamics, of_task, envelope = self.dynamics.kernel(), self.task.kernel(), self.dynamics.envelope
         if of_dynamics is None or of_task is None:
@@ -57,7 +60,8 @@ class Imagination:
 
         nx = self.dynamics.system.nx
         none = np.stack([np.full(nx, -np.inf), np.full(nx, np.inf)])
-        return CompiledTrials(of_dynamics, of_task, none if envelope is None else envelope)
+        precision = of_dynamics.precision if self.engine == "auto" else self.engine
+        return CompiledTrials(of_dynamics, of_task, none if envelope is None else envelope, precision)
 
     def _run(self, carry: Array, legal: Array, here: TaskState) -> tuple[TaskState, Array, BoolArray]:
         """Return what `CompiledTrials.run` does, in NumPy."""

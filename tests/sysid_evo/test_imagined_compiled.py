@@ -11,7 +11,7 @@ import pytest
 from sysid_evo import make_model, make_task
 from sysid_evo.arrays import Array
 from sysid_evo.controllers import Predictive
-from sysid_evo.controllers.imagination import Imagination
+from sysid_evo.controllers.imagination import Engine, Imagination
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import rollout
@@ -33,6 +33,7 @@ CASES: list[tuple[str, System]] = [
     ("swing_up(horizon=40)", pendulum()),
     ("balance(horizon=40, effort=0.1)", pendulum()),
 ]
+ENGINES: tuple[Engine, ...] = ("float64", "reference")
 
 
 def middle(task: Task, body: Dynamics, steps: int) -> tuple[TaskState, Array]:
@@ -48,11 +49,13 @@ def middle(task: Task, body: Dynamics, steps: int) -> tuple[TaskState, Array]:
     return task.foreseen(here), carry[:, : task.system.nx]
 
 
-def both(task: Task, body: Dynamics, steps: int = 25, *, done: int = 6) -> tuple[Array, Array]:
+def both(
+    task: Task, body: Dynamics, steps: int = 25, *, done: int = 6, engine: Engine = "float64"
+) -> tuple[Array, Array]:
     """Return the scores of the same sequences, compiled and in NumPy, for trials ``done`` steps old."""
     known, state = middle(task, body, done)
     sequences = np.random.default_rng(1).uniform(-1.2, 1.2, (30, 5, steps, task.system.nu))
-    forms = [Imagination(body, task, compiled=compiled) for compiled in (True, False)]
+    forms = [Imagination(body, task, engine=one) for one in (engine, "reference")]
     assert forms[0].compiled is not None
     assert forms[1].compiled is None
     compiled, reference = (form.scores(state[:, None], np.zeros((5, 0, task.system.nu)), sequences, known)
@@ -60,12 +63,13 @@ def both(task: Task, body: Dynamics, steps: int = 25, *, done: int = 6) -> tuple
     return compiled, reference
 
 
+@pytest.mark.parametrize("engine, bound", [("float64", 1e-6), ("float32", 1e-4)])
 @pytest.mark.parametrize("spec, system", CASES, ids=[spec.split(", horizon")[0].split("(h")[0] for spec, _ in CASES])
-def test_scores_are_those_of_numpy(spec: str, system: System) -> None:
+def test_scores_are_those_of_numpy(spec: str, system: System, engine: Engine, bound: float) -> None:
     done = 1 if "balance" in spec else 6
-    compiled, reference = both(make_task(spec).bind(system), ExampleDynamics(system), done=done)
+    compiled, reference = both(make_task(spec).bind(system), ExampleDynamics(system), done=done, engine=engine)
     assert np.ptp(reference, axis=0).max() > 0.01, "sequences that score alike prove nothing"
-    np.testing.assert_allclose(compiled, reference, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(compiled, reference, rtol=bound, atol=bound)
 
 
 def worth(states: Array, controls: Array) -> Array:
@@ -129,8 +133,8 @@ def test_two_candidates_in_the_same_trials_are_imagined_apart() -> None:
     known = bound.begin(trial_seeds(3, 3)).tile(2)
     sequences = np.random.default_rng(1).uniform(-1.0, 1.0, (20, 6, 25, 1))
     compiled, reference = (
-        Imagination(body, bound, compiled=form).scores(known.state[:, None], np.zeros((6, 0, 1)), sequences, known)
-        for form in (True, False)
+        Imagination(body, bound, engine=engine).scores(known.state[:, None], np.zeros((6, 0, 1)), sequences, known)
+        for engine in ENGINES
     )
     np.testing.assert_allclose(compiled, reference, rtol=1e-6, atol=1e-6)
 
@@ -141,24 +145,24 @@ def test_a_fitted_model_inside_drives_as_its_numpy_form(family: str, lags: tuple
     model = make_model(family, state_lags=lags[0], control_lags=lags[1]).fit(data, rng=np.random.default_rng(0))
     task, body = make_task("point_to_point(horizon=12)"), ExampleDynamics(data.system)
     runs = []
-    for compiled in (True, False):
-        law = Plain(model=model, samples=24, horizon=8, compiled=compiled)
+    for engine in ENGINES:
+        law = Formed(model=model, samples=24, horizon=8, engine=engine)
         runs.append(rollout(body, law, np.zeros((1, 2)), task, trial_seeds(1, 2), record=True))
     for fast, exact in zip(*(run.trajectories for run in runs), strict=True):
         np.testing.assert_array_equal(fast.controls, exact.controls)
         np.testing.assert_allclose(fast.states, exact.states, atol=1e-9)
 
 
-class Plain(Predictive):
+class Formed(Predictive):
     """Predictive with either form of imagination."""
 
-    def __init__(self, *, compiled: bool, **settings: Any) -> None:
+    def __init__(self, *, engine: Engine, **settings: Any) -> None:
         super().__init__(**settings)
-        self.compiled = compiled
+        self.engine = engine
 
     def bind_to(self, task: Task) -> Any:
         bound = super().bind_to(task)
-        bound.imagined = tuple(Imagination(one.dynamics, task, compiled=self.compiled) for one in bound.imagined)
+        bound.imagined = tuple(Imagination(one.dynamics, task, engine=self.engine) for one in bound.imagined)
         return bound
 
 
@@ -171,5 +175,5 @@ def test_a_plan_longer_than_a_trial_is_made_in_numpy() -> None:
     body = ExampleDynamics(system)
     given = (known.state[:, None], past, sequences, known)
     np.testing.assert_array_equal(
-        Imagination(body, task).scores(*given), Imagination(body, task, compiled=False).scores(*given)
+        Imagination(body, task).scores(*given), Imagination(body, task, engine="reference").scores(*given)
     )

@@ -15,27 +15,23 @@ from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.run import aligned, compiled, empty_lines
 from sysid_evo.tasks.task import TaskState
 
-PRECISION: Precision = "float64"
-"""Of a plan: its sequences are weighed by small differences of their scores."""
-REAL = np.dtype(PRECISION)
-
 
 @cache
-def _loop() -> Any:
-    return compile_kernel(KernelSource(loops.imagine), loops.IMAGINE, PRECISION, pointer=False)
+def _loop(precision: Precision) -> Any:
+    return compile_kernel(KernelSource(loops.imagine), loops.IMAGINE, precision, pointer=False)
 
 
 class CompiledTrials:
     """The kernels of a dynamics and of a bound task, ready to run trials that are only imagined."""
 
-    def __init__(self, dynamics: DynamicsKernel, task: TaskKernel, envelope: Array) -> None:
-        self.task, self.n_scratch = task, dynamics.n_scratch
+    def __init__(self, dynamics: DynamicsKernel, task: TaskKernel, envelope: Array, precision: Precision) -> None:
+        self.task, self.n_scratch, self.precision = task, dynamics.n_scratch, precision
         self.shared = {
-            "dynamics": compiled(dynamics.source, DYNAMICS, PRECISION),
-            "advance": compiled(task.advance, ADVANCE, PRECISION),
-            "dynamics_parameters": aligned(dynamics.parameters, REAL),
-            "task_parameters": aligned(task.parameters, REAL),
-            "envelope": aligned(envelope, REAL),
+            "dynamics": compiled(dynamics.source, DYNAMICS, precision),
+            "advance": compiled(task.advance, ADVANCE, precision),
+            "dynamics_parameters": aligned(dynamics.parameters, precision),
+            "task_parameters": aligned(task.parameters, precision),
+            "envelope": aligned(envelope, precision),
         }
 
     def run(
@@ -45,7 +41,7 @@ class CompiledTrials:
 
         These are the task's state, the state (K B, nx), and whether it was lost on the way, not being finite.
         """
-        count, trials, steps, nu = controls.shape
+        real, (count, trials, steps, nu) = np.dtype(self.precision), controls.shape
         rows, data = self.task.rows(task_state), self.task.trial_data(task_state)
         rollouts, n_carry, n_task = count * trials, carry.shape[1], len(rows)
         sizes = loops.IMAGINED.integers(
@@ -64,8 +60,8 @@ class CompiledTrials:
             "marks": 1, "scratch": self.n_scratch,
         }  # fmt: skip
         lost = np.zeros(rollouts, np.int64)
-        state, final = np.zeros(rollouts * nx, REAL), np.zeros(rollouts * n_task, REAL)
-        _loop()(
+        state, final = np.zeros(rollouts * nx, real), np.zeros(rollouts * n_task, real)
+        _loop(self.precision)(
             *loops.IMAGINE.ordered(
                 sizes=sizes,
                 trials=np.zeros(LANES, np.int64),
@@ -74,9 +70,9 @@ class CompiledTrials:
                 final_state=state,
                 final_task=final,
                 **self.shared,
-                **{name: aligned(array, REAL) for name, array in given.items()},
-                **{name: empty_lines(n * LANES, REAL) for name, n in room.items()},
+                **{name: aligned(array, real) for name, array in given.items()},
+                **{name: empty_lines(n * LANES, real) for name, n in room.items()},
             )
         )
-        reached = self.task.state(task_state.tile(count), final.reshape(rollouts, n_task).T)
-        return reached, state.reshape(rollouts, nx), lost > 0
+        last = final.reshape(rollouts, n_task).T.astype(np.float64)
+        return self.task.state(task_state.tile(count), last), state.reshape(rollouts, nx).astype(np.float64), lost > 0
