@@ -12,7 +12,7 @@ from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
-from evaluation.comparison.hand_written import HandWrittenCell
+from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
@@ -24,6 +24,7 @@ from sysid_evo.errors import (
     IncompatibleTask,
     InvalidArgument,
     InvalidData,
+    UnknownName,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
@@ -125,7 +126,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system),
+            _by_hand(experiment, evolution, system, fits),
             recorded=isinstance(data, RecordedData),
         )
         exploitability = ExploitCell(matrix, data)
@@ -251,13 +252,26 @@ def _check_predictable(training: Dataset, test: Dataset) -> None:
         )
 
 
-def _by_hand(experiment: Experiment, evolution: ControllerEvolution, system: System) -> tuple[HandWrittenCell, ...]:
-    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task."""
-    specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
-    for spec in specs:
+def _by_hand(
+    experiment: Experiment, evolution: ControllerEvolution, system: System, fits: Mapping[str, FitCell]
+) -> tuple[HandWrittenCell, ...]:
+    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
+
+    Whether one can do the task with a model that is still to be fitted inside is found when it is made.
+    """
+    cells = []
+    for spec in distinct(tuple(Spec.parse(text) for text in experiment.by_hand)):
         controllers.check(spec)
-        Champion.hand_written(spec, evolution.task, system)
-    return tuple(HandWrittenCell(spec, evolution.task, system) for spec in specs)
+        inside = {label: fits[label] for label in labels_inside(spec, fits)}
+        if inside:
+            made(controllers, spec)
+        else:
+            try:
+                Champion.hand_written(spec, evolution.task, system)
+            except UnknownName as error:
+                raise UnknownName(f"by_hand: {spec}: {error}; the models compared are {', '.join(fits)}") from error
+        cells.append(HandWrittenCell(spec, evolution.task, system, inside))
+    return tuple(cells)
 
 
 def _matrix(
