@@ -35,7 +35,7 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
     asked = asked_models(experiment)
     if asked is not None:
         return tuple(_usable(spec, experiment.preset, system) for spec in asked)
-    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    usual: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
     if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
         usual = TURNING_FAMILIES
         turning = ", ".join(channel.name for channel in system.states if channel.period)

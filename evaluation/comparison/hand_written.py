@@ -65,8 +65,8 @@ class HandWrittenCell(ControllerFiles):
 
 def labels_inside(spec: Spec, labels: Collection[str]) -> tuple[str, ...]:
     """Return which of ``labels`` the parameter ``model`` of a controller names."""
-    value = spec.parameters.get(MODEL)
-    return tuple(name for name in (value if isinstance(value, (list, tuple)) else [value]) if name in labels)
+    value = spec.parameters.get(MODEL, ())
+    return tuple(name for name in ([value] if isinstance(value, str) else value) if name in labels)
 
 
 def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:

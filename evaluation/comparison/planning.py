@@ -14,7 +14,7 @@ from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
 from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
-from evaluation.comparison.recipes import chosen_cell, controller_cell
+from evaluation.comparison.recipes import chosen_cell, controller_cell, evolution_on
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import Measured
 from sysid_evo.arrays import Array
@@ -293,7 +293,7 @@ def _matrix(
     usual = quick and recorded and experiment.budget.recipe == "recommended"
     if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
-    evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
+    evolved = tuple(EvolveCell(members, evolution_on(experiment, members), experiment.seed) for members in groups)
     champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)

@@ -41,6 +41,9 @@ class Predictive(Controller):
     """
 
     hand_written: ClassVar[bool] = True
+    unwritten: ClassVar[str] = (
+        "it plans with a whole model at every sample. Evolve a network in that model and export it"
+    )
     n_parameters = 2
 
     def __init__(

@@ -61,6 +61,9 @@ class TaskState:
 class Task(ABC):
     """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``."""
 
+    usual_noise: ClassVar[str] = ""
+    """What candidates meet in models at this task where no noise is named, see `RadicalEnvelope`; empty for none."""
+
     horizon: int
     worst: float = 0.0
     fitness_unit: str = ""

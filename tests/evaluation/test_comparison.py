@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
+from evaluation.comparison.champion_cells import EvolveCell
 from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
@@ -235,6 +236,20 @@ def test_a_model_of_the_comparison_stands_inside_a_controller_by_its_label(tmp_p
     cells = [HandWrittenCell(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}) for n in "ab"]
     assert cells[0].needs == (fit,)
     assert cells[0].digest == cells[1].digest, "a label is no part of a result"
+
+
+def noises_met(**changes: Any) -> dict[str, str]:
+    """Return the noise of every evolution of a comparison with a yardstick, by the label of what it is evolved on."""
+    plan = planned("linear", robot="made_up_robot", yardstick=True, **changes).plan
+    return {cell.name: cell.settings.noise for cell in plan if isinstance(cell, EvolveCell)}
+
+
+def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_asked_for() -> None:
+    target = "set_point(channels=yaw_rate, low=-1, high=1)"
+    assert noises_met(task=target) == {"linear": "envelope(process=0.02)", "made_up_robot": ""}
+    assert set(noises_met(task=target, noise="none").values()) == {""}
+    assert set(noises_met(task=target, noise="envelope(sensor=0.1)").values()) == {"envelope(sensor=0.1)"}
+    assert set(noises_met().values()) == {""}
 
 
 def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path: Path) -> None:
