@@ -28,6 +28,8 @@ def swings(lengths: list[int]) -> Dataset:
 def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there() -> None:
     plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
     assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
+    assert plan.experiment.models is not None
+    assert len(plan.experiment.models) == len(plan.fits)  # the run can be planned again from what is stored of it
     assert any("evolved3 is left out" in text and "angle comes round" in text for text in plan.plan.remarks)
     asked = plan_comparison(Experiment(only="prediction", models=("evolved3", "linear")), dataset=swings([400, 400]))
     assert set(asked.fits) == {"evolved3", "linear"}
