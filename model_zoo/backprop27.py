@@ -9,6 +9,7 @@ import numpy as np
 
 from model_zoo.channels.command_cells import CommandCells
 from model_zoo.channels.features import Features
+from model_zoo.channels.integrals import integrals, next_state, next_state_predictor
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
 from sysid_evo import Dataset, DynamicsModel, System, register_model
@@ -36,7 +37,7 @@ class Backprop27(DynamicsModel):
     hidden units and the learning rate are not stated in the paper.
 
     With ``state_lags`` and ``control_lags``, earlier samples join the inputs. Of a periodic state the networks see
-    sine and cosine, and predict the change.
+    sine and cosine; of it and of a state that is an integral of others they give the change, see `integrals`.
     """
 
     knowledge = "black"
@@ -66,12 +67,12 @@ class Backprop27(DynamicsModel):
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
-        features = Features(dataset.system, self.lags)
-        inputs = features(data.carry, data.control[:, cells.exact])
-        after = data.after - features.anchor(data.state)
+        inputs = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])
         centre, scale = inputs.mean(axis=0), deviation(inputs)
-        target_centre, target_scale = after.mean(axis=0), deviation(after)
-        standard, targets = (inputs - centre) / scale, (after - target_centre) / target_scale
+        self.added_ = integrals(dataset).astype(np.float64)
+        wanted = data.after - np.where(self.added_ > 0.0, data.state, 0.0)
+        target_centre, target_scale = wanted.mean(axis=0), deviation(wanted)
+        standard, targets = (inputs - centre) / scale, (wanted - target_centre) / target_scale
         trained = []
         counter = Counter(progress, len(self.filled_) * self.epochs)
         for command in self.filled_:
@@ -87,15 +88,14 @@ class Backprop27(DynamicsModel):
     def next_state(self, carry: Array, control: Array) -> Array:
         cells, serving = self._serving
         number = serving[cells.index(control)]
-        features = Features(self.system, self.lags)
-        inputs = features(carry, control[:, cells.exact])
+        inputs = Features(self.system, self.lags)(carry, control[:, cells.exact])
         after = np.empty((len(carry), self.last_.shape[1]))
         for command in np.unique(number):
             rows = np.flatnonzero(number == command)
             hidden = np.tanh(inputs[rows] @ self.first_[command] + self.first_bias_[command])
             by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
-        return after + features.anchor(carry[:, : self.system.nx]) if self.system.periods else after
+        return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor:
         from sysid_evo.engine.kernels import command_network_predictor, with_angles
@@ -113,7 +113,7 @@ class Backprop27(DynamicsModel):
             cells.exact,
             Features(self.system, self.lags).n_carry,
         )
-        return with_angles(networks, self.system, self.lags, anchored=True)
+        return next_state_predictor(self.added_, with_angles(networks, self.system, self.lags))
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

@@ -12,12 +12,11 @@ import numpy as np
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.scene import Scene
 from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.tasks.track import at_offset, distance_to_wall, draw_track, place_of, wall
+from sysid_evo.tasks.track import at_offset, distance_to_wall, place_of, tracks_of, wall
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
@@ -118,12 +117,11 @@ class WalledTrack(Task):
 
     def begin(self, seeds: Seeds) -> WalledTrackState:
         trials = len(seeds)
-        tracks = [draw_track(generator(seed, TASK_STREAM), self.radius, self.bends) for seed in seeds]
         return WalledTrackState(
             state=np.tile(self.system.neutral_state, (trials, 1)),
             pose=np.zeros((trials, 3)),
             alive=np.ones(trials, dtype=bool),
-            tracks=np.array(tracks),
+            tracks=tracks_of(tuple(seeds.tolist()), self.radius, self.bends),
             half=0.5 * self.width,
             trial=np.arange(trials),
             progress=np.zeros(trials),

@@ -1,4 +1,4 @@
-"""The benchmark of rollouts runs and reports every model."""
+"""The benchmarks of rollouts run, and report every model and every task."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.benchmarks import tasks
 from tests.benchmarks.rollout.__main__ import main
 
 
@@ -18,3 +19,11 @@ def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: py
     assert all(speed > 0 for row in rows for speed in row["million_steps_per_second"].values())
     printed = capsys.readouterr().out
     assert all(len(line) <= 80 for line in printed.splitlines())
+
+
+@pytest.mark.slow
+def test_a_quick_run_sets_the_speed_of_other_tasks_beside_waypoints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tasks.main(["--quick", "--tasks", "point_to_point, walled_track"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("walled_track") == 2
+    assert printed.count("1.00") >= 2
