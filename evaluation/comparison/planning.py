@@ -16,7 +16,7 @@ from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell, evolution_on
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.transfer import Measured, kept_traces
+from evaluation.transfer import AT_REST, Measured, kept_traces
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -126,7 +126,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system, fits),
+            _by_hand(experiment, evolution, system, fits, floor=column is not None),
             recorded=isinstance(data, RecordedData),
         )
         exploitability = ExploitCell(matrix, data)
@@ -253,14 +253,23 @@ def _check_predictable(training: Dataset, test: Dataset) -> None:
 
 
 def _by_hand(
-    experiment: Experiment, evolution: ControllerEvolution, system: System, fits: Mapping[str, FitCell]
+    experiment: Experiment,
+    evolution: ControllerEvolution,
+    system: System,
+    fits: Mapping[str, FitCell],
+    *,
+    floor: bool,
 ) -> tuple[HandWrittenCell, ...]:
     """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
 
-    Whether one can do the task with a model that is still to be fitted inside is found when it is made.
+    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Where fitness
+    may be negative and there is a robot, its ``floor``, controls at rest are among them: shares are measured from it.
     """
+    specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    if floor and evolution.make_task(system).worst < 0.0 and all(spec.name != AT_REST for spec in specs):
+        specs = (*specs, Spec.parse(f"rest={AT_REST}"))
     cells = []
-    for spec in distinct(tuple(Spec.parse(text) for text in experiment.by_hand)):
+    for spec in specs:
         controllers.check(spec)
         inside = {label: fits[label] for label in labels_inside(spec, fits)}
         if inside:

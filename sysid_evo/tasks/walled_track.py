@@ -25,6 +25,10 @@ POSE = ("x", "y", "heading")
 COLLISIONS = ("slow", "end")
 KEPT = 0.5
 """Share of its speed that a body keeps in each step at a wall."""
+PRESSED = 1e-6
+"""How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
+AHEAD = 0.1
+"""What a body that stands well promises, in m."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +155,7 @@ class WalledTrack(Task):
         )
         progress = here.progress + turned * place.per_radian
         room = here.half - self.body
-        touching = np.abs(place.offset) > room
+        touching = np.abs(place.offset) > room + PRESSED
         advanced = replace(
             here,
             progress=progress,
@@ -173,6 +177,19 @@ class WalledTrack(Task):
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("WalledTrackState", task_state).furthest
+
+    def foreseen(self, task_state: TaskState) -> WalledTrackState:
+        """Return the trials as they stand, the track known; what was driven before does not count."""
+        here = cast("WalledTrackState", task_state)
+        return replace(here, furthest=here.progress)
+
+    def promise(self, task_state: TaskState, state: Array) -> Array:
+        """Return up to ``AHEAD`` (m): all of it in the middle of the track and along it, 0 at a wall or backwards."""
+        here = cast("WalledTrackState", task_state)
+        x, y, heading = here.pose.T
+        place = place_of(here.track, x, y)
+        along = np.cos(heading - np.arctan2(place.sine, place.cosine) - np.arctan2(place.middle, place.slope))
+        return AHEAD * 0.5 * (1.0 + along) * np.maximum(0.0, 1.0 - (place.offset / here.half) ** 2)
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return the laps driven and the steps spent at a wall."""

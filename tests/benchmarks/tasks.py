@@ -1,85 +1,78 @@
-"""How fast rollouts are at each task, on the same model: ``python -m tests.benchmarks.tasks``.
+"""What a comparison's recommended controller achieves at a task: ``python -m tests.benchmarks.tasks --out DIR``.
 
-A population is evolved for a few generations at each of ``--tasks`` on the `parametrised` family and on the emulated
-car, and is then rolled out on one thread by the compiled engine, all of them in turn and in one process. Prints
-million steps per second of processor time, and the share that each task reaches of the first one's speed.
+Each of ``--cases`` is a robot and a task. A comparison with its usual families, and nothing else given, records the
+emulated robot, evolves controllers in the models alone, and one on the robot itself, the yardstick. Prints what the
+recommended controller achieves on the robot beside it, and the processor time of all; a folder for each case and seed,
+in which what stands there is not done again.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+import time
+from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
-from threadpoolctl import threadpool_limits
 
-from model_zoo.parametrised import Parametrised
-from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
-from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_robot, make_task
-from sysid_evo.tasks import Task
-from tests.benchmarks.rollout.families import recording
-from tests.benchmarks.rollout.timing import in_turn
+from evaluation import Report, compare
 
-TASKS = "point_to_point, walled_track, sideways=walled_track(rays=9, view=6.2)"
-TRIALS = 10
-LATER = 10_000  # a generation that evolution does not reach: fresh trials
+CASES = "pendulum/swing_up,cart_pole/balance,thermal/set_point"
+COLUMNS = ("robot", "task", "seed", "recommended", "achieved", "yardstick", "share, %", "processor time, s")
+WORDS = 4
 
 
-def program(dynamics: Dynamics, task: Task, candidates: int, generations: int) -> Callable[[], object]:
-    """Return the rollouts of a population that was evolved for ``generations`` at ``task``."""
-    controller = RecurrentNetwork()
-    strategy = MuPlusLambda(
-        n_parameters=controller.bind_to(task.bind(dynamics.system)).n_parameters,
-        seed=1,
-        parents=candidates // 2,
-        children=candidates // 2,
+def row_of(report: Report, robot: str, task: str, seed: int, seconds: float) -> tuple[str, ...]:
+    """Return one row of the table; achieved and yardstick are means over trials, ± standard errors."""
+    assert report.transfer is not None
+    controllers = report.transfer.controllers
+    pick = next(c for c in controllers if c.name == report.transfer.pick)
+    yardstick = next(c for c in controllers if c.on_robot)
+    assert pick.achieved is not None
+    assert yardstick.achieved is not None
+    reached, possible = pick.achieved, yardstick.achieved
+    shown = tuple(f"{value.value:.1f} ± {value.standard_error:.1f}" for value in (reached, possible))
+    return (
+        robot,
+        task,
+        str(seed),
+        f"{pick.name} of {', '.join(pick.against)}",
+        *shown,
+        f"{100.0 * reached.value / possible.value:.0f}",
+        f"{seconds:.0f}",
     )
-    objective = EnsembleObjective((DynamicsRunner(dynamics, threads=1),), controller, task, 1, TRIALS)
-    for _ in evolve(strategy, objective, generations):
-        pass
-    population, seeds = strategy.ask(), trial_seeds(1, TRIALS, generation=LATER)
-    return lambda: rollout(dynamics, controller, population, task, seeds, engine="float32", threads=1)
-
-
-def models(quick: bool) -> Mapping[str, Dynamics]:
-    """Return the fastest of the families, and the emulated car with its delays and finer steps."""
-    data = recording(episodes=2 if quick else 12, steps=600)
-    fast = Parametrised(generations=5 if quick else 60).fit(data, rng=np.random.default_rng(0))
-    return {"parametrised": fast, "emulated_car": make_robot("emulated_car").dynamics}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure and print the table."""
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.tasks", description=__doc__)
-    parser.add_argument("--tasks", default=TASKS)
-    parser.add_argument("--generations", type=int, default=60)
-    parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--quick", action="store_true", help="small populations and one repeat: does it run?")
-    given = parser.parse_args(arguments)
-    candidates, generations, repeats = (10, 2, 1) if given.quick else (100, given.generations, given.repeats)
-    chosen = {spec.label: make_task(spec) for spec in Spec.parse_many(given.tasks)}
-    table = Table(title="Million environment steps per second, one thread")
-    for heading in ("model", "task", "speed", f"of {next(iter(chosen))}"):
-        table.add_column(heading, justify="left" if heading in ("model", "task") else "right")
-    with threadpool_limits(1):
-        for name, dynamics in models(given.quick).items():
-            programs = {label: program(dynamics, task, candidates, generations) for label, task in chosen.items()}
-            timings = in_turn(programs, repeats=repeats, shortest=0.03)
-            speeds = {
-                label: candidates * TRIALS * chosen[label].horizon / 1e6 / timing.processor
-                for label, timing in timings.items()
-            }
-            first = next(iter(speeds.values()))
-            for label, speed in speeds.items():
-                table.add_row(name, label, f"{speed:.1f}", f"{speed / first:.2f}")
-    Console(width=100).print(table)
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--cases", default=CASES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--generations", type=int, help="of each evolution (default: the preset's)")
+    options = parser.parse_args(arguments)
+    console, table = Console(), Table(title="evolved on models only, and on the emulated robot itself")
+    for number, heading in enumerate(COLUMNS):
+        table.add_column(heading, justify="right" if number >= WORDS else "left")
+    for case in options.cases.split(","):
+        robot, task = case.split("/")
+        for seed in options.seeds:
+            began = time.process_time()
+            report = compare(
+                out=options.out / f"{robot}-{task}-{seed}",
+                robot=robot,
+                task=task,
+                seed=seed,
+                minutes=options.minutes,
+                generations=options.generations,
+                yardstick=True,
+            )
+            row = row_of(report, robot, task, seed, time.process_time() - began)
+            console.print(*row)
+            table.add_row(*row)
+    console.print(table)
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.controllers import Predictive, RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
@@ -146,6 +146,32 @@ def test_at_a_wall_the_body_stays_inside_and_keeps_half_of_its_speeds() -> None:
     free, same = task.advance(at(trial, 0.0, 0.0), state, state, control=IDLE)
     assert same is state
     assert free.touches[0] == 0
+
+
+def test_who_stands_well_promises_more_and_what_was_driven_before_does_not_count() -> None:
+    task, trial = circle()
+    poses = [(0.0, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, math.pi / 2.0), (0.0, 0.0, math.pi), (2.0, 2.0, math.pi / 2)]
+    promised = [task.promise(at(trial, *pose), np.zeros((1, 3)))[0] for pose in poses]
+    np.testing.assert_allclose(promised, [0.1, 0.075, 0.05, 0.0, 0.1], atol=1e-8)
+    back = replace(trial, progress=np.array([3.0]), furthest=np.array([5.0]))
+    assert task.fitness(task.foreseen(back))[0] == 3.0
+    assert task.fitness(back)[0] == 5.0
+
+
+def test_a_controller_that_plans_ahead_comes_round_without_evolution() -> None:
+    body = ExampleDynamics(switched_car())
+    task = WalledTrack(horizon=40)
+    planned = rollout(body, Predictive(model=body, horizon=12, samples=24), np.zeros((1, 2)), task, SEEDS[:3])
+    assert planned.fitness.min() > 1.5
+    assert planned.task_state.touches.max() < 10
+
+
+def test_a_body_that_rests_at_a_wall_does_not_touch_it() -> None:
+    """0.3 - 0.07 m from the centre line, to within the rounding of single precision."""
+    task, trial = circle()
+    rest, _ = task.advance(at(trial, 0.0, -0.23 - 5e-7), np.zeros((1, 3)), np.zeros((1, 3)), control=IDLE)
+    pushed, _ = task.advance(at(trial, 0.0, -0.23 - 5e-6), np.zeros((1, 3)), np.zeros((1, 3)), control=IDLE)
+    assert (rest.touches[0], pushed.touches[0]) == (0, 1)
 
 
 def test_a_collision_may_end_the_trial() -> None:

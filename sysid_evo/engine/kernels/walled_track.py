@@ -17,7 +17,7 @@ from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.motion.compiled_form import motion_kernel
 from sysid_evo.tasks.task import TaskState
 from sysid_evo.tasks.track import NOWHERE, NUMBERS, STILL, WALK
-from sysid_evo.tasks.walled_track import KEPT, WalledTrack, WalledTrackState
+from sysid_evo.tasks.walled_track import KEPT, PRESSED, WalledTrack, WalledTrackState
 
 ROWS = Layout(
     "furthest", "alive", "x", "y", "heading", "progress", "turned", "touches",
@@ -144,7 +144,7 @@ def advance(task, before, after, control, trials, trial_data, parameters):
         task[ROWS.progress * LANES + lane] = progress
         task[ROWS.turned * LANES + lane] += turned
         task[lane] = max(task[lane], progress)
-        touching = 1.0 if abs(offset) > room else 0.0
+        touching = 1.0 if abs(offset) > room + PRESSED else 0.0
         task[ROWS.touches * LANES + lane] += touching
         task[LANES + lane] = 0.0 if touching * ends > 0.0 else task[LANES + lane]
         stopped = touching * (1.0 - ends)

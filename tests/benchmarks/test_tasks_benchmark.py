@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks.yardstick import main
+from tests.benchmarks.tasks import main
 
 
 @pytest.mark.slow
