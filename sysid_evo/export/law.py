@@ -79,8 +79,8 @@ def law_of(champion: Champion) -> Law:
     program = controller.program(champion.parameters)
     if program is None:
         raise InvalidArgument(
-            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: it has no "
-            "`program`. The controllers recurrent, feed_forward, linear, lqr, pid and pursuit do"
+            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
+            f"{controller.unwritten}. The controllers recurrent, feed_forward, linear, lqr, pid, policy and pursuit can"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))

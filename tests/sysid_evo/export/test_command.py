@@ -15,8 +15,9 @@ from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, View
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import law_of
-from sysid_evo.registry import controllers
-from sysid_evo.store import save_champion
+from sysid_evo.registry import controllers, make_model
+from sysid_evo.store import save_champion, save_model
+from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import Caller
 
 from .made import champion_of
@@ -79,6 +80,12 @@ def test_a_controller_that_has_no_program_is_refused_with_those_that_have(regist
     register(controllers, "bare", Bare)
     with pytest.raises(InvalidArgument, match=r"'bare' cannot be written as a file .* recurrent, feed_forward, linear"):
         law_of(champion_of("bare"))
+
+
+def test_a_model_inside_is_refused_with_what_to_do_instead(tmp_path: Path) -> None:
+    file = save_model(make_model("linear").fit(example_dataset()), tmp_path / "body")
+    with pytest.raises(InvalidArgument, match=r"'predictive' cannot be written .* Evolve a network in that model"):
+        law_of(champion_of(f"predictive(model={str(file)!r}, horizon=3)"))
 
 
 def test_somebody_who_drives_by_hand_is_no_controller() -> None:
