@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from model_zoo.channels.command_cells import CommandCells
+from model_zoo.channels.integrals import integrals, next_state, next_state_predictor
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
 from sysid_evo import Dataset, DynamicsModel, System, register_model
@@ -34,7 +35,8 @@ class Backprop27(DynamicsModel):
     command that was never recorded uses the networks of the nearest one that was. The number of
     hidden units and the learning rate are not stated in the paper.
 
-    With ``state_lags`` and ``control_lags``, earlier samples join the inputs.
+    With ``state_lags`` and ``control_lags``, earlier samples join the inputs. Of a state that is an integral of others
+    the networks give the change, see `integrals`.
     """
 
     knowledge = "black"
@@ -65,8 +67,10 @@ class Backprop27(DynamicsModel):
         self.filled_ = np.unique(cell)
         inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
         centre, scale = inputs.mean(axis=0), deviation(inputs)
-        target_centre, target_scale = data.after.mean(axis=0), deviation(data.after)
-        standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
+        self.added_ = integrals(dataset).astype(np.float64)
+        wanted = data.after - np.where(self.added_ > 0.0, data.state, 0.0)
+        target_centre, target_scale = wanted.mean(axis=0), deviation(wanted)
+        standard, targets = (inputs - centre) / scale, (wanted - target_centre) / target_scale
         trained = []
         counter = Counter(progress, len(self.filled_) * self.epochs)
         for command in self.filled_:
@@ -89,7 +93,7 @@ class Backprop27(DynamicsModel):
             hidden = np.tanh(inputs[rows] @ self.first_[command] + self.first_bias_[command])
             by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
-        return after
+        return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor:
         from sysid_evo.engine.kernels import command_network_predictor
@@ -97,7 +101,7 @@ class Backprop27(DynamicsModel):
         cells, serving = self._serving
         commands, n_in, _ = self.first_.shape
         shape = self.last_.shape[1:]
-        return command_network_predictor(
+        networks = command_network_predictor(
             self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),
             self.first_bias_.reshape(commands, *shape),
             self.last_,
@@ -107,6 +111,7 @@ class Backprop27(DynamicsModel):
             cells.exact,
             self.n_carry,
         )
+        return next_state_predictor(self.added_, networks)
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_UPDATES = (600, 120)
-OFFERED = ((1, 3), (2, 4))
+OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
 @register_model("mlp_ensemble")
@@ -33,7 +33,8 @@ class MlpEnsemble(DynamicsModel):
     (other blocks for each member): ``one_step_updates`` on single steps, then ``updates`` on free
     runs of ``horizon`` steps from measured states with ``input_noise`` (in units of the one-step
     change). It keeps the weights that simulate its held-out blocks best
-    over one second. Lags left at None are chosen on the held-out blocks.
+    over one second. Lags left at None are chosen on the held-out blocks; with ``lag_search="few"`` between none and
+    (1, 3).
 
     If a planar body is steered by the controls ``turning``, half of the windows are mirrored left
     to right, and a flag among the inputs tells which: the two sides share what is alike and may
@@ -51,8 +52,7 @@ class MlpEnsemble(DynamicsModel):
         "quick": {
             "members": 3,
             "hidden": [32, 32],
-            "state_lags": 1,
-            "control_lags": 3,
+            "lag_search": "few",
             "one_step_updates": 600,
             "updates": 200,
         },
@@ -69,6 +69,7 @@ class MlpEnsemble(DynamicsModel):
     hidden: list[int] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     one_step_updates: int = 4000
     updates: int = 1000
     horizon: int = 20
@@ -86,7 +87,7 @@ class MlpEnsemble(DynamicsModel):
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
         search = replace(final, one_step_updates=one_step_updates, updates=updates)
-        options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
+        options = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         rough = rough_fits(dataset) if self.stochastic else 0
         counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 COUNTS = (8, 12, 16, 24, 32, 48)
+OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
 INDEPENDENT = 1e-10
 
 
@@ -26,22 +27,24 @@ class Narx(PolynomialFamily):
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
     candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
     orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time. Inputs are clipped to the training range;
-    a periodic state stands as its sine and cosine, and its change is predicted.
+    over one second on held-out blocks of time; with ``lag_search="few"`` among none, (0, 3) and (1, 3). Inputs are
+    clipped to the training range; a periodic state stands as its sine and cosine; of an integral (`integrals`) the
+    change is predicted.
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 32, "state_lags": 1, "control_lags": 3}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
     degree: int = 2
     terms: int | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
+        pairs = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         counts = COUNTS if self.terms is None else (self.terms,)
         settings = [(count, lags) for lags in pairs for count in counts]
         counter = Counter(progress, trials(settings) * FOLDS + 1)

@@ -263,6 +263,16 @@ class System:
         return np.stack(columns, axis=-1)
 
     @cached_property
+    def limits(self) -> Array:
+        """The lowest and highest value of each state, (2, nx), infinite where its channel names none."""
+        return np.array([[c.low for c in self.states], [c.high for c in self.states]], dtype=np.float64)
+
+    @property
+    def limited(self) -> bool:
+        """Whether a state has a limit."""
+        return bool(np.isfinite(self.limits).any())
+
+    @cached_property
     def regressor_names(self) -> tuple[str, ...]:
         """The names of the columns of `regressors`."""
         pairs = [(f"sin {c.name}", f"cos {c.name}") if c.period else (c.name,) for c in self.states]

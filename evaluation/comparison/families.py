@@ -40,7 +40,7 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
         plain = [name for name in usual if not _knows_turns(name)]
         names = ", ".join(channel.name for channel in system.states if channel.period)
         remarks.append(f"{', '.join(plain)} are left out: they take {names} for a plain number. Name them to have them")
-        usual = tuple(name for name in (*usual, *TURNING_FAMILIES) if name not in plain)
+        usual = tuple(name for name in dict.fromkeys((*usual, *TURNING_FAMILIES)) if name not in plain)
     found = []
     for name in models.names() if experiment.models == (ALL,) else usual:
         try:

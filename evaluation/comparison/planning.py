@@ -16,7 +16,7 @@ from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.transfer import Measured
+from evaluation.transfer import Measured, kept_traces
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -301,7 +301,7 @@ def _matrix(
             column,
             delay=evolution.estimator_delay,
             trials=experiment.transfer_trials,
-            traces=experiment.traces if column == robot or column in champion.members else 0,
+            traces=kept_traces(experiment.traces, own=column == robot or column in champion.members),
             seed=experiment.seed,
         )
         for champion in champions

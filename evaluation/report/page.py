@@ -11,6 +11,7 @@ from evaluation.report import pictures as draw
 from evaluation.report.contents import Report
 from evaluation.report.overview import command_sheet, overview_sheet
 from evaluation.report.pictures import Picture
+from evaluation.report.replay import Replay, replay
 from evaluation.report.sheets import Sheet
 from evaluation.report.tables import (
     channel_list,
@@ -43,7 +44,7 @@ class Section:
     """A part of the page: paragraphs, then pictures and tables in order."""
 
     title: str
-    items: Sequence[Picture | Sheet]
+    items: Sequence[Picture | Sheet | Replay]
     paragraphs: Sequence[str] = ()
 
     @property
@@ -64,8 +65,9 @@ def to_html(report: Report) -> str:
         lstrip_blocks=True,
     )
     environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
-    environment.filters["svg"] = Markup
+    environment.filters["raw"] = Markup
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["replay"] = lambda item: isinstance(item, Replay)
     page: str = environment.get_template(TEMPLATE).render(
         report=report,
         verdict=verdict(report),
@@ -82,6 +84,8 @@ def sections(report: Report) -> Iterable[Section]:
         yield _prediction(report)
     if report.matrix is not None and report.transfer is not None:
         yield _transfer(report, report.matrix, report.transfer)
+        if (shown := replay(report.matrix, first=report.transfer.pick)) is not None:
+            yield Section("Replay", [shown])
     if report.exploitability:
         yield Section(
             "Exploitability",

@@ -25,6 +25,7 @@ from evaluation.plots import (
 from evaluation.prediction import PERSISTENCE, Prediction
 from evaluation.prediction.metrics import mean_over_channels
 from evaluation.report.inline import VARIABLES, inline_svg
+from evaluation.report.replay import is_planar
 from evaluation.transfer import Trace, TransferMatrix, TransferSummary
 from sysid_evo.evolution import Champion
 
@@ -167,7 +168,7 @@ def traces_picture(matrix: TransferMatrix) -> Picture | None:
     found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
     if not found:
         return None
-    paths = all(_planar(trace) and not trace.targets for _, _, trace in found)
+    paths = all(is_planar(trace) and not trace.targets for _, _, trace in found)
     panels = []
     for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
         label = f"{name} on {column}"
@@ -260,14 +261,9 @@ def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
 
     def first(column: str) -> Trace | None:
         traces = matrix.cell(name, column).traces
-        shown = bool(traces) and (_planar(traces[0]) or champion.system is not None)
+        shown = bool(traces) and (is_planar(traces[0]) or champion.system is not None)
         return traces[0] if shown else None
 
     own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
     columns = [column for column in (own, matrix.robot) if column is not None]
     return [(column, trace) for column in columns if (trace := first(column)) is not None]
-
-
-def _planar(trace: Trace) -> bool:
-    pose = trace.trajectory.pose
-    return pose is not None and pose.shape[1] == 3

@@ -1,6 +1,6 @@
 """Which controllers work elsewhere than where they were evolved."""
 
-from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, run_cell, run_on, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces, run_cell, run_on, transfer_seeds
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
@@ -24,6 +24,7 @@ __all__ = [
     "cell_of",
     "fitness_on",
     "is_exploited",
+    "kept_traces",
     "load_measured",
     "person",
     "run_cell",

@@ -159,6 +159,14 @@ def transfer_seeds(seed: int, trials: int) -> Seeds:
     return trial_seeds(seed, trials, generation=TRANSFER)
 
 
+def kept_traces(traces: int, *, own: bool) -> int:
+    """Return how many of ``traces`` trials a cell keeps: all on the robot and on models evolved against (``own``).
+
+    Elsewhere one is enough, to be shown beside those.
+    """
+    return traces if own else min(traces, 1)
+
+
 def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
     """Run ``champion``, see `run_on`; whatever is raised becomes the reason of a failed cell."""
     try:

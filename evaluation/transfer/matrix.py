@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.transfer.cell import NOT_RUN, Cell, run_cell, transfer_seeds
+from evaluation.transfer.cell import NOT_RUN, Cell, kept_traces, run_cell, transfer_seeds
 from sysid_evo.arrays import Array
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
@@ -119,14 +119,13 @@ def transfer(
 ) -> TransferMatrix:
     """Run every champion on every runner in the same fresh trials.
 
-    ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept in
-    the cells that need them: a champion on the robot and on the models it was evolved against.
+    ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept, see `kept_traces`.
     """
     seeds = transfer_seeds(seed, trials)
     cells = []
     for champion in champions:
         for column, runner in runners.items():
-            kept = traces if column == robot or column in champion.against else 0
+            kept = kept_traces(traces, own=column == robot or column in champion.against)
             cells.append(run_cell(champion, column, runner, seeds, traces=kept))
             if progress is not None:
                 progress(len(cells), len(champions) * len(runners))

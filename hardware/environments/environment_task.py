@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, cast
@@ -19,7 +20,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from sysid_evo.engine.compiled.kernel import TaskKernel
 
@@ -28,13 +29,15 @@ if TYPE_CHECKING:
 class Rules:
     """The reward of a step and when it is the last, see `rewards`.
 
-    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up.
+    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up. ``most``
+    is the highest reward of a step, if every step can bring it.
     """
 
     reward: Callable[..., float]
     over: Callable[..., float]
     least: float
     horizon: int
+    most: float = np.inf
 
 
 SWING = Rules(rewards.pendulum, rewards.never, -(np.pi**2 + 0.1 * rewards.FASTEST_SWING**2 + 0.001 * 4.0), 200)
@@ -42,8 +45,8 @@ CLIMB = Rules(rewards.continuous_hill, rewards.on_continuous_hill, -0.1, 999)
 
 RULES: Mapping[str, Rules] = {
     "Pendulum-v1": SWING,
-    "CartPole-v0": Rules(rewards.one, rewards.fallen, 0.0, 200),
-    "CartPole-v1": Rules(rewards.one, rewards.fallen, 0.0, 500),
+    "CartPole-v0": Rules(rewards.one, rewards.fallen, 0.0, 200, most=1.0),
+    "CartPole-v1": Rules(rewards.one, rewards.fallen, 0.0, 500, most=1.0),
     "MountainCar-v0": Rules(rewards.hill, rewards.on_hill, -1.0, 200),
     "MountainCarContinuous-v0": CLIMB,
     "Acrobot-v1": Rules(rewards.acrobot, rewards.raised, -1.0, 500),
@@ -80,7 +83,7 @@ class EnvironmentTask(Task):
         self.horizon = self.rules.horizon if horizon is None else horizon
         if self.horizon < 1:
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
-        self.worst = self.rules.least * self.horizon
+        self.worst, self.most = self.rules.least * self.horizon, self.rules.most * self.horizon
 
     def check_system(self, system: System) -> None:
         for what, own, its in (
@@ -118,6 +121,16 @@ class EnvironmentTask(Task):
             else:
                 columns.append((state[:, i] - centre) / scale)
         return np.stack(columns, axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        found: dict[str, str] = {}
+        for channel, scale in zip(self.system.states, self.known.scale, strict=True):
+            if channel.period:
+                found |= {f"sin {channel.name}": f"sin({channel.name})", f"cos {channel.name}": f"cos({channel.name})"}
+            else:
+                off = f"({channel.name} - {channel.neutral:.10g})" if channel.neutral else channel.name
+                found[channel.name] = f"{off} / {scale:.10g}"
+        return found
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from hardware.connection import Connection
+from hardware.finding import Finding
 from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import STALE, ControlLoop
 from hardware.loop.delay import estimator_delays
@@ -25,16 +24,6 @@ from sysid_evo.system import System
 SECONDS = 3.0
 STILL_DISTANCE = 0.02  # m and
 STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
-
-    what: str
-    ok: bool
-    sentence: str
-    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 def self_test(

@@ -80,13 +80,6 @@ class Features:
         functions = [of[channel] if name == "abs" else "" for name, channel in map(_parts, self.functions)]
         return [*self._layout.each_input(of_states, [c.unit for c in system.controls]), *functions]
 
-    def anchor(self, state: Array) -> Array:
-        """Return periodic states (B, nx) as they are and 0 for the others: to what a prediction is added."""
-        anchor = np.zeros_like(state)
-        for i in self.system.periods:
-            anchor[:, i] = state[:, i]
-        return anchor
-
     @property
     def _layout(self) -> CarryLayout:
         return CarryLayout(self.system.nx, self.system.nu, *self.lags)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from itertools import product
-from typing import ClassVar, Self, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 
@@ -61,13 +61,15 @@ class SparsePolynomial(PolynomialFamily):
     The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
     ``functions`` asked for, such as "abs(speed)". ``degree``, ``threshold`` and lags left at None are chosen by the
     simulation error over one second on held-out blocks of time: the setting with the fewest terms among those
-    within 5 % of the best. Settings that diverge there are never chosen if one does not.
+    within 5 % of the best. Settings that diverge there are never chosen if one does not. With ``lag_search="few"``
+    only none, and lags that are enough for dead time and slow actuators, are tried.
     """
 
     knowledge = "dark grey"
     requires = ("pysindy",)
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
+    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
 
     degree: int | None = None
     threshold: float | None = None
@@ -75,6 +77,7 @@ class SparsePolynomial(PolynomialFamily):
     functions: list[str] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
@@ -126,7 +129,8 @@ class SparsePolynomial(PolynomialFamily):
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
-        lags = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
+        offered = self.few_lags if self.lag_search == "few" else self.offered_lags
+        lags = lag_candidates(self.state_lags, self.control_lags, offered)
         every = list(product(degrees, thresholds, lags))
 
         def terms(setting: Setting) -> int:

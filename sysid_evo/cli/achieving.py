@@ -54,7 +54,7 @@ def drive_controller(
 
     machine = find_robot(robot)
     if is_stored(controller):
-        champion = load_champion(controller.removesuffix(".safetensors"))
+        champion = load_champion(controller)
         folder = folder or owner_of(Path(controller))
     else:
         champion = Champion.hand_written(controller, task, machine.system)
@@ -103,7 +103,9 @@ def drive_controller(
 
 def is_stored(controller: str) -> bool:
     """Whether ``controller`` is a file, not the spec of a controller."""
-    return Path(controller).suffix in (".json", ".safetensors") or Path(f"{controller}.json").is_file()
+    from sysid_evo.store import champion_file
+
+    return Path(controller).suffix in (".json", ".safetensors") or champion_file(controller).is_file()
 
 
 def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path | None, seed: int | None) -> int:

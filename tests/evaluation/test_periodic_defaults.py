@@ -28,6 +28,8 @@ def swings(lengths: list[int]) -> Dataset:
 def test_families_that_take_an_angle_for_a_plain_number_are_no_default_where_there_is_one() -> None:
     plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
     assert set(plan.fits) == {"nearest_neighbour", "sindy", "sindy_discrete", "narx"}
+    assert plan.experiment.models is not None
+    assert len(plan.experiment.models) == len(plan.fits)  # the run can be planned again from what is stored of it
     assert any("backprop27, evolved3, parametrised, mlp_ensemble are left out" in text for text in plan.plan.remarks)
     asked = plan_comparison(Experiment(only="prediction", models=("mlp_ensemble",)), dataset=swings([400, 400]))
     assert set(asked.fits) == {"mlp_ensemble"}

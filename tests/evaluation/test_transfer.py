@@ -17,7 +17,7 @@ from sysid_evo.evolution.controllers import SELECTION
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.tasks import Task
-from tests.evaluation.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
+from tests.evaluation.known_models import SYSTEM, Boxed, Known, Stopped, Undefined, Weak, fitted
 
 TABLE_2 = {
     "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),
@@ -32,7 +32,8 @@ COLUMNS = ("backprop27", "parametrised", "evolved3", "nearest_neighbour", "real"
 def champion(name: str, against: tuple[str, ...], *, seed: int = 0, aggregate: str = "min") -> Champion:
     parameters = np.random.default_rng(seed).normal(size=78)
     history = np.array([[1.0, 0.5, 0.0], [2.0, 1.0, 0.0]])
-    return Champion(name, parameters, against, aggregate, seed, history, task=Spec.parse("point_to_point(horizon=60)"))
+    task = Spec.parse("point_to_point(horizon=60)")
+    return Champion(name, parameters, against, aggregate, seed, history, task=task, system=SYSTEM)
 
 
 def paper_matrix() -> TransferMatrix:

@@ -38,7 +38,6 @@ def test_a_periodic_state_stands_as_sine_and_cosine_with_its_lags() -> None:
     np.testing.assert_allclose(features(carry, control)[0], expected)
     assert features.names[3:5] == ["sin angle[-1]", "cos angle[-1]"]
     assert features.units == ["", "", "rad/s", "", "", "rad/s", "N m", "N m"]
-    np.testing.assert_array_equal(features.anchor(np.array([[0.5, 2.0]])), [[0.5, 0.0]])
     assert not features.plain
 
 

@@ -257,6 +257,19 @@ def test_a_model_of_an_unknown_family_says_where_it_came_from(stored: Path) -> N
         load_model(stored)
 
 
+def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_there_are_two(tmp_path: Path) -> None:
+    save_champion(CHAMPION, tmp_path / "best of 1.5-0123abcd")
+    for name in ("best of 1.5", "best of 1.5.json", "best of 1.5-0123abcd", "best of 1.5-0123abcd.safetensors"):
+        assert load_champion(tmp_path / name).name == CHAMPION.name
+    save_champion(CHAMPION, tmp_path / "best of 1.5-plain")
+    assert load_champion(tmp_path / "best of 1.5").name == CHAMPION.name
+    save_champion(CHAMPION, tmp_path / "best of 1.5-4567abcd")
+    with pytest.raises(ArtefactError, match=r"best of 1.5-0123abcd.json, best of 1.5-4567abcd.json: name one"):
+        load_champion(tmp_path / "best of 1.5")
+    with pytest.raises(ArtefactError, match=r"best.json: expected one half of a stored controller, found no such file"):
+        load_champion(tmp_path / "best")
+
+
 def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match=r"model.json: expected a stored controller, got a model"):
         load_champion(stored)

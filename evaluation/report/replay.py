@@ -1,0 +1,155 @@
+"""The replay: one trial of every controller on every system, for the reader to watch side by side."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from evaluation.plots import plotted_places
+from evaluation.transfer import Trace, TransferMatrix
+from sysid_evo.angles import wrap
+from sysid_evo.arrays import Array
+from sysid_evo.system import Channel, System
+
+APART = 0.1
+"""Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
+
+
+ON_A_PLANE = (
+    "Blue: forwards, orange: backwards; positions from above. The outline is the robot at the same time, the cross "
+    "where the model has left its path by a tenth of its extent."
+)
+OVER_TIME = (
+    "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
+    "model has left the robot by a tenth of the range of a state."
+)
+CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial of the transfer matrix."
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the page's script plays: ``document`` is JSON for a script element, ``rows`` the names of the controllers.
+
+    ``paths`` tells whether bodies on a plane are shown, or states over time.
+    """
+
+    rows: tuple[str, ...]
+    document: str
+    paths: bool
+
+    @property
+    def caption(self) -> str:
+        return (ON_A_PLANE if self.paths else OVER_TIME) + CONTROLS
+
+
+def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None:
+    """Return the first trial of every cell that kept one; None if there is none.
+
+    The controller ``first`` is the one shown at the start (default: the first row).
+    """
+    system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
+    kept = {key: cell.traces[0] for key, cell in matrix.cells.items() if cell.traces}
+    if system is None or not kept:
+        return None
+    paths = all(is_planar(trace) and not trace.targets for trace in kept.values())
+    robots = [column for column in matrix.columns if column == matrix.robot]
+    rows = tuple(name for name in matrix.rows if any((name, column) in kept for column in matrix.columns))
+    runs = []
+    for champion in (champion for champion in matrix.champions if champion.name in rows):
+        robot = kept.get((champion.name, matrix.robot or ""))
+        own = [column for column in matrix.columns if column in champion.against]
+        for column in dict.fromkeys((*robots, *own, *matrix.columns)):
+            trace = kept.get((champion.name, column))
+            if trace is not None:
+                other = robot if column != matrix.robot else None
+                apart = None if other is None else parting(trace, other, system, paths=paths)
+                told = {"row": champion.name, "column": column, "own": column in own, "robot": column == matrix.robot}
+                runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+    document = {
+        "unit": matrix.unit,
+        "first": first if first in rows else rows[0],
+        "paths": paths,
+        "states": [channel.to_dict() for channel in system.states],
+        "controls": [channel.to_dict() for channel in system.controls],
+        "shown": list(plotted_places(next(iter(kept.values())), system)),
+        "runs": runs,
+    }
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return Replay(rows, text.replace("<", "\\u003c"), paths)
+
+
+def is_planar(trace: Trace) -> bool:
+    """Tell whether the trial has the pose of a body on a plane."""
+    pose = trace.trajectory.pose
+    return pose is not None and pose.shape[1] == 3
+
+
+def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
+    """Return the seconds after which a trial is apart from the one on the robot for the first time; None if never.
+
+    Of bodies on a plane the positions are compared, of other systems the states that are drawn. Apart is a tenth of
+    the extent of the robot's path, or of the range of a state (its target counts) in the robot's trial.
+    """
+    steps = min(len(trace.trajectory.states), len(robot.trajectory.states))
+    if paths:
+        assert trace.trajectory.pose is not None
+        assert robot.trajectory.pose is not None
+        here, there = trace.trajectory.pose[:steps, :2], robot.trajectory.pose[:steps, :2]
+        extent = np.array([np.ptp(there, axis=0).max()])
+        distance = np.hypot(*(here - there).T)[:, None]
+    else:
+        places = list(plotted_places(robot, system))
+        here, there = trace.trajectory.states[:steps, places], robot.trajectory.states[:steps, places]
+        channels = [system.states[place] for place in places]
+        distance = np.abs(_shortest(here - there, channels))
+        extent = np.array([_range(robot, place, there[:, i], system) for i, place in enumerate(places)])
+    apart = (distance > APART * np.where(extent > 0.0, extent, np.inf)).any(axis=1)
+    return float(np.argmax(apart) * trace.trajectory.dt) if apart.any() else None
+
+
+def _range(trace: Trace, place: int, values: Array, system: System) -> float:
+    """Return how far a state goes in a trial, its target included; a periodic one at most one period."""
+    wanted = [target.values for target in trace.targets if target.place == place]
+    spread = float(np.ptp(np.concatenate([values, *wanted])))
+    period = system.states[place].period
+    return spread if period is None else min(spread, period)
+
+
+def _shortest(difference: Array, channels: list[Channel]) -> Array:
+    """Return differences of states (n, k), periodic ones the shorter way round."""
+    columns = [
+        difference[:, i] if channel.period is None else wrap(difference[:, i], channel.period)
+        for i, channel in enumerate(channels)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
+    trajectory = trace.trajectory
+    return {
+        "dt": trajectory.dt,
+        "fitness": round(trace.fitness, 4) if np.isfinite(trace.fitness) else None,
+        "states": _packed(trajectory.states),
+        "controls": _packed(trajectory.controls),
+        "pose": _packed(trajectory.pose) if paths and trajectory.pose is not None else None,
+        "markers": trace.waypoints.round(3).tolist(),
+        "radius": trace.waypoint_radius,
+        "walls": [wall.round(3).tolist() for wall in trace.walls],
+        "targets": [
+            {"place": target.place, "tolerance": target.tolerance, "values": _packed(target.values)}
+            for target in trace.targets
+        ],
+    }
+
+
+def _packed(values: Array) -> dict[str, Any]:
+    """Return numbers (n, k) as little-endian float32 in base 64, with k; what is no number stays none."""
+    table = np.asarray(values, dtype="<f4")
+    return {
+        "width": 1 if table.ndim == 1 else table.shape[1],
+        "data": base64.b64encode(np.ascontiguousarray(table).tobytes()).decode("ascii"),
+    }

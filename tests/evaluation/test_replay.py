@@ -1,0 +1,138 @@
+"""The replay: what it holds, and when a trial has left the one on the robot."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluation.report.replay import Replay, parting, replay
+from evaluation.transfer import Cell, Trace, TransferMatrix, transfer
+from sysid_evo.data import Trajectory
+from sysid_evo.engine import DynamicsRunner
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import Target
+from tests.evaluation.known_models import Known, Sliding, fitted
+from tests.evaluation.test_report import EVIL
+from tests.evaluation.test_transfer import champion
+
+ARM = System((Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")), (Channel("torque"),), 0.1)
+
+
+def read(shown: Replay | None) -> dict[str, Any]:
+    assert shown is not None
+    document: dict[str, Any] = json.loads(shown.document)
+    return document
+
+
+def unpacked(packed: dict[str, Any]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(packed["data"]), dtype="<f4").reshape(-1, packed["width"])
+
+
+def on_a_plane(x: np.ndarray) -> Trace:
+    pose = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+    return Trace(Trajectory(np.zeros((len(x), 2)), np.zeros((len(x) - 1, 1)), 0.1, pose), 1.0)
+
+
+def of_states(angle: np.ndarray, *, target: float | None = None) -> Trace:
+    states = np.stack([angle, np.zeros_like(angle)], axis=1)
+    targets = () if target is None else (Target(ARM.states[0], 0, np.array([target]), 0.1),)
+    return Trace(Trajectory(states, np.zeros((len(angle) - 1, 1)), 0.1), 1.0, targets=targets)
+
+
+def matrix(names: tuple[str, ...] = ("known", "sliding"), traces: int = 3) -> TransferMatrix:
+    models = {names[0]: fitted(Known()), names[1]: fitted(Sliding())}
+    rows = [champion(f"{name}_c", (name,), seed=2 + i) for i, name in enumerate(names)]
+    runners = {
+        **{name: DynamicsRunner(model) for name, model in models.items()},
+        "car": DynamicsRunner(fitted(Known())),
+    }
+    return transfer(rows, runners, seed=4, robot="car", trials=3, traces=traces)
+
+
+def test_every_controller_is_shown_everywhere_the_robot_first_then_where_it_was_evolved() -> None:
+    found = matrix()
+    document = read(replay(found))
+    order = [(run["row"], run["column"], run["own"], run["robot"]) for run in document["runs"]]
+    assert order == [
+        ("known_c", "car", False, True),
+        ("known_c", "known", True, False),
+        ("known_c", "sliding", False, False),
+        ("sliding_c", "car", False, True),
+        ("sliding_c", "sliding", True, False),
+        ("sliding_c", "known", False, False),
+    ]
+    trace = found.cell("known_c", "known").traces[0]
+    shown = document["runs"][1]
+    np.testing.assert_allclose(unpacked(shown["pose"]), trace.trajectory.pose, atol=1e-5)
+    np.testing.assert_allclose(unpacked(shown["states"]), trace.trajectory.states, atol=1e-5)
+    np.testing.assert_allclose(unpacked(shown["controls"]), trace.trajectory.controls, atol=1e-6)
+    np.testing.assert_allclose(shown["markers"], trace.waypoints, atol=5e-4)
+    assert shown["dt"] == trace.trajectory.dt
+
+
+def test_the_model_that_is_the_robot_never_leaves_it_and_another_does() -> None:
+    runs = {(run["row"], run["column"]): run for run in read(replay(matrix()))["runs"]}
+    assert runs["known_c", "known"]["compared"]
+    assert runs["known_c", "known"]["apart"] is None
+    assert runs["known_c", "sliding"]["apart"] > 0.0
+    assert not runs["known_c", "car"]["compared"]
+
+
+def test_the_controller_to_take_is_shown_first() -> None:
+    assert read(replay(matrix(), first="sliding_c"))["first"] == "sliding_c"
+    assert read(replay(matrix(), first=None))["first"] == "known_c"
+
+
+def test_without_a_kept_trial_there_is_no_replay() -> None:
+    assert replay(matrix(traces=0)) is None
+    nothing = matrix()
+    failed = {key: Cell(*key, reason="broken") for key in nothing.cells}
+    assert replay(replace(nothing, cells=failed)) is None
+
+
+def test_a_row_without_a_kept_trial_is_left_out() -> None:
+    found = matrix()
+    cells = {key: cell if key[0] == "known_c" else Cell(*key, reason="broken") for key, cell in found.cells.items()}
+    shown = replay(replace(found, cells=cells))
+    assert shown is not None
+    assert shown.rows == ("known_c",)
+
+
+def test_no_name_ends_the_script() -> None:
+    shown = replay(matrix((EVIL + "</script>", "sliding")))
+    assert shown is not None
+    assert "<" not in shown.document
+    assert EVIL + "</script>" in {run["column"] for run in json.loads(shown.document)["runs"]}
+
+
+@pytest.mark.parametrize(("ahead", "seconds"), [(0.09, None), (0.11, 0.5)])
+def test_bodies_part_where_they_are_a_tenth_of_the_path_apart(ahead: float, seconds: float | None) -> None:
+    robot = np.linspace(0.0, 1.0, 11)
+    model = robot + np.where(np.arange(11) >= 5, ahead, 0.0)
+    assert parting(on_a_plane(model), on_a_plane(robot), ARM, paths=True) == seconds
+
+
+def test_a_trial_that_ends_early_is_compared_as_long_as_it_lasts() -> None:
+    robot = np.linspace(0.0, 1.0, 11)
+    assert parting(on_a_plane(robot[:4]), on_a_plane(robot), ARM, paths=True) is None
+    assert parting(on_a_plane(robot), on_a_plane(np.append(robot[:4], 0.8)), ARM, paths=True) == pytest.approx(0.4)
+
+
+def test_a_whole_turn_apart_is_together() -> None:
+    swing = np.linspace(0.0, 2.0, 11)
+    assert parting(of_states(swing + 2.0 * np.pi), of_states(swing), ARM, paths=False) is None
+    later = swing + np.where(np.arange(11) >= 3, 0.21, 0.0)
+    assert parting(of_states(later), of_states(swing), ARM, paths=False) == pytest.approx(0.3)
+
+
+def test_a_target_far_away_widens_the_range_but_never_beyond_a_turn() -> None:
+    still, off = np.zeros(11), np.where(np.arange(11) >= 2, 0.3, 0.0)
+    assert parting(of_states(off), of_states(still, target=2.0), ARM, paths=False) == pytest.approx(0.2)
+    assert parting(of_states(off), of_states(still, target=3.1), ARM, paths=False) is None
+    nearly_a_turn = of_states(np.where(np.arange(11) >= 2, 0.7, 0.0))
+    assert parting(nearly_a_turn, of_states(still, target=60.0), ARM, paths=False) == pytest.approx(0.2)
