@@ -18,7 +18,7 @@ class SindyDiscrete(SparsePolynomial):
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "lag_search": "few"}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
 
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))

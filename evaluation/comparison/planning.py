@@ -16,7 +16,7 @@ from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
 from evaluation.comparison.recipes import chosen_cell, controller_cell
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.transfer import Measured, kept_traces
+from evaluation.transfer import AT_REST, Measured, kept_traces
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -125,7 +125,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system),
+            _by_hand(experiment, evolution, system, floor=column is not None),
             recorded=isinstance(data, RecordedData),
         )
         exploitability = ExploitCell(matrix, data)
@@ -251,9 +251,17 @@ def _check_predictable(training: Dataset, test: Dataset) -> None:
         )
 
 
-def _by_hand(experiment: Experiment, evolution: ControllerEvolution, system: System) -> tuple[HandWrittenCell, ...]:
-    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task."""
+def _by_hand(
+    experiment: Experiment, evolution: ControllerEvolution, system: System, *, floor: bool
+) -> tuple[HandWrittenCell, ...]:
+    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
+
+    Where fitness may be negative and there is a robot, its ``floor``, controls at rest are among them: shares are
+    measured from there.
+    """
     specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    if floor and evolution.make_task(system).worst < 0.0 and all(spec.name != AT_REST for spec in specs):
+        specs = (*specs, Spec.parse(f"rest={AT_REST}"))
     for spec in specs:
         controllers.check(spec)
         Champion.hand_written(spec, evolution.task, system)

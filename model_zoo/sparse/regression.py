@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from itertools import product
 from typing import ClassVar, Literal, Self, TypeAlias
@@ -12,6 +11,7 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import root_mean_square
 from model_zoo.sparse.family import PolynomialFamily, Regression
+from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, library_size
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
@@ -21,9 +21,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 
-DEGREES = (2, 3)
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
-MOST_TERMS = 250
 
 
 def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
@@ -134,6 +132,6 @@ class SparsePolynomial(PolynomialFamily):
         every = list(product(degrees, thresholds, lags))
 
         def terms(setting: Setting) -> int:
-            return math.comb(len(self.features_of(dataset.system, setting[2]).names) + setting[0], setting[0])
+            return library_size(len(self.features_of(dataset.system, setting[2]).names), setting[0])
 
-        return [setting for setting in every if terms(setting) <= MOST_TERMS] or [every[0]]
+        return [setting for setting in every if terms(setting) <= MOST_TERMS[self.lag_search]] or [every[0]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
     from evaluation.transfer import Measured
     from hardware.listener import Listener
     from hardware.loop.report import LoopReport
+    from hardware.loop.trials import TrialSeries
     from hardware.robot import Robot
+    from sysid_evo.arrays import Seeds
+    from sysid_evo.cli.watching import Watching
     from sysid_evo.engine import Rollouts
     from sysid_evo.evolution import Champion
 
@@ -33,25 +37,32 @@ def drive_controller(
     seed: int | None = None,
     tracker_origin: bool = False,
     listeners: Sequence[Listener] = (),
+    watching: Watching | None = None,
 ) -> int:
     """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
 
     An evolved one has its own task, one written by hand does ``task``.
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
-    in ``folder``, or of the one that the file belongs to, whose report is then made again.
+    in ``folder``, or of the one that the file belongs to, whose report is then made again. ``watching`` shows it
+    on a page.
     """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from hardware.driving.controller_panel import ControllerPanel, moment_of
+    from hardware.emulation.pacing import in_real_time
     from hardware.loop.report import Reason
     from hardware.loop.robot_runner import RobotRunner
     from hardware.loop.stops import Stops
     from hardware.preflight import check_driving
     from hardware.robot import find_robot
+    from sysid_evo.cli.hand_driving import page_server
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import LinkLost
     from sysid_evo.evolution import Champion
     from sysid_evo.registry import make_controller, make_task
     from sysid_evo.store import load_champion
 
+    if watching is not None:
+        page_server()  # what it lacks is said before anything runs
     machine = find_robot(robot)
     if is_stored(controller):
         champion = load_champion(controller)
@@ -60,13 +71,24 @@ def drive_controller(
         champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
     if machine.stepped:
-        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed)
+        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, watching=watching)
+    if watching is not None:
+        machine = in_real_time(machine)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
     column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
     goal, law = make_task(champion.task), make_controller(champion.controller)
     check_driving(machine, goal, law, champion.parameters[None])
-    with Bars() as bars, Stops() as stops:
+    with ExitStack() as stack:
+        bars, stops = stack.enter_context(Bars()), stack.enter_context(Stops())
+        told = None
+        if watching is not None:
+            panel = ControllerPanel(machine.name, goal.bind(machine.system), champion.name)
+            stack.enter_context(watching.shown(panel, stops))
+
+            def told(series: TrialSeries) -> None:
+                panel.show(moment_of(series))
+
         runner = RobotRunner(
             machine,
             tracker_frame=tracker_origin,
@@ -74,6 +96,7 @@ def drive_controller(
             listeners=listeners,
             stops=stops,
             progress=bars.advance,
+            told=told,
         )
         bars.begin(title)
         try:
@@ -108,8 +131,19 @@ def is_stored(controller: str) -> bool:
     return Path(controller).suffix in (".json", ".safetensors") or champion_file(controller).is_file()
 
 
-def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path | None, seed: int | None) -> int:
-    """Run a controller on a robot that steps when it is told to, an environment, and return the exit code."""
+def run_stepped(
+    champion: Champion,
+    machine: Robot,
+    *,
+    trials: int,
+    folder: Path | None,
+    seed: int | None,
+    watching: Watching | None = None,
+) -> int:
+    """Run a controller on a robot that steps when it is told to, as an environment, and return the exit code.
+
+    With ``watching`` the trials are then played back on a page.
+    """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
     from sysid_evo.registry import make_controller, make_task
 
@@ -123,7 +157,20 @@ def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path
     out.print(trials_table(measured, rollouts))
     if folder is not None:
         append(folder, measured)
-    return 0
+    return 0 if watching is None else play_back(champion, machine, seeds, rollouts, watching)
+
+
+def play_back(champion: Champion, machine: Robot, seeds: Seeds, rollouts: Rollouts, watching: Watching) -> int:
+    """Show trials that were simulated on a page, as fast as they went or faster, and return the exit code."""
+    from hardware.driving.controller_panel import ControllerPanel, pace, play
+    from hardware.loop.stops import Stops
+    from sysid_evo.registry import make_task
+
+    task = make_task(champion.task).bind(machine.system)
+    panel = ControllerPanel(machine.name, task, champion.name, faster=pace(task))
+    with Stops() as stops, watching.shown(panel, stops):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
+    return 0 if stops.reason is None else code_of_loop(stops.reason)
 
 
 def seed_of_run(run: Path | None) -> int:

@@ -1,4 +1,4 @@
-"""How fast rollouts are at each task, on the same model: ``python -m tests.benchmarks.tasks``.
+"""How fast rollouts are at each task, on the same model: ``python -m tests.benchmarks.task_speed``.
 
 A population is evolved for a few generations at each of ``--tasks`` on the `parametrised` family and on the emulated
 car, and is then rolled out on one thread by the compiled engine, all of them in turn and in one process. Prints
@@ -57,7 +57,7 @@ def models(quick: bool) -> Mapping[str, Dynamics]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(prog="tests.benchmarks.tasks", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.task_speed", description=__doc__)
     parser.add_argument("--tasks", default=TASKS)
     parser.add_argument("--generations", type=int, default=60)
     parser.add_argument("--repeats", type=int, default=7)
