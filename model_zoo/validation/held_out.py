@@ -87,7 +87,7 @@ class HeldOut:
             model = learn(learned)
             windows = judging_windows(held, model.n_lags, stride=stride)
             simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
-            total += max(GOOD, relative_error(model.system.difference(simulated, windows.states), windows))
+            total += max(GOOD, relative_error(model.system, simulated, windows))
             total += DIVERGED if self.diverges(model, simulated) else 0.0
             told()
         return total

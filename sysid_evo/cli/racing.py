@@ -53,12 +53,14 @@ def coevolve(
     from sysid_evo.plan import Store
     from sysid_evo.registry import Spec
     from sysid_evo.rivals import evolve_rivals
+    from sysid_evo.rivals.meeting import duel_of
     from sysid_evo.store import CheckpointFile, save_champion
 
     load_plugins(plugin)
     named = given(task=task, controller=controller, strategy=strategy)
     chosen: dict[str, Any] = {option: Spec.parse(text) for option, text in named.items()} | given(aggregate=aggregate)
     settings = ControllerEvolution(generations=generations or GENERATIONS, trials=trials or TRIALS, **chosen)
+    duel_of(settings.task)
     members = split_members(against)
     alone = run is None and not any(is_model_of_a_run(member) for member in members)
     store = Store(check_run_folder(None) if alone else latest_run_folder(run))

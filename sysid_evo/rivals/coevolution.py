@@ -99,7 +99,7 @@ def evolve_rivals(
     the other's last parents and former champions in ``selection_trials`` fresh trials: that is the
     fitness of its only finalist. Stages, several runs, noise that models take turns in, and strategies that go by
     behaviour are not for races. The result depends on ``seed`` alone; with a ``checkpoint`` an evolution that was
-    stopped goes on where it was. Raises `InvalidArgument` for settings that do not fit.
+    stopped goes on where it was. Raises `InvalidArgument` for settings that do not fit, `IncompatibleSystem`.
 
     Source: Togelius and Lucas, "Arms races and car races", PPSN IX (2006).
     """
@@ -108,7 +108,7 @@ def evolve_rivals(
     if settings.schedule or settings.runs > 1:
         raise InvalidArgument("rivals: expected one run without a schedule")
     duel = duel_of(settings.task)
-    two = bodies_of(met(runners, settings))
+    two = bodies_of(met(runners, settings), system)
     law = settings.make_controller(duel.bind(system))
     rivalry = Rivalry(tuple(two.values()), law, Race(duel), settings.aggregate)
     sides = [_begun(settings, system, law, seed, side) for side in range(populations)]

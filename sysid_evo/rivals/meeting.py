@@ -11,13 +11,14 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, Runner, rollout
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.rivals.bodies import TwoBodies
 from sysid_evo.rivals.drivers import TwoDrivers
 from sysid_evo.rivals.race import Race
+from sysid_evo.system import System
 from sysid_evo.tasks.duel import Duel
 
 FRESH = 2**31 + 1
@@ -32,12 +33,19 @@ def duel_of(task: Spec) -> Duel:
     return made
 
 
-def bodies_of(runners: Mapping[str, Runner]) -> dict[str, TwoBodies]:
-    """Return two bodies for each of ``runners``. Raises `InvalidArgument` for what is no model or emulated robot."""
+def bodies_of(runners: Mapping[str, Runner], system: System) -> dict[str, TwoBodies]:
+    """Return two bodies for each of ``runners``.
+
+    Raises `InvalidArgument` for what is no model or emulated robot, `IncompatibleSystem` for one of another system.
+    """
     found = {label: runner.dynamics for label, runner in runners.items() if isinstance(runner, DynamicsRunner)}
     others = [label for label in runners if label not in found]
     if others:
         raise InvalidArgument(f"rivals: {', '.join(others)} cannot be stepped twice at once: give models")
+    for label, dynamics in found.items():
+        differences = system.differences(dynamics.system)
+        if differences:
+            raise IncompatibleSystem(f"rivals: {label} is of another system: {'; '.join(differences)}")
     return {label: TwoBodies(dynamics) for label, dynamics in found.items()}
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks import tasks
+from tests.benchmarks import task_speed
 from tests.benchmarks.rollout.__main__ import main
 
 
@@ -23,7 +23,7 @@ def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: py
 
 @pytest.mark.slow
 def test_a_quick_run_sets_the_speed_of_other_tasks_beside_waypoints(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tasks.main(["--quick", "--tasks", "point_to_point, walled_track"]) == 0
+    assert task_speed.main(["--quick", "--tasks", "point_to_point, walled_track"]) == 0
     printed = capsys.readouterr().out
     assert printed.count("walled_track") == 2
     assert printed.count("1.00") >= 2

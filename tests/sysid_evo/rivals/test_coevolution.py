@@ -122,3 +122,6 @@ def test_settings_that_do_not_fit_are_refused(wrong: dict[str, Any], told: str) 
         evolved(replace(SETTINGS, **wrong))
     with pytest.raises(InvalidArgument, match="one or two populations"):
         evolved(populations=3)
+    runners = {**RUNNERS, "other": DynamicsRunner(ExampleDynamics(continuous_car()))}
+    with pytest.raises(IncompatibleSystem, match="other is of another system"):
+        evolve_rivals("rival", runners, switched_car(), SETTINGS, seed=0)
