@@ -174,7 +174,7 @@ def test_a_truncated_file_is_refused(stored: Path) -> None:
     source = stored.with_suffix(".json")
     source.write_bytes(source.read_bytes()[:-20])
     with pytest.raises(
-        ArtefactError, match=r"model.json: not a manifest of schema sysid-evo/artefact/2: the file: Invalid"
+        ArtefactError, match=r"model.json: not a manifest of schema sysid-evo/artefact/3: the file: Invalid"
     ):
         load_model(stored)
 
