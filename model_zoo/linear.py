@@ -23,7 +23,8 @@ class Linear(DynamicsModel):
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
     penalises the squares of A and B on standardised inputs; ``intercept`` fits c. Samples after which a state stands
-    at a limit of its channel are left out.
+    at a limit of its channel are left out. It is linear in the states as they are, an angle too, since LQR needs its A
+    and B: good near one angle only, and another model a turn later.
     """
 
     knowledge = "black"

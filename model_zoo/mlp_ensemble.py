@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
@@ -34,7 +35,7 @@ class MlpEnsemble(DynamicsModel):
     runs of ``horizon`` steps from measured states with ``input_noise`` (in units of the one-step
     change). It keeps the weights that simulate its held-out blocks best
     over one second. Lags left at None are chosen on the held-out blocks; with ``lag_search="few"`` between none and
-    (1, 3).
+    (1, 3). Of a periodic state the networks see sine and cosine.
 
     If a planar body is steered by the controls ``turning``, half of the windows are mirrored left
     to right, and a flag among the inputs tells which: the two sides share what is alike and may
@@ -47,6 +48,7 @@ class MlpEnsemble(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
@@ -118,7 +120,7 @@ class MlpEnsemble(DynamicsModel):
 
     @property
     def network(self) -> Network:
-        """The members: raw (carry, control) to accelerations."""
+        """The members: features of (carry, control) to accelerations."""
         return Network(self.weights_, self.biases_)
 
     @property
@@ -126,7 +128,7 @@ class MlpEnsemble(DynamicsModel):
         return self.system.nx if self.stochastic else 0
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state, members = carry[:, : self.system.nx], self.network(np.concatenate([carry, control], axis=1))
+        state, members = carry[:, : self.system.nx], self.network(Features(self.system, self.lags)(carry, control))
         after = self.system.integrate(state, members.mean(axis=0))
         if noise is not None:
             deviation = np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
@@ -134,11 +136,12 @@ class MlpEnsemble(DynamicsModel):
         return self.remember(carry, control, self.held(carry, control, after))
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import network_predictor
+        from sysid_evo.engine.kernels import network_predictor, with_angles
 
         if self.stochastic:
             return None
-        return network_predictor(self.network.members(), self.n_carry, self.system.nu)
+        seen = Features(self.system, self.lags).n_carry
+        return with_angles(network_predictor(self.network.members(), seen, self.system.nu), self.system, self.lags)
 
     def alternatives(self) -> tuple[MlpEnsemble, ...]:
         """Return every member by itself, without noise."""

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 OWN = 0.005
 """Share of the deviation of a state's change up to which its own value does not count in it."""
+RATE = 0.95
+"""Share of the variance of a state's change that another state must explain to be its rate."""
 AT_LIMIT = 1e-6
 """Share of the range of a channel within which a state is at its limit."""
 FEWEST = 0.5
@@ -27,8 +29,9 @@ def integrals(dataset: Dataset) -> BoolArray:
 
     A prediction of the next state from inputs clipped to the training range is a wall at the end of that range. For a
     speed that drag holds back that is a good guess. A position runs on: nothing in the data says that it would not,
-    and a controller that is evolved in the model leans on the wall. An *integral* is a state of whose change its own
-    value explains nothing (linear and quadratic, beside all other states and controls).
+    and a controller that is evolved in the model leans on the wall. An *integral* is a state of whose change another
+    state is the rate, or of whose change its own value explains nothing (linear and quadratic, beside all other states
+    and controls).
     """
     system, data = dataset.system, dataset.transitions(moving=True)
     free = between_limits(system, data.after)
@@ -38,12 +41,16 @@ def integrals(dataset: Dataset) -> BoolArray:
     change = system.difference(after, state)
     columns = np.concatenate([np.ones((len(seen), 1)), standard, standard**2], axis=1)
     effects, *_ = np.linalg.lstsq(columns, change / deviation(change), rcond=None)
+    moved = (change - change.mean(axis=0)) / deviation(change)
+    explained = (standard.T @ moved / len(moved)) ** 2
     found = np.zeros(system.nx, dtype=bool)
     for i, channel in enumerate(system.states):
         if channel.period is None:
             place = system.regressor_names.index(channel.name)
             effect = np.abs(effects[[1 + place, 1 + seen.shape[1] + place], i]).max()
-            found[i] = effect < OWN and np.ptp(state[:, i]) > 0.0
+            others = np.delete(explained[: len(system.regressor_names), i], place)
+            is_moved = others.max(initial=0.0) >= RATE
+            found[i] = (is_moved or effect < OWN) and np.ptp(state[:, i]) > 0.0
         else:
             found[i] = True
     return found

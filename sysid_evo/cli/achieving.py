@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,13 +39,14 @@ def drive_controller(
     tracker_origin: bool = False,
     listeners: Sequence[Listener] = (),
     watching: Watching | None = None,
+    keep: Path | None = None,
 ) -> int:
     """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
 
     An evolved one has its own task, one written by hand does ``task``.
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
     in ``folder``, or of the one that the file belongs to, whose report is then made again. ``watching`` shows it
-    on a page.
+    on a page. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
     """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
     from hardware.driving.controller_panel import ControllerPanel, moment_of
@@ -71,7 +73,7 @@ def drive_controller(
         champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
     if machine.stepped:
-        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, watching=watching)
+        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, watching=watching, keep=keep)
     if watching is not None:
         machine = in_real_time(machine)
     if seed is None:
@@ -139,12 +141,14 @@ def run_stepped(
     folder: Path | None,
     seed: int | None,
     watching: Watching | None = None,
+    keep: Path | None = None,
 ) -> int:
     """Run a controller on a robot that steps when it is told to, as an environment, and return the exit code.
 
-    With ``watching`` the trials are then played back on a page.
+    With ``watching`` the trials are then played back on a page. ``keep`` is a folder for their data set.
     """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from sysid_evo.data import Dataset
     from sysid_evo.registry import make_controller, make_task
 
     runner, task = machine.runner(), make_task(champion.task)
@@ -157,6 +161,10 @@ def run_stepped(
     out.print(trials_table(measured, rollouts))
     if folder is not None:
         append(folder, measured)
+    if keep is not None:
+        named = [replace(one, name=f"trial-{number}") for number, one in enumerate(rollouts.trajectories, 1)]
+        Dataset(machine.system, tuple(named)).save(keep)
+        out.print(f"data set stored in {keep}", highlight=False, markup=False, soft_wrap=True)
     return 0 if watching is None else play_back(champion, machine, seeds, rollouts, watching)
 
 

@@ -154,7 +154,7 @@ def _controlled(
     from sysid_evo.cli.hand_driving import recorder_of
 
     machine = find_robot(robot)
-    recorder = None if folder is None else recorder_of(folder, machine, CONTROLLED)
+    recorder = None if folder is None or machine.stepped else recorder_of(folder, machine, CONTROLLED)
     try:
         code = drive_controller(
             controller,
@@ -166,10 +166,11 @@ def _controlled(
             tracker_origin=tracker_origin,
             listeners=() if recorder is None else (recorder,),
             watching=watching,
+            keep=folder if machine.stepped else None,
         )
     finally:
         if recorder is not None:
             recorder.close()
-    if folder is not None:
+    if folder is not None and not machine.stepped:
         _store(folder, machine.system, [(CONTROLLED, None)])
     return code

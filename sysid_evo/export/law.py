@@ -39,11 +39,12 @@ class Law:
     controls: tuple[Variable, ...]
     seen: Array
     decided: Array
+    called: str = ""
 
     @property
     def name(self) -> str:
-        """The champion's name as an identifier."""
-        name = _identifier(self.champion.name).strip("_").lower()
+        """What it is ``called``, by default the champion's name, as an identifier."""
+        name = _identifier(self.called or self.champion.name).strip("_").lower()
         return name if name[:1].isalpha() else f"controller_{name}".rstrip("_")
 
     @property
@@ -78,8 +79,8 @@ def law_of(champion: Champion) -> Law:
     program = controller.program(champion.parameters)
     if program is None:
         raise InvalidArgument(
-            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: it has no "
-            "`program`. The controllers recurrent, feed_forward, linear, lqr, pid and pursuit do"
+            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
+            f"{controller.unwritten}. The controllers recurrent, feed_forward, linear, lqr, pid, policy and pursuit can"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))

@@ -73,6 +73,8 @@ class Following(Task):
     one as sine and cosine; and the error of every target in tens of tolerances, a periodic one as sine and cosine.
     """
 
+    usual_noise: ClassVar[str] = "envelope(process=0.02)"
+    """A model without noise never leaves the target that it rests on: nothing shows what would bring it back."""
     fitness_unit = "% of full score"
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
     starts_at_target = False

@@ -64,6 +64,9 @@ class Task(ABC):
     ``most`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by default.
     """
 
+    usual_noise: ClassVar[str] = ""
+    """What candidates meet in models at this task where no noise is named, see `RadicalEnvelope`; empty for none."""
+
     horizon: int
     worst: float = 0.0
     most: float = np.inf

@@ -45,6 +45,20 @@ def test_a_position_that_is_pulled_back_is_none() -> None:
     assert integrals(driven(pull=0.5)).tolist() == [False, False]
 
 
+def test_a_position_on_a_hill_is_an_integral_although_it_decides_how_fast_it_will_be() -> None:
+    """In steps of semi-implicit Euler the change of a position is the speed after the step."""
+    rng = np.random.default_rng(1)
+    states, controls = [], []
+    for _ in range(4):
+        state, forces = [np.array([-0.5, 0.0])], np.repeat(rng.uniform(-1.0, 1.0, 20), 10)
+        for force in forces:
+            speed = state[-1][1] + 0.0015 * force - 0.0025 * np.cos(3.0 * state[-1][0])
+            state.append(np.array([state[-1][0] + speed, speed]))
+        states.append(np.array(state))
+        controls.append(forces[:, None])
+    assert integrals(Dataset.from_arrays(CART, states, controls))[0]
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_cart_runs_on_where_the_recordings_turned_back(family: str) -> None:
     dataset = driven()

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from evaluation.comparison.model_cells import with_preset
+from model_zoo.validation.held_out import FOLDS, GOOD, HeldOut
 from sysid_evo.data import Dataset
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.system import Channel, System
+from tests.model_zoo.small_systems import DRIVEN
 
 SYSTEM = System(
     (Channel("speed", "m/s"), Channel("angle", "rad")), (Channel("force", "N", low=-1.0, high=1.0),), dt=0.1
@@ -37,3 +39,13 @@ def test_a_quick_model_has_lags_where_a_force_acts_late_and_none_where_it_acts_a
     spec = with_preset(Spec(family), "quick")
     assert make_model(spec).fit(recorded(0), rng=0).lags == (0, 0)
     assert make_model(spec).fit(recorded(2), rng=0).lags[1] == 3
+
+
+def test_errors_that_are_as_good_as_none_are_equal() -> None:
+    """So the first of several such models is taken, which has no lags."""
+    blocks = HeldOut.of(DRIVEN.recording())
+    perfect, nearly = (
+        blocks.error(lambda part, ridge=ridge: make_model("linear", ridge=ridge).fit(part)) for ridge in (0.0, 1e-4)
+    )
+    assert perfect == nearly == pytest.approx(FOLDS * GOOD)
+    assert blocks.error(lambda part: make_model("linear", ridge=1.0).fit(part)) > 2.0 * perfect

@@ -112,6 +112,36 @@ def clip_rows(x, low, high, count, y):
             there[lane] = min(max(here[lane], least), most)
 
 
+INSIDE = Layout("nx", "low", "high", "own", align=CACHE_LINE)
+
+
+def from_inside(change: Predictor, low: Array, high: Array) -> Predictor:
+    """Return a predictor of the next state: the present one within ``low`` to ``high`` (nx,), plus ``change``."""
+    nx, limits = len(low), padded(np.concatenate([low, high]))
+    places = {"low": INSIDE.size, "high": INSIDE.size + nx, "own": INSIDE.size + len(limits)}
+    return Predictor(
+        KernelSource(add_inside, change.bindings),
+        INSIDE.pack(limits, change.parameters, nx=nx, **places),
+        change.n_scratch,
+        prepare=KernelSource(prepare_change, change.bindings),
+    )
+
+
+def prepare_change(u, p, scratch):
+    """Prepare what predicts the change."""
+    prepare(u, view(p, int(p[INSIDE.own])), scratch)
+
+
+def add_inside(x, u, p, y, scratch):
+    """Add the state, taken back into its range, to its change."""
+    predict(x, u, view(p, int(p[INSIDE.own])), y, scratch)
+    low, high = view(p, int(p[INSIDE.low])), view(p, int(p[INSIDE.high]))
+    for row in range(int(p[INSIDE.nx])):
+        here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
+        for lane in range(LANES):
+            there[lane] += min(max(here[lane], least), most)
+
+
 ON_TOP = Layout("nx", "added", "own", align=CACHE_LINE)
 
 
