@@ -97,9 +97,9 @@ def evolve_rivals(
     other, parents and former champions by turns, in ``trials`` trials; fitness is its mean lead (m), one of several
     models by the ``aggregate``. With ``populations=1`` it is its own rival. Each champion has the greatest lead over
     the other's last parents and former champions in ``selection_trials`` fresh trials: that is the
-    fitness of its only finalist. Stages, several runs, noise that models take turns in, and strategies that go by
-    behaviour are not for races. The result depends on ``seed`` alone; with a ``checkpoint`` an evolution that was
-    stopped goes on where it was. Raises `InvalidArgument` for settings that do not fit, `IncompatibleSystem`.
+    fitness of its only finalist. There is one run, without stages; strategies see no behaviour. The result depends on
+    ``seed`` alone; with a ``checkpoint`` an evolution that was stopped goes on where it was. Raises `InvalidArgument`
+    for settings that do not fit, `IncompatibleSystem`.
 
     Source: Togelius and Lucas, "Arms races and car races", PPSN IX (2006).
     """
