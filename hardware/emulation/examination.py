@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hardware.emulation.sensed_robot import SensedRobot
 from hardware.finding import Finding
 from hardware.loop.stops import Stops
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics, clip_state
 from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    from hardware.emulation.sensed_robot import SensedRobot
 
 STEPS = 300
 """Steps of a trial: how long the equations are tried under each control."""
