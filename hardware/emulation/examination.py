@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,25 +13,20 @@ from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics, clip_state
 from sysid_evo.system import Channel, System
 
-if TYPE_CHECKING:
-    from hardware.emulation.sensed_robot import SensedRobot
-
 STEPS = 300
 """Steps of a trial: how long the equations are tried under each control."""
 BATCH = 64
 """Trials whose step is timed."""
 
 
-def examine(
-    robot: SensedRobot, *, seconds: float, seed: int | None = None, stops: Stops | None = None
-) -> tuple[Finding, ...]:
-    """Read the sensors for ``seconds`` of simulated time, and try the equations; a stop from outside ends it."""
-    findings = [system_finding(robot.system), _sensors(robot, seconds, seed), _rest(robot.dynamics)]
-    for place in range(robot.system.nu):
+def examine(dynamics: Dynamics, sensors: Finding, *, stops: Stops | None = None) -> tuple[Finding, ...]:
+    """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
+    findings = [system_finding(dynamics.system), sensors, _rest(dynamics)]
+    for place in range(dynamics.system.nu):
         if stops is not None and stops.reason is not None:
             break
-        findings.append(_answer(robot.dynamics, place))
-    return (*findings, _speed(robot.dynamics))
+        findings.append(_answer(dynamics, place))
+    return (*findings, _speed(dynamics))
 
 
 def system_finding(system: System) -> Finding:
@@ -53,22 +48,20 @@ def described(channel: Channel) -> str:
     return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
 
 
-def _sensors(robot: SensedRobot, seconds: float, seed: int | None) -> Finding:
-    """Say what is read of a robot in neutral."""
-    read, readings = robot.physics.read, []
-    with robot.connect(seed=seed) as connection:
-        for _ in range(max(2, round(seconds / robot.frame_period))):
-            connection.measure(robot.frame_period)
-            readings.append(connection.reading)
+def sensors_finding(
+    system: System, names: Sequence[str], readings: Array, rates: Mapping[str, str], period: float
+) -> Finding:
+    """Say what was read in neutral: ``readings`` (n, names) every ``period`` s; ``rates`` says what is estimated."""
     mean, spread = np.mean(readings, axis=0), np.std(readings, axis=0)
-    units = {channel.name: channel.unit for channel in robot.system.states}
+    units = {channel.name: channel.unit for channel in system.states}
     parts = [
         f"{name} {middle:.3g}{_spread(wide)} {units[name]}".rstrip()
-        for name, middle, wide in zip(read, mean, spread, strict=True)
+        for name, middle, wide in zip(names, mean, spread, strict=True)
     ]
-    estimated = ", ".join(f"{name} from {of}" for name, of in robot.physics.rates.items())
+    estimated = ", ".join(f"{name} from {of}" for name, of in rates.items())
     more = f"; estimated: {estimated}" if estimated else ""
-    sentence = f"Read every {robot.frame_period:g} s in neutral for {seconds:g} s: {', '.join(parts)}{more}."
+    seconds = len(readings) * period
+    sentence = f"Read every {period:g} s in neutral for {seconds:g} s: {', '.join(parts)}{more}."
     return Finding("sensors", bool(np.isfinite(readings).all()), sentence)
 
 

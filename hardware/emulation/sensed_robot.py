@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hardware.emulation.examination import examine, sensors_finding
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from hardware.finding import Finding
@@ -75,9 +76,14 @@ class SensedRobot(SimulatedRobot):
 
     def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
         """Say what the sensors read at rest, and what the equations do under each control."""
-        from hardware.emulation.examination import examine
-
-        return examine(self, seconds=seconds, seed=seed, stops=stops)
+        period, readings = self.frame_period, []
+        with self.connect(seed=seed) as connection:
+            for _ in range(max(2, round(seconds / period))):
+                connection.measure(period)
+                readings.append(connection.reading)
+        names, rates = tuple(self.physics.read), self.physics.rates
+        sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
+        return examine(self.dynamics, sensors, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         return excitation(self.system, duration=duration, rng=rng)
