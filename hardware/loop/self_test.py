@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from hardware.connection import Connection
+from hardware.connection import Connectable, Connection
 from hardware.finding import Finding
 from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import STALE, ControlLoop
@@ -16,7 +16,6 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System
@@ -27,7 +26,7 @@ STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
 def self_test(
-    robot: Robot, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
+    robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
 ) -> tuple[Finding, ...]:
     """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
 
