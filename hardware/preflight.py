@@ -45,9 +45,14 @@ def check_driving(
 def check_driving_by_hand(robot: Robot, task: Task) -> None:
     """Raise if a person could not drive ``robot`` at ``task`` on the page.
 
-    Raises what `check_driving` raises, `InvalidArgument` for controls that keys cannot move and
-    `MissingExtra` if the page cannot be served.
+    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
+    controls that keys cannot move and `MissingExtra` if the page cannot be served.
     """
+    if robot.system.motion is None:
+        raise IncompatibleSystem(
+            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
+            "--controller and --watch the page shows how a controller drives it"
+        )
     check_installed("driving by hand", PAGE)
     control_of(0, robot.system)
     key_life(robot.system)

@@ -18,6 +18,7 @@ from sysid_evo.system import System
 if TYPE_CHECKING:
     import numpy as np
 
+    from hardware.finding import Finding
     from hardware.loop.stops import Stops
     from hardware.recording.excitation import Manoeuvre
     from hardware.recording.scripted import Recorded
@@ -61,6 +62,12 @@ class Robot(ABC):
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say whether it is ready to be driven, after ``seconds`` in which nothing moves; see `self_test`."""
+        from hardware.loop.self_test import self_test
+
+        return self_test(self, seconds=seconds, seed=seed, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         """Return what it is driven through for ``duration`` s to be recorded.

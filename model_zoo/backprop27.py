@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 import numpy as np
 
 from model_zoo.channels.command_cells import CommandCells
+from model_zoo.channels.features import Features
+from model_zoo.channels.integrals import integrals, next_state, next_state_predictor
 from model_zoo.channels.standard import deviation
 from model_zoo.networks.network import random_network
 from sysid_evo import Dataset, DynamicsModel, System, register_model
@@ -34,10 +36,12 @@ class Backprop27(DynamicsModel):
     command that was never recorded uses the networks of the nearest one that was. The number of
     hidden units and the learning rate are not stated in the paper.
 
-    With ``state_lags`` and ``control_lags``, earlier samples join the inputs.
+    With ``state_lags`` and ``control_lags``, earlier samples join the inputs. Of a periodic state the networks see
+    sine and cosine; of it and of a state that is an integral of others they give the change, see `integrals`.
     """
 
     knowledge = "black"
+    periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
     limits: ClassVar[dict[str, Limit]] = {
         "hidden": at_least(1),
@@ -63,10 +67,12 @@ class Backprop27(DynamicsModel):
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
-        inputs = np.concatenate([data.carry, data.control[:, cells.exact]], axis=1)
+        inputs = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])
         centre, scale = inputs.mean(axis=0), deviation(inputs)
-        target_centre, target_scale = data.after.mean(axis=0), deviation(data.after)
-        standard, targets = (inputs - centre) / scale, (data.after - target_centre) / target_scale
+        self.added_ = integrals(dataset).astype(np.float64)
+        wanted = data.after - np.where(self.added_ > 0.0, data.state, 0.0)
+        target_centre, target_scale = wanted.mean(axis=0), deviation(wanted)
+        standard, targets = (inputs - centre) / scale, (wanted - target_centre) / target_scale
         trained = []
         counter = Counter(progress, len(self.filled_) * self.epochs)
         for command in self.filled_:
@@ -82,22 +88,22 @@ class Backprop27(DynamicsModel):
     def next_state(self, carry: Array, control: Array) -> Array:
         cells, serving = self._serving
         number = serving[cells.index(control)]
-        inputs = np.concatenate([carry, control[:, cells.exact]], axis=1)
+        inputs = Features(self.system, self.lags)(carry, control[:, cells.exact])
         after = np.empty((len(carry), self.last_.shape[1]))
         for command in np.unique(number):
             rows = np.flatnonzero(number == command)
             hidden = np.tanh(inputs[rows] @ self.first_[command] + self.first_bias_[command])
             by_state = hidden.reshape(len(rows), *self.last_.shape[1:])
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
-        return after
+        return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor:
-        from sysid_evo.engine.kernels import command_network_predictor
+        from sysid_evo.engine.kernels import command_network_predictor, with_angles
 
         cells, serving = self._serving
         commands, n_in, _ = self.first_.shape
         shape = self.last_.shape[1:]
-        return command_network_predictor(
+        networks = command_network_predictor(
             self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),
             self.first_bias_.reshape(commands, *shape),
             self.last_,
@@ -105,8 +111,9 @@ class Backprop27(DynamicsModel):
             serving,
             cells.midpoints,
             cells.exact,
-            self.n_carry,
+            Features(self.system, self.lags).n_carry,
         )
+        return next_state_predictor(self.added_, with_angles(networks, self.system, self.lags))
 
     @cached_property
     def _serving(self) -> tuple[CommandCells, IntArray]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
@@ -27,7 +28,7 @@ class Evolved3(DynamicsModel):
     deviation 0.1 on the error ``horizon`` steps after ``windows`` random starts. Not stated in the
     paper, and so by default: five hidden units, inputs divided by their standard deviations,
     outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
-    (none in the paper) are further inputs of every network.
+    (none in the paper) are further inputs of every network. Of a periodic state sine and cosine are inputs.
 
     The error is the square of the last step only. With ``weights="spread"`` every state is divided by its
     standard deviation; with "paper", the preset of that name, states count in their own units: the lateral
@@ -36,6 +37,7 @@ class Evolved3(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 150},
@@ -87,12 +89,12 @@ class Evolved3(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
-        from sysid_evo.engine.kernels import network_predictor
+        from sysid_evo.engine.kernels import network_predictor, with_angles
 
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
         own = np.repeat(np.eye(nx), hidden, axis=0)
-        predictors = []
+        predictors, seen = [], Features(self.system, self.lags).n_carry
         for one in parameters:
             first, first_bias, last, last_bias = np.split(one, cut)
             weights = first.reshape(n, nx * hidden) / self.scale_[:, None]
@@ -100,7 +102,8 @@ class Evolved3(DynamicsModel):
                 (weights, first_bias - self.centre_ @ weights),
                 (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
             ]
-            predictors.append(network_predictor([layers], self.n_carry, self.system.nu))
+            networks = network_predictor([layers], seen, self.system.nu)
+            predictors.append(with_angles(networks, self.system, self.lags))
         kernel = self.stepping(predictors[0])
         if kernel is None:
             return None
@@ -112,7 +115,7 @@ class Evolved3(DynamicsModel):
         cut = np.cumsum([nx * self.hidden * n, nx * self.hidden, nx * self.hidden])
         first, first_bias, last, last_bias = np.split(parameters, cut, axis=1)
         held = np.broadcast_to(control, (p, *control.shape))
-        inputs = (np.concatenate([carry, held], axis=2) - self.centre_) / self.scale_
+        inputs = (Features(self.system, self.lags)(carry, held) - self.centre_) / self.scale_
         hidden = np.tanh(inputs @ first.reshape(p, n, nx * self.hidden) + first_bias[:, None])
         by_state = hidden.reshape(p, len(control), nx, self.hidden)
         change = np.einsum("pbsh,psh->pbs", by_state, last.reshape(p, nx, self.hidden)) + last_bias[:, None]

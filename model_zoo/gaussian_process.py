@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 
+from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, positive
 from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
@@ -41,9 +42,11 @@ class GaussianProcess(DynamicsModel):
     chosen by the simulation error over one second on held-out blocks of time. With ``stochastic``
     every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of samples
     one second ahead in recordings held out in turn (blocks of time, if there is one recording only).
+    Of a periodic state sine and cosine are inputs.
     """
 
     knowledge = "dark grey"
+    periodic = True
     precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"inducing": 60, "state_lags": 0, "control_lags": 2},
@@ -82,22 +85,23 @@ class GaussianProcess(DynamicsModel):
         return self.remember(carry, control, self.held(carry, control, after))
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import gaussian_predictor
+        from sysid_evo.engine.kernels import gaussian_predictor, with_angles
 
         if self.stochastic:
             return None
-        return gaussian_predictor(
+        bumps = gaussian_predictor(
             self.points_,
             self.lengths_,
             self.weights_ * self.amplitude_[:, None] ** 2,
             self.slope_,
             self.intercept_,
-            self.n_carry,
+            Features(self.system, self.lags).n_carry,
         )
+        return with_angles(bumps, self.system, self.lags)
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
         """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""
-        inputs = np.concatenate([carry, control], axis=1)
+        inputs = Features(self.system, self.lags)(carry, control)
         mean = np.empty((len(inputs), self.system.nx))
         variance = np.zeros_like(mean)
         for channel in range(self.system.nx):
@@ -166,7 +170,7 @@ class GaussianProcess(DynamicsModel):
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
         """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
-        inputs = data.inputs
+        inputs = Features(dataset.system, self.lags)(data.carry, data.control)
         targets = dataset.system.acceleration(data.state, data.after)
         _, scale = Standard.of(dataset).of_inputs(self.layout)
         centre = inputs.mean(axis=0)

@@ -110,19 +110,17 @@ class KNeighbours(DynamicsModel):
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
+        from sysid_evo.engine.kernels import from_inside, with_angles
 
-        if not Features(self.system, self.lags).plain:
-            return None
-        predictor = plane_predictor(
+        change = plane_predictor(
             self.points_,
             self.changes_,
             self.metric_,
-            np.stack([self.low_, self.high_]),
             count=min(self.neighbours_, len(self.points_)),
             ridge=RIDGE,
-            n_carry=self.n_carry,
+            n_carry=Features(self.system, self.lags).n_carry,
         )
-        return self.stepping(predictor)
+        return self.stepping(from_inside(with_angles(change, self.system, self.lags), self.low_, self.high_))
 
     @cached_property
     def _tree(self) -> Any:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.channels.integrals import between_limits
 from model_zoo.channels.standard import deviation
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
@@ -21,7 +22,9 @@ class Linear(DynamicsModel):
     """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
-    penalises the squares of A and B on standardised inputs; ``intercept`` fits c.
+    penalises the squares of A and B on standardised inputs; ``intercept`` fits c. Samples after which a state stands
+    at a limit of its channel are left out. It is linear in the states as they are, an angle too, since LQR needs its A
+    and B: good near one angle only, and another model a turn later.
     """
 
     knowledge = "black"
@@ -35,13 +38,14 @@ class Linear(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
-        regressors = np.concatenate([data.carry, data.control], axis=1)
+        free = between_limits(dataset.system, data.after)
+        regressors, after = np.concatenate([data.carry, data.control], axis=1)[free], data.after[free]
         centre = regressors.mean(axis=0) if self.intercept else np.zeros(regressors.shape[1])
-        target_centre = data.after.mean(axis=0) if self.intercept else np.zeros(data.after.shape[1])
+        target_centre = after.mean(axis=0) if self.intercept else np.zeros(after.shape[1])
         scale = deviation(regressors)
-        penalty = np.sqrt(self.ridge * len(data)) * np.eye(len(scale))
+        penalty = np.sqrt(self.ridge * len(after)) * np.eye(len(scale))
         left = np.concatenate([(regressors - centre) / scale, penalty])
-        right = np.concatenate([data.after - target_centre, np.zeros((len(scale), data.after.shape[1]))])
+        right = np.concatenate([after - target_centre, np.zeros((len(scale), after.shape[1]))])
         solution, *_ = np.linalg.lstsq(left, right, rcond=None)
         self.coefficients_ = solution / scale[:, None]
         self.intercept_ = target_centre - centre @ self.coefficients_

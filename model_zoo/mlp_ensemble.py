@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_UPDATES = (600, 120)
-OFFERED = ((1, 3), (2, 4))
+OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
 @register_model("mlp_ensemble")
@@ -33,7 +34,8 @@ class MlpEnsemble(DynamicsModel):
     (other blocks for each member): ``one_step_updates`` on single steps, then ``updates`` on free
     runs of ``horizon`` steps from measured states with ``input_noise`` (in units of the one-step
     change). It keeps the weights that simulate its held-out blocks best
-    over one second. Lags left at None are chosen on the held-out blocks.
+    over one second. Lags left at None are chosen on the held-out blocks; with ``lag_search="few"`` between none and
+    (1, 3). Of a periodic state the networks see sine and cosine.
 
     If a planar body is steered by the controls ``turning``, half of the windows are mirrored left
     to right, and a flag among the inputs tells which: the two sides share what is alike and may
@@ -46,13 +48,13 @@ class MlpEnsemble(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,
             "hidden": [32, 32],
-            "state_lags": 1,
-            "control_lags": 3,
+            "lag_search": "few",
             "one_step_updates": 600,
             "updates": 200,
         },
@@ -69,6 +71,7 @@ class MlpEnsemble(DynamicsModel):
     hidden: list[int] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     one_step_updates: int = 4000
     updates: int = 1000
     horizon: int = 20
@@ -86,7 +89,7 @@ class MlpEnsemble(DynamicsModel):
         final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
         search = replace(final, one_step_updates=one_step_updates, updates=updates)
-        options = lag_candidates(self.state_lags, self.control_lags, OFFERED)
+        options = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         rough = rough_fits(dataset) if self.stochastic else 0
         counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 
@@ -117,7 +120,7 @@ class MlpEnsemble(DynamicsModel):
 
     @property
     def network(self) -> Network:
-        """The members: raw (carry, control) to accelerations."""
+        """The members: features of (carry, control) to accelerations."""
         return Network(self.weights_, self.biases_)
 
     @property
@@ -125,7 +128,7 @@ class MlpEnsemble(DynamicsModel):
         return self.system.nx if self.stochastic else 0
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state, members = carry[:, : self.system.nx], self.network(np.concatenate([carry, control], axis=1))
+        state, members = carry[:, : self.system.nx], self.network(Features(self.system, self.lags)(carry, control))
         after = self.system.integrate(state, members.mean(axis=0))
         if noise is not None:
             deviation = np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
@@ -133,11 +136,12 @@ class MlpEnsemble(DynamicsModel):
         return self.remember(carry, control, self.held(carry, control, after))
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import network_predictor
+        from sysid_evo.engine.kernels import network_predictor, with_angles
 
         if self.stochastic:
             return None
-        return network_predictor(self.network.members(), self.n_carry, self.system.nu)
+        seen = Features(self.system, self.lags).n_carry
+        return with_angles(network_predictor(self.network.members(), seen, self.system.nu), self.system, self.lags)
 
     def alternatives(self) -> tuple[MlpEnsemble, ...]:
         """Return every member by itself, without noise."""

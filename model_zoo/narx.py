@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from model_zoo.channels.standard import root_mean_square
 from model_zoo.sparse.family import PolynomialFamily, Regression
-from model_zoo.sparse.polynomial import evaluate, monomials
+from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, evaluate, library_size, monomials
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array, IntArray
@@ -16,6 +16,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 COUNTS = (8, 12, 16, 24, 32, 48)
+OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
 INDEPENDENT = 1e-10
 
 
@@ -25,63 +26,79 @@ class Narx(PolynomialFamily):
 
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
     candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
-    orthogonal least squares). ``terms`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time. Inputs are clipped to the training range;
-    a periodic state stands as its sine and cosine, and its change is predicted.
+    orthogonal least squares). ``degree``, ``terms`` and lags left at None are chosen by the simulation error
+    over one second on held-out blocks of time; with ``lag_search="few"`` among none, (0, 3) and (1, 3). Inputs are
+    clipped to the training range; a periodic state stands as its sine and cosine; of an integral (`integrals`) the
+    change is predicted.
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"terms": 32, "state_lags": 1, "control_lags": 3}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": None, "terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
-    degree: int = 2
+    degree: int | None = 2
     terms: int | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        pairs = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)))
+        pairs = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         counts = COUNTS if self.terms is None else (self.terms,)
-        settings = [(count, lags) for lags in pairs for count in counts]
+        settings = [(count, lags, degree) for lags, degree in self._libraries(dataset, pairs) for count in counts]
         counter = Counter(progress, trials(settings) * FOLDS + 1)
         blocks, orders = HeldOut.of(dataset), {}
 
-        def learned(part: Dataset, count: int, lags: tuple[int, int]) -> DynamicsModel:
-            data, key = self.regression(part, lags), (lags, part.names)
+        def learned(part: Dataset, count: int, lags: tuple[int, int], degree: int) -> DynamicsModel:
+            data, key = self.regression(part, lags), (lags, degree, part.names)
             if key not in orders:  # the order of the terms does not depend on how many are taken
-                orders[key] = self._selection(data, max(counts))
-            trial = self.variant(terms=count, state_lags=lags[0], control_lags=lags[1])
-            trial._learn(data, count, orders[key])
+                orders[key] = selection(data, degree, max(counts))
+            trial = self.variant(terms=count, degree=degree, state_lags=lags[0], control_lags=lags[1])
+            trial._learn(data, degree, count, orders[key])
             return trial
 
-        self.terms_, lags = best(
+        self.terms_, lags, self.degree_ = best(
             settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
         )
         self.keep_lags(lags)
         data = self.regression(dataset, lags)
-        self._learn(data, self.terms_, self._selection(data, self.terms_))
+        self._learn(data, self.degree_, self.terms_, selection(data, self.degree_, self.terms_))
         counter.advance()
         return self
 
-    def _library(self, data: Regression) -> tuple[Array, IntArray, Array]:
-        """Return the monomials (N, T) of inputs divided by their size, their exponents, and the sizes (T,)."""
-        size, exponents = root_mean_square(data.regressors), monomials(data.regressors.shape[1], self.degree)
-        return evaluate(data.regressors / size, exponents), exponents, np.prod(size**exponents, axis=1)
+    def _libraries(self, dataset: Dataset, pairs: list[tuple[int, int]]) -> list[tuple[tuple[int, int], int]]:
+        """Return lags and degrees to try; large libraries are left out if a smaller one is there."""
+        if self.degree is not None:
+            return [(lags, self.degree) for lags in pairs]
+        every = [(lags, degree) for lags in pairs for degree in DEGREES]
+        sizes = [library_size(len(self.features_of(dataset.system, lags).names), degree) for lags, degree in every]
+        smallest = min(DEGREES)
+        pairs_sizes = zip(every, sizes, strict=True)
+        return [
+            library for library, size in pairs_sizes if size <= MOST_TERMS[self.lag_search] or library[1] == smallest
+        ]
 
-    def _selection(self, data: Regression, count: int) -> list[IntArray]:
-        """Return, for each state, the terms in the order in which they enter."""
-        library, *_ = self._library(data)
-        return [forward_selection(library, target, count) for target in data.targets.T]
-
-    def _learn(self, data: Regression, count: int, order: list[IntArray]) -> None:
+    def _learn(self, data: Regression, degree: int, count: int, order: list[IntArray]) -> None:
         """Fit the first ``count`` terms of each state by least squares."""
-        library, exponents, sizes = self._library(data)
+        library, exponents, sizes = library_of(data, degree)
         coefficients = np.zeros((len(exponents), len(order)))
         for i, terms in enumerate(order):
             chosen = terms[:count]
             coefficients[chosen, i], *_ = np.linalg.lstsq(library[:, chosen], data.targets[:, i], rcond=None)
         self.adopt(data, coefficients / sizes[:, None], exponents)
+
+
+def library_of(data: Regression, degree: int) -> tuple[Array, IntArray, Array]:
+    """Return the monomials (N, T) of inputs divided by their size, their exponents, and the sizes (T,)."""
+    size, exponents = root_mean_square(data.regressors), monomials(data.regressors.shape[1], degree)
+    return evaluate(data.regressors / size, exponents), exponents, np.prod(size**exponents, axis=1)
+
+
+def selection(data: Regression, degree: int, count: int) -> list[IntArray]:
+    """Return, for each state, the terms in the order in which they enter."""
+    library, *_ = library_of(data, degree)
+    return [forward_selection(library, target, count) for target in data.targets.T]
 
 
 def forward_selection(library: Array, target: Array, count: int) -> IntArray:

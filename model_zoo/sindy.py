@@ -20,4 +20,4 @@ class Sindy(ContinuousSparse):
     fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range.
     """
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 3}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}

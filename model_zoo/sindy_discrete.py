@@ -14,10 +14,11 @@ class SindyDiscrete(SparsePolynomial):
 
     Sequentially thresholded least squares drops coefficients below ``threshold`` (of quantities
     divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
-    open is chosen by free runs, as `SparsePolynomial` says. Of a periodic state the change is predicted.
+    open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `integrals`.
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": 2, "control_lags": 3, "state_lags": 1}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
 
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
+    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))

@@ -40,7 +40,7 @@ from .registry import (
 )
 from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
-from .tasks import PointToPoint, Task, TaskState
+from .tasks import PointToPoint, Task, TaskState, register_reward
 
 __all__ = [
     "Aggregate",
@@ -92,6 +92,7 @@ __all__ = [
     "register_motion",
     "register_probe",
     "register_reader",
+    "register_reward",
     "register_robot",
     "register_strategy",
     "register_task",

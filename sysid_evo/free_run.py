@@ -81,12 +81,12 @@ def simulation_error(model: DynamicsModel, windows: Windows) -> float:
     better than the mean of the truth; infinite if a state is not finite.
     """
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
-    return relative_error(model.system.difference(simulated, windows.states), windows)
+    return relative_error(model.system, simulated, windows)
 
 
-def relative_error(off: Array, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / standard deviation of ``off`` (N, H, nx); inf if not finite."""
-    spread = windows.states.std(axis=(0, 1))
+def relative_error(system: System, simulated: Array, windows: Windows) -> float:
+    """Return the mean over channels and steps of RMSE / spread of ``simulated`` (N, H, nx); inf if not finite."""
+    off, spread = system.difference(simulated, windows.states), system.spread(windows.states)
     spread = np.where(spread > 0, spread, 1.0)
     with np.errstate(all="ignore"):
         error = float(np.mean(np.sqrt(np.mean(off**2, axis=0)) / spread))

@@ -242,6 +242,21 @@ class System:
         """Return ``states`` (..., nx) with periodic ones within half a period of their neutral value."""
         return self.near(states, np.broadcast_to(self.neutral_state, np.shape(states)))
 
+    def spread(self, states: Array) -> Array:
+        """Return the standard deviation (nx,) of ``states`` (..., nx).
+
+        That of a periodic state is around its mean direction, the shortest way, however many turns it has made.
+        """
+        axes = tuple(range(states.ndim - 1))
+        if not self.periods:
+            return np.asarray(states.std(axis=axes))
+        middle = states.mean(axis=axes)
+        for i, period in self.periods.items():
+            angle = TURN / period * states[..., i]
+            middle[i] = period / TURN * np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
+        off = self.difference(states, np.broadcast_to(middle, states.shape))
+        return np.asarray(np.sqrt(np.mean(off**2, axis=axes)))
+
     def unwrapped(self, states: Array) -> Array:
         """Return the states of one run (T, nx) without the jumps of periodic ones; the first stays what it is."""
         if not self.periods:
@@ -261,6 +276,16 @@ class System:
             else:
                 columns.append(states[..., i])
         return np.stack(columns, axis=-1)
+
+    @cached_property
+    def limits(self) -> Array:
+        """The lowest and highest value of each state, (2, nx), infinite where its channel names none."""
+        return np.array([[c.low for c in self.states], [c.high for c in self.states]], dtype=np.float64)
+
+    @property
+    def limited(self) -> bool:
+        """Whether a state has a limit."""
+        return bool(np.isfinite(self.limits).any())
 
     @cached_property
     def regressor_names(self) -> tuple[str, ...]:

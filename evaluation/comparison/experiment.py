@@ -13,10 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.evolution import ControllerEvolution, Stage
 from sysid_evo.files import write_atomically
-from sysid_evo.registry import Spec
+from sysid_evo.registry import Spec, tasks
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
+NONE = "none"
+"""As noise: none, also where the task has a usual one."""
 
 Positive = Annotated[int, Field(ge=1)]
 
@@ -66,7 +68,8 @@ class Experiment(BaseModel):
     on the robot itself, one that is a program: what can be achieved there at all; None means where the program
     records an emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
     prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
-    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; empty for none.
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; "none" for none. None as
+    ``noise`` is the `Task.usual_noise`, which only models meet: robots have their own.
     ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
@@ -90,7 +93,7 @@ class Experiment(BaseModel):
     strategy: str | None = None
     recipe: Recipe | None = None
     aggregate: str = "min"
-    noise: str = ""
+    noise: str | None = None
     caution: str = ""
     schedule: str = ""
     generations: Positive | None = None
@@ -161,10 +164,16 @@ class Experiment(BaseModel):
             controller=Spec.parse(budget.controller),
             task=Spec.parse(self.task),
             strategy=Spec.parse(budget.strategy),
-            noise=self.noise,
+            noise=self._noise,
             caution=self.caution,
             schedule=Stage.parse_many(self.schedule) if self.schedule else (),
         )
+
+    @property
+    def _noise(self) -> str:
+        if self.noise is None:
+            return str(getattr(tasks.get(Spec.parse(self.task).name), "usual_noise", ""))
+        return "" if self.noise == NONE else self.noise
 
 
 def _sentence(error: Any) -> str:

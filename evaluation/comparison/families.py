@@ -14,8 +14,8 @@ from sysid_evo.system import System
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
 OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
 """What is compared when no family is named; with the preset ``paper`` only the paper's own."""
-TURNING_FAMILIES = ("sindy_discrete", "narx")
-"""What stands in for the families that do not know periodic states, where a system has some."""
+TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
+"""What is compared where a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 ALL = "all"
@@ -35,12 +35,11 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
     asked = asked_models(experiment)
     if asked is not None:
         return tuple(_usable(spec, experiment.preset, system) for spec in asked)
-    usual = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
-    if system.periods:
-        plain = [name for name in usual if not _knows_turns(name)]
-        names = ", ".join(channel.name for channel in system.states if channel.period)
-        remarks.append(f"{', '.join(plain)} are left out: they take {names} for a plain number. Name them to have them")
-        usual = tuple(name for name in dict.fromkeys((*usual, *TURNING_FAMILIES)) if name not in plain)
+    usual: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
+        usual = TURNING_FAMILIES
+        turning = ", ".join(channel.name for channel in system.states if channel.period)
+        remarks.append(f"evolved3 is left out: it predicts badly where {turning} comes round. Name it to have it")
     found = []
     for name in models.names() if experiment.models == (ALL,) else usual:
         try:
@@ -50,14 +49,6 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
     if not found:
         raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
     return tuple(found)
-
-
-def _knows_turns(name: str) -> bool:
-    """Whether a family takes a periodic state for what it is; one that cannot be loaded is not judged."""
-    try:
-        return bool(getattr(models.get(name), "periodic", False))
-    except MissingExtra:
-        return True
 
 
 def _usable(spec: Spec, preset: str, system: System) -> Spec:

@@ -12,11 +12,11 @@ from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
-from evaluation.comparison.hand_written import HandWrittenCell
+from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
-from evaluation.comparison.recipes import chosen_cell, controller_cell
+from evaluation.comparison.recipes import chosen_cell, controller_cell, evolution_on
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.transfer import Measured, kept_traces
+from evaluation.transfer import AT_REST, Measured, kept_traces
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -24,6 +24,7 @@ from sysid_evo.errors import (
     IncompatibleTask,
     InvalidArgument,
     InvalidData,
+    UnknownName,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
@@ -125,7 +126,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system),
+            _by_hand(experiment, evolution, system, fits, floor=column is not None),
             recorded=isinstance(data, RecordedData),
         )
         exploitability = ExploitCell(matrix, data)
@@ -251,13 +252,35 @@ def _check_predictable(training: Dataset, test: Dataset) -> None:
         )
 
 
-def _by_hand(experiment: Experiment, evolution: ControllerEvolution, system: System) -> tuple[HandWrittenCell, ...]:
-    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task."""
+def _by_hand(
+    experiment: Experiment,
+    evolution: ControllerEvolution,
+    system: System,
+    fits: Mapping[str, FitCell],
+    *,
+    floor: bool,
+) -> tuple[HandWrittenCell, ...]:
+    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
+
+    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Where fitness
+    may be negative and there is a robot, its ``floor``, controls at rest are among them: shares are measured from it.
+    """
     specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    if floor and evolution.make_task(system).worst < 0.0 and all(spec.name != AT_REST for spec in specs):
+        specs = (*specs, Spec.parse(f"rest={AT_REST}"))
+    cells = []
     for spec in specs:
         controllers.check(spec)
-        Champion.hand_written(spec, evolution.task, system)
-    return tuple(HandWrittenCell(spec, evolution.task, system) for spec in specs)
+        inside = {label: fits[label] for label in labels_inside(spec, fits)}
+        if inside:
+            made(controllers, spec)
+        else:
+            try:
+                Champion.hand_written(spec, evolution.task, system)
+            except UnknownName as error:
+                raise UnknownName(f"by_hand: {spec}: {error}; the models compared are {', '.join(fits)}") from error
+        cells.append(HandWrittenCell(spec, evolution.task, system, inside))
+    return tuple(cells)
 
 
 def _matrix(
@@ -279,7 +302,7 @@ def _matrix(
     usual = quick and recorded and experiment.budget.recipe == "recommended"
     if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
         groups.append((robot,))
-    evolved = tuple(EvolveCell(members, evolution, experiment.seed) for members in groups)
+    evolved = tuple(EvolveCell(members, evolution_on(experiment, members), experiment.seed) for members in groups)
     champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from evaluation.comparison.champion_cells import ChampionCell, ChooseCell, EvolveCell, PolishCell, ensemble_name
 from evaluation.comparison.columns import Column
 from evaluation.comparison.experiment import Experiment
+from sysid_evo.evolution import ControllerEvolution
 
 POLISHED = 2
 """Finalists that the recommended recipe polishes."""
+
+
+def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> ControllerEvolution:
+    """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for."""
+    evolution = experiment.evolution
+    if experiment.noise is None and any(member.robot is not None for member in members):
+        return replace(evolution, noise="")
+    return evolution
 
 
 def controller_cell(
@@ -26,11 +37,11 @@ def controller_cell(
     ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members. The
     finalists of ``further`` evolutions, in several models at once, can be chosen, too.
     """
-    evolution = experiment.evolution
+    evolution = evolution_on(experiment, members)
     if experiment.budget.recipe == "plain":
         return EvolveCell(members, evolution, experiment.seed)
     models = tuple(column for column in judges if column.robot is None)
-    singles = tuple(EvolveCell((member,), evolution, experiment.seed) for member in members)
+    singles = tuple(EvolveCell((one,), evolution_on(experiment, (one,)), experiment.seed) for one in members)
     if len(members) == 1:
         return chosen_cell(experiment, singles, models)
     chosen = ChooseCell((*singles, *further), models, experiment.selection_trials, experiment.seed)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.prediction.protocol import PredictionProtocol
-from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidData
@@ -80,7 +79,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     truth = np.concatenate([e.states[rows] for e, rows in zip(test.episodes, test.moving, strict=True)])
     if not len(truth):
         raise InvalidData("prediction: the test set stands still throughout; hold back an episode that moves")
-    std, rms = _deviation(system, truth), np.sqrt(np.mean(system.wrapped(truth) ** 2, axis=0))
+    std, rms = system.spread(truth), np.sqrt(np.mean(system.wrapped(truth) ** 2, axis=0))
     constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
     if constant:
         notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
@@ -152,16 +151,6 @@ def _guard(training: Dataset, multiple: float) -> Array:
     limit = np.where(limit > 0, limit, np.inf)
     limit[list(training.system.periods)] = np.inf
     return np.stack([-limit, limit])
-
-
-def _deviation(system: System, truth: Array) -> Array:
-    """Return the standard deviation (nx,); of a periodic state around its mean direction, the shortest way."""
-    middle = truth.mean(axis=0)
-    for i, period in system.periods.items():
-        angle = TURN / period * truth[:, i]
-        middle[i] = period / TURN * np.arctan2(np.sin(angle).mean(), np.cos(angle).mean())
-    deviation = system.difference(truth, np.broadcast_to(middle, truth.shape))
-    return np.asarray(np.sqrt(np.mean(deviation**2, axis=0))) if system.periods else truth.std(axis=0)
 
 
 def _listed(items: list[int] | list[str]) -> str:

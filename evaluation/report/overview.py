@@ -49,15 +49,15 @@ def overview_sheet(report: Report) -> Sheet | None:
 def drive_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
     """Return the command that runs a controller on the robot, None where its file is not known.
 
-    Nor is there one for a system without a motion, which the control loop cannot drive.
-
-    ``folder`` is the run folder as seen from where the command is typed.
+    Nor is there one for the recordings of a system without a motion: only an emulated robot or an environment can be
+    driven without a tracker. ``folder`` is the run folder as seen from where the command is typed.
     """
-    path = report.controllers.get(controller)
-    if path is None or report.data.system.motion is None:
+    path, robot = report.controllers.get(controller), report.settings.get("robot")
+    if path is None or (report.data.system.motion is None and not robot):
         return None
-    robot = str(report.settings.get("robot") or "ROBOT")
-    return shlex.join(["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", robot])
+    plugins = [word for plugin in report.settings.get("plugins", ()) for word in ("--plugin", str(plugin))]
+    command = ["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT")]
+    return shlex.join([*command, *plugins])
 
 
 def command_sheet(report: Report) -> Sheet | None:

@@ -81,6 +81,11 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     yardstick = next((c for c in tested if c.on_robot), None)
     if yardstick is not None:
         answers.append(f"Evolved on the robot itself: {_achieved(yardstick, unit)}.")
+        pick = next((c for c in tested if c.name == summary.pick), None)
+        assert yardstick.achieved is not None
+        share = None if pick is None else pick.share_of(yardstick.achieved.value)
+        if pick is not None and share is not None:
+            answers.append(f"{pick.name} achieves {percent(share)} of that.")
     shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]
@@ -92,6 +97,9 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         failing = [f"{name} ({percent(kept)})" for name, kept in shares if kept < LOST]
         if failing:
             answers.append(f"Less than half of it: {', '.join(failing)}.")
+    floor = tested[0].floor
+    if floor is not None:
+        answers.append(f"Shares are measured from controls at rest: {floor:.1f}{unit}.")
     return tuple(answers)
 
 

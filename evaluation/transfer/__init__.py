@@ -5,6 +5,7 @@ from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.summary import (
+    AT_REST,
     ControllerSummary,
     RankCorrelation,
     TransferSummary,
@@ -12,6 +13,7 @@ from evaluation.transfer.summary import (
 )
 
 __all__ = [
+    "AT_REST",
     "Cell",
     "NOT_RUN",
     "ControllerSummary",

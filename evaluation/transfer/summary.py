@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion
+
+AT_REST = "constant"
+"""The registered controller that does nothing, if it was not evolved."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,8 @@ class ControllerSummary:
     ``judges``, the models of families that it was not evolved against; ``achieved`` that on the
     robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
     None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run;
-    ``polished`` as in `Champion`.
+    ``polished`` as in `Champion`. ``floor`` is what controls at rest achieve on the robot, if that was run: shares
+    are measured from there, since fitness may be negative; else from 0.
     """
 
     name: str
@@ -38,6 +42,7 @@ class ControllerSummary:
     on_robot: bool
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
+    floor: float | None = None
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -53,9 +58,14 @@ class ControllerSummary:
     @property
     def kept(self) -> float | None:
         """The share of the claim that the robot shows."""
-        if self.claimed is None or self.achieved is None or self.claimed.value <= 0:
+        return None if self.claimed is None else self.share_of(self.claimed.value)
+
+    def share_of(self, fitness: float) -> float | None:
+        """Return the share of ``fitness`` that is achieved on the robot, both measured from the floor."""
+        floor = self.floor or 0.0
+        if self.achieved is None or fitness <= floor:
             return None
-        return self.achieved.value / self.claimed.value
+        return (self.achieved.value - floor) / (fitness - floor)
 
 
 @dataclass(frozen=True)
@@ -89,6 +99,11 @@ class TransferSummary:
 def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     """Condense the matrix; ``seed`` is that of the bootstrap over trials."""
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
+    at_rest = [
+        champion.name for champion in matrix.champions if champion.controller.name == AT_REST and not champion.against
+    ]
+    floor = next((c.achieved.value for c in controllers if c.name in at_rest and c.achieved is not None), None)
+    controllers = tuple(replace(controller, floor=floor) for controller in controllers)
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
     judged = [c for c in elsewhere if c.other_families is not None]
     best = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)

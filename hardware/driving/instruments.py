@@ -7,15 +7,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from hardware.driving.human_pilot import HumanPilot, Phase
 from hardware.driving.keyboard import ALL_KEYS, Keyboard
+from hardware.driving.panel import first_scene, numbers, scenery_of, setting_of, speed_of, traced
 from hardware.listener import Command, Listener, RobotStatus
 from hardware.measurement import Measurement
 from hardware.robot import Robot
-from sysid_evo.arrays import Array
-from sysid_evo.tasks import Task
+from sysid_evo.tasks import Scene, Task
 
 RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
 
@@ -42,6 +40,7 @@ class Instruments(Listener):
         self._counted = (clock(), 0, 0.0)
         self._scores: tuple[float, ...] = ()
         self._message = ""
+        self._places = list(traced(robot.system, first_scene(task.bind(robot.system))))
 
     def begin(self, pilot: HumanPilot, number: int) -> None:
         """Show the trial of ``pilot``, the ``number``-th from 1."""
@@ -73,18 +72,13 @@ class Instruments(Listener):
 
     def setting(self) -> dict[str, Any]:
         """Return what stays the same in a session, as strict JSON."""
-        system = self._robot.system
-        task = self._task.bind(system)
-        scene = task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)
-        return {
-            "robot": self._robot.name,
-            "dt": system.dt,
-            "horizon": task.horizon,
-            "unit": task.fitness_unit,
-            "arena": scene.extent,
-            "waypoint_radius": scene.radius or None,
-            "controls": [channel.name for channel in (system.controls[0], system.controls[-1])][: system.nu],
-        }
+        return setting_of(self._robot.name, self._task.bind(self._robot.system), by_hand=True)
+
+    def scenery(self) -> dict[str, Any]:
+        """Return the walls and targets of the trial, as strict JSON."""
+        pilot = self._pilot
+        scene = Scene() if pilot is None else self._task.scene(pilot.task_state, 0)
+        return scenery_of(self._robot.system, scene)
 
     def reading(self) -> dict[str, Any]:
         """Return what there is to see now, as strict JSON; poses are seen from the task's origin."""
@@ -93,6 +87,7 @@ class Instruments(Listener):
         age = now - self._arrived
         return {
             "trial": self._number,
+            "step": 0 if progress is None else progress.steps,
             "phase": (Phase.ENDED if progress is None else progress.phase).value,
             "time_left": self._task.horizon * self._robot.system.dt
             if progress is None
@@ -101,17 +96,11 @@ class Instruments(Listener):
             "scores": list(self._scores),
             "waypoint": None if progress is None or progress.waypoint is None else progress.waypoint.tolist(),
             "pose": None if frame is None or pilot is None else pilot.in_arena(frame.pose).tolist(),
-            "speed": None if pilot is None else self._speed(pilot.newest_state),
-            "control": None if command is None else command.control[[0, -1]][: self._robot.system.nu].tolist(),
+            "speed": None if pilot is None else speed_of(self._robot.system, pilot.newest_state),
+            "state": None if pilot is None or pilot.newest_state is None else numbers(pilot.newest_state[self._places]),
+            "control": None if command is None else command.control.tolist(),
             "keys": self._keyboard.keys & ALL_KEYS,
             "tracker": None if not math.isfinite(age) else {"age": round(age, 3), "rate": round(self._counted[2])},
             "link": None if status is None else {"state": status.state, "age": round(now - status.time, 3)},
             "message": self._message,
         }
-
-    def _speed(self, state: Array | None) -> float | None:
-        system = self._robot.system
-        forward = None if system.motion is None else system.motion.roles().get("forward")
-        if state is None or forward is None or not np.isfinite(state).all():
-            return None
-        return float(state[system.state_names.index(forward)])

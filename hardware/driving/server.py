@@ -20,14 +20,20 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hardware.driving.access import Guard, new_token
-from hardware.driving.instruments import Instruments
 from hardware.driving.keyboard import Keyboard
+from hardware.driving.panel import Panel
 from hardware.driving.seats import InvalidWord, Seat, Seats
 from hardware.session import Session
 from sysid_evo.errors import InvalidArgument, LinkLost
 
 PAGE = Path(__file__).parent / "page"
-FILES = {"": "index.html", "drive.css": "drive.css", "drive.js": "drive.js", "view.js": "view.js"}
+FILES = {
+    "": "index.html",
+    "drive.css": "drive.css",
+    "drive.js": "drive.js",
+    "view.js": "view.js",
+    "traces.js": "traces.js",
+}
 """What is served under which name."""
 HEADERS = {
     "Cache-Control": "no-store",
@@ -44,14 +50,13 @@ START_UP = 5.0  # s
 INVALID = 1008  # the web socket's code for a message that breaks the rules
 
 
-def make_app(instruments: Instruments, keyboard: Keyboard, *, token: str, host: str) -> Starlette:
+def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
     """Return the page, its files and its web socket, all behind ``/token/``."""
-    seats = Seats(keyboard)
 
     async def converse(page: WebSocket) -> None:
         await page.accept()
         seat = seats.take()
-        talking = asyncio.create_task(_tell(page, seat, seats, instruments))
+        talking = asyncio.create_task(_tell(page, seat, seats, panel))
         try:
             await _listen(page, seat)
         except ValueError:
@@ -72,13 +77,14 @@ class PageServer(Session):
     """The page at ``url`` while it is open; it serves from a thread of its own.
 
     ``port`` 0 takes a free one. ``died`` is called with a sentence, in that thread, if the server
-    ends before it is closed; all keys are released then. Raises `InvalidArgument` if the address
+    ends before it is closed; all keys are released then. ``seats`` are those of the open pages.
+    Raises `InvalidArgument` if the address
     cannot be taken, `LinkLost` if the server does not start.
     """
 
     def __init__(
         self,
-        instruments: Instruments,
+        panel: Panel,
         keyboard: Keyboard,
         *,
         host: str,
@@ -90,11 +96,12 @@ class PageServer(Session):
         named = f"[{host}]" if ":" in host else host
         self.url = f"http://{named}:{self._socket.getsockname()[1]}/{token}/"
         self._keyboard = keyboard
+        self.seats = Seats(keyboard)
         self._died = died
         self._closing = False
         self._server = uvicorn.Server(
             uvicorn.Config(
-                make_app(instruments, keyboard, token=token, host=host),
+                make_app(panel, self.seats, token=token, host=host),
                 ws="websockets-sansio",
                 ws_max_size=WORD_BYTES,
                 ws_ping_interval=PING,
@@ -151,11 +158,15 @@ async def _listen(page: WebSocket, seat: Seat) -> None:
         seat.hear(json.loads(message["text"]), time.monotonic())
 
 
-async def _tell(page: WebSocket, seat: Seat, seats: Seats, instruments: Instruments) -> None:
-    """Send the page the setting once and the newest reading again and again."""
-    await page.send_json({"setting": instruments.setting()})
+async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: Panel) -> None:
+    """Send the page the setting once, what is drawn of each trial, and the newest reading again and again."""
+    await page.send_json({"setting": panel.setting()})
+    trial = None
     while True:
-        reading = {**instruments.reading(), "drives": seat.drives, "watchers": seats.watchers}
+        reading = {**panel.reading(), "drives": seat.drives, "watchers": seats.watchers}
+        if reading["trial"] != trial:
+            trial = reading["trial"]
+            await page.send_json({"scenery": panel.scenery()})
         await page.send_text(json.dumps(reading, allow_nan=False))
         await asyncio.sleep(PERIOD)
 

@@ -30,7 +30,10 @@ class ModelledRobot(SimulatedRobot):
 
     def __init__(self, name: str, dynamics: Dynamics) -> None:
         if dynamics.system.motion is None:
-            raise IncompatibleSystem(f"model {name!r}: expected a system with a motion, which gives a pose, got none")
+            raise IncompatibleSystem(
+                f"model {name!r}: expected a system with a motion, which gives a pose, got none. Equations without a "
+                "pose become a robot by hardware.emulation.sensed_robot.SensedRobot"
+            )
         self.name = name
         self.dynamics: Dynamics = dynamics
         self.system = dynamics.system

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from hardware.emulation.examination import examine, sensors_finding
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
+from hardware.finding import Finding
 from hardware.loop.report import LoopReport, Reason
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
@@ -20,7 +21,7 @@ from hardware.recording.scripted import Recorded, prepared
 from sysid_evo.arrays import Array
 from sysid_evo.data.preparation import REACH, STENCIL
 from sysid_evo.data.raw import RawLog
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, clip_state
 from sysid_evo.progress import Progress
 
 NOISE_BLOCK = 1024  # fine steps of noise drawn at once
@@ -28,31 +29,42 @@ NOISE_BLOCK = 1024  # fine steps of noise drawn at once
 
 @dataclass(frozen=True)
 class Sensor:
-    """Reads a state with a normal error of standard deviation ``noise``, in whole steps of ``resolution``."""
+    """Reads a state with a normal error of deviation ``noise``, in whole steps of ``resolution``; 0 is none."""
 
-    noise: float
-    resolution: float
+    noise: float = 0.0
+    resolution: float = 0.0
+
+
+EXACT = Sensor()
+"""Reads a state as it is."""
 
 
 class SensedPhysics(Dynamics):
     """Physics in fine steps, and what is measured of them.
 
     ``sensors`` names the states that are measured, ``rates`` the state whose change per second each of the
-    others is: that one is estimated.
+    others is: that one is estimated. A state that is in neither is read as it is.
     """
 
-    sensors: ClassVar[Mapping[str, Sensor]]
-    rates: ClassVar[Mapping[str, str]]
+    sensors: ClassVar[Mapping[str, Sensor]] = {}
+    rates: ClassVar[Mapping[str, str]] = {}
 
-    @abstractmethod
     def let_go(self, rng: np.random.Generator) -> Array:
         """Return the state (nx,) in which a recording begins: at rest, or where somebody lets the robot go."""
+        return self.system.neutral_state.copy()
+
+    @property
+    def read(self) -> Mapping[str, Sensor]:
+        """The sensor of each state that is not estimated."""
+        return {name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.rates}
 
 
 class SensedRobot(SimulatedRobot):
     """A robot without a pose; its sensors are read at every fine step, controllers see every ``repeats``-th."""
 
-    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int) -> None:
+    stepped: ClassVar[bool] = True
+
+    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1) -> None:
         self.name = name
         self.physics = physics
         self.frame_period = physics.system.dt
@@ -61,6 +73,17 @@ class SensedRobot(SimulatedRobot):
 
     def connect(self, *, seed: int | None = None) -> SensedConnection:
         return SensedConnection(self.name, self.physics, seed=seed)
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say what the sensors read at rest, and what the equations do under each control."""
+        period, readings = self.frame_period, []
+        with self.connect(seed=seed) as connection:
+            for _ in range(max(2, round(seconds / period))):
+                connection.measure(period)
+                readings.append(connection.reading)
+        names, rates = tuple(self.physics.read), self.physics.rates
+        sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
+        return examine(self.dynamics, sensors, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         return excitation(self.system, duration=duration, rng=rng)
@@ -109,7 +132,7 @@ class SensedRobot(SimulatedRobot):
                     readings.append(connection.reading)
                     controls.append(control)
                     connection.measure(period)
-        measured = dict(zip(self.physics.sensors, np.array(readings).T, strict=True))
+        measured = dict(zip(self.physics.read, np.array(readings).T, strict=True))
         rates = {name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.rates.items()}
         time = period * np.arange(len(readings), dtype=np.float64)
         return RawLog(manoeuvre.name, time, np.empty((len(time), 0)), np.array(controls), {**measured, **rates})
@@ -148,19 +171,21 @@ class SensedConnection(SimulatedConnection):
         row = self.frame % NOISE_BLOCK
         if row == 0:
             self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
-        self._carry = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
+        stepped = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
+        self._carry, _ = clip_state(stepped, self._physics.envelope)
 
     def _look(self, time: float) -> Measurement:
         self.reading = self._read()
         return Measurement(time, time, self.frame, self.name, True, self.pose)
 
     def _read(self) -> Array:
-        system, sensors = self._physics.system, self._physics.sensors
+        system, sensors = self._physics.system, self._physics.read
         true = self._carry[0, [system.state_names.index(name) for name in sensors]]
         noise = np.array([sensor.noise for sensor in sensors.values()])
         step = np.array([sensor.resolution for sensor in sensors.values()])
-        read: Array = np.round((true + noise * self._errors.standard_normal(len(true))) / step) * step
-        return read
+        value = true + noise * self._errors.standard_normal(len(true))
+        whole: Array = np.where(step > 0.0, step, 1.0)
+        return np.where(step > 0.0, np.round(value / whole) * whole, value)
 
 
 def rate(values: Array, step: float) -> Array:

@@ -13,6 +13,7 @@ from hardware.arguments import number
 from hardware.environments.known import KNOWN
 from hardware.environments.spaces import ActionMap, ObservationMap, control_channels, named, observation_map
 from hardware.session import Session
+from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.system import System
@@ -27,7 +28,7 @@ LONGEST_SEED = 2**31
 class Environment:
     """The environment called ``id``, made with ``settings``, and what its numbers are.
 
-    One that is ``settable`` can be put into any state, as the classic ones can.
+    One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
     """
 
     id: str
@@ -54,7 +55,8 @@ class Environment:
                 states = named(what, channels, states)
             step = _dt(what, env) if dt is None else number(f"{what}: dt", dt, above=0.0)
             system = System(states, controls, step, name=name)
-            return cls(name, settings, system, observations, ActionMap(env.action_space, controls), known is not None)
+            settable = known is not None or _keeps_its_states(env, observations)
+            return cls(name, settings, system, observations, ActionMap(env.action_space, controls), settable)
         finally:
             env.close()
 
@@ -97,6 +99,19 @@ def make(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
         return gymnasium.make(name, disable_env_checker=True, **settings)
     except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
         raise InvalidArgument(f"robot gymnasium: no environment can be made of {name!r}: {error}") from error
+
+
+def _keeps_its_states(env: gymnasium.Env[Any, Any], observations: ObservationMap) -> bool:
+    """Whether its attribute ``state`` holds the states that it shows, so that it can be put into any."""
+    observation, _ = env.reset(seed=0)
+    kept: Any = getattr(env.unwrapped, "state", None)
+    shown = observations.state(observation)
+    if kept is None or np.shape(kept) != shown.shape:
+        return False
+    off = np.asarray(kept, dtype=np.float64) - shown
+    for place in observations.wrapped:
+        off[place] = wrap(off[place], TURN)
+    return bool(np.allclose(off, 0.0, atol=1e-5))
 
 
 def _dt(what: str, env: gymnasium.Env[Any, Any]) -> float:

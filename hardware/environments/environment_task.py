@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from hardware.environments.asked import Asked
 from hardware.environments.environment import LONGEST_SEED, make
 from hardware.environments.kernels import rewards
-from hardware.environments.known import KNOWN, KnownEnvironment
+from hardware.environments.known import KNOWN
 from sysid_evo.arrays import Array, BoolArray, Seeds
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.errors import IncompatibleTask, InvalidArgument, UnknownName
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from sysid_evo.engine.compiled.kernel import TaskKernel
 
@@ -28,13 +30,15 @@ if TYPE_CHECKING:
 class Rules:
     """The reward of a step and when it is the last, see `rewards`.
 
-    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up.
+    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up. ``most``
+    is the highest reward of a step, if every step can bring it.
     """
 
     reward: Callable[..., float]
     over: Callable[..., float]
     least: float
     horizon: int
+    most: float = np.inf
 
 
 SWING = Rules(rewards.pendulum, rewards.never, -(np.pi**2 + 0.1 * rewards.FASTEST_SWING**2 + 0.001 * 4.0), 200)
@@ -42,8 +46,8 @@ CLIMB = Rules(rewards.continuous_hill, rewards.on_continuous_hill, -0.1, 999)
 
 RULES: Mapping[str, Rules] = {
     "Pendulum-v1": SWING,
-    "CartPole-v0": Rules(rewards.one, rewards.fallen, 0.0, 200),
-    "CartPole-v1": Rules(rewards.one, rewards.fallen, 0.0, 500),
+    "CartPole-v0": Rules(rewards.one, rewards.fallen, 0.0, 200, most=1.0),
+    "CartPole-v1": Rules(rewards.one, rewards.fallen, 0.0, 500, most=1.0),
     "MountainCar-v0": Rules(rewards.hill, rewards.on_hill, -1.0, 200),
     "MountainCarContinuous-v0": CLIMB,
     "Acrobot-v1": Rules(rewards.acrobot, rewards.raised, -1.0, 500),
@@ -60,29 +64,51 @@ class Earned(TaskState):
 
 @register_task("environment")
 class EnvironmentTask(Task):
-    """Fitness is the sum of the rewards of the classic environment ``id``, as it gives them itself.
+    """Fitness is the sum of the rewards of the environment ``id``, as it gives them itself.
 
     A trial begins where the environment begins an episode with the trial's seed. It is over where the environment
     ends it, or after ``horizon`` steps, by default those of the environment. The controller is shown a constant 1, then
     every state: of an angle the sine and the cosine, of any other the distance from rest in units of its scale.
-    Raises `UnknownName` for an environment whose reward is not known here.
+    The rewards of the classic environments are known as functions and compiled. Any other is put into each state and
+    asked, which takes some hundred times as long; its attribute ``state`` must hold all that it depends on, in
+    the order of its states. What it rewards below ``least`` counts as that; by default a little less than what
+    random steps showed. Raises `IncompatibleTask` for one that cannot be asked, `InvalidArgument`.
     """
 
     fitness_unit = "reward"
 
-    def __init__(self, *, id: str = "Pendulum-v1", horizon: int | None = None) -> None:  # noqa: A002  # as the robot
-        if id not in RULES:
-            raise UnknownName(
-                f"task environment: the reward of {id!r} is not known as a function of states and controls; known: "
-                f"{', '.join(RULES)}. Give yours to the task reward"
-            )
-        self.id, self.rules, self.known = id, RULES[id], KNOWN[id]
-        self.horizon = self.rules.horizon if horizon is None else horizon
+    def __init__(
+        self,
+        *,
+        id: str = "Pendulum-v1",  # noqa: A002  # as the robot
+        horizon: int | None = None,
+        least: float | None = None,
+    ) -> None:
+        self.id, self.rules, self.known = id, RULES.get(id), KNOWN.get(id)
+        self.asked = None if self.rules is not None else Asked.of(id)
+        found = self.rules or self.asked
+        assert found is not None
+        if self.asked is not None and least is not None:
+            self.asked = found = replace(self.asked, least=least)
+        elif least is not None:
+            raise InvalidArgument(f"task environment: the least reward of {id} is known, {found.least:g}")
+        self.horizon = found.horizon if horizon is None else horizon
         if self.horizon < 1:
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
-        self.worst = self.rules.least * self.horizon
+        self.worst = min(0.0, found.least) * self.horizon
+
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """How far each state goes."""
+        if self.known is not None:
+            return self.known.scale
+        assert self.asked is not None
+        return self.asked.scale
 
     def check_system(self, system: System) -> None:
+        if self.known is None:
+            self._check_sizes(system)
+            return
         for what, own, its in (
             ("states", self.known.states, system.state_names),
             ("controls", self.known.controls, system.control_names),
@@ -93,6 +119,16 @@ class EnvironmentTask(Task):
                     f"the task of {self.id} needs the {what} {', '.join(names)}; "
                     f"{system.name or 'this system'} has {', '.join(its) or 'none'}"
                 )
+
+    def _check_sizes(self, system: System) -> None:
+        assert self.asked is not None
+        n, controls = len(self.asked.scale), self.asked.controls
+        if system.nx != n or _size(system.controls) != _size(controls):
+            raise IncompatibleTask(
+                f"the task of {self.id} needs {n} states, those in which the environment keeps itself, and its own "
+                f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
+                f"controls {', '.join(system.control_names) or 'none'}"
+            )
 
     def bind(self, system: System) -> EnvironmentTask:
         bound = super().bind(system)
@@ -112,12 +148,22 @@ class EnvironmentTask(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         columns = [np.ones(len(state))]
-        for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.known.scale, strict=True)):
+        for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.scale, strict=True)):
             if i in self.system.periods:
                 columns += [np.sin(state[:, i]), np.cos(state[:, i])]
             else:
                 columns.append((state[:, i] - centre) / scale)
         return np.stack(columns, axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        found: dict[str, str] = {}
+        for channel, scale in zip(self.system.states, self.scale, strict=True):
+            if channel.period:
+                found |= {f"sin {channel.name}": f"sin({channel.name})", f"cos {channel.name}": f"cos({channel.name})"}
+            else:
+                off = f"({channel.name} - {channel.neutral:.10g})" if channel.neutral else channel.name
+                found[channel.name] = f"{off} / {scale:.10g}"
+        return found
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
@@ -129,14 +175,16 @@ class EnvironmentTask(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("Earned", task_state).earned
 
-    def kernel(self) -> TaskKernel:
+    def kernel(self) -> TaskKernel | None:
+        if self.rules is None:
+            return None
         from hardware.environments.kernels import task
         from sysid_evo.engine.compiled.dialect import KernelSource
         from sysid_evo.engine.compiled.kernel import TaskKernel
 
         states = [
             task.STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)
-            for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.known.scale, strict=True))
+            for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.scale, strict=True))
         ]
         return TaskKernel(
             observe=KernelSource(task.observe),
@@ -150,6 +198,9 @@ class EnvironmentTask(Task):
 
     def _judged(self, before: Array, control: Array, after: Array) -> tuple[Array, BoolArray]:
         """Return the rewards of a step (B,), and whether it was the last."""
+        if self.rules is None:
+            assert self.asked is not None
+            return self.asked.judge(before, control, self.system.controls)
         reward, over = np.zeros(len(after)), np.zeros(len(after), dtype=bool)
         for first in range(0, len(after), LANES):
             part = slice(first, first + LANES)
@@ -158,6 +209,11 @@ class EnvironmentTask(Task):
                 reward[first + lane] = self.rules.reward(*rows, lane)
                 over[first + lane] = self.rules.over(rows[2], lane) > 0.0
         return reward, over
+
+
+def _size(channels: tuple[Channel, ...]) -> list[tuple[float, ...]]:
+    """Return what counts of controls whose names are not known."""
+    return [channel.levels or (channel.low, channel.high) for channel in channels]
 
 
 def _lanes(values: Array) -> list[float]:
@@ -170,13 +226,13 @@ def _lanes(values: Array) -> list[float]:
 
 @lru_cache(maxsize=16)
 def starts(name: str, seeds: tuple[int, ...]) -> Array:
-    """Return the state (E, nx) in which the classic environment ``name`` begins with each of the seeds; read-only."""
-    known: KnownEnvironment = KNOWN[name]
+    """Return the state (E, nx) in which the environment ``name`` begins with each of the seeds; read-only."""
     env = make(name, {})
-    states = np.zeros((len(seeds), len(known.states)))
-    for row, seed in zip(states, seeds, strict=True):
+    begun = []
+    for seed in seeds:
         env.reset(seed=seed % LONGEST_SEED)
-        row[:] = vars(env.unwrapped)["state"]  # every classic environment keeps one
+        begun.append(np.array(vars(env.unwrapped)["state"], dtype=np.float64))  # every one that can be asked keeps one
     env.close()
+    states = np.array(begun)
     states.flags.writeable = False
     return states

@@ -19,6 +19,7 @@ from sysid_evo.registry import register_robot
 if TYPE_CHECKING:
     import numpy as np
 
+    from hardware.finding import Finding
     from hardware.loop.stops import Stops
     from hardware.recording.excitation import Manoeuvre
     from hardware.recording.scripted import Recorded
@@ -68,6 +69,12 @@ class GymnasiumRobot(Robot):
 
     def runner(self) -> EnvironmentRunner:
         return EnvironmentRunner(self.environment)
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say what its spaces became, and how its episodes go under random controls for ``seconds`` of its own time."""
+        from hardware.environments.examination import examine
+
+        return examine(self.environment, seconds=seconds, seed=seed or 0, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""

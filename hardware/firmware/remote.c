@@ -8,6 +8,9 @@
 #include <util/atomic.h>
 
 #include "rcb.h"
+#ifdef ONBOARD
+#include "onboard.h"
+#endif
 
 enum { FIRMWARE_BUILD = 1 };
 enum { BAUD_DIVIDER = F_CPU / 8 / 115200 - 1 }; /* double speed: 2.1 % off at 16 MHz, which the receiver tolerates */
@@ -85,6 +88,9 @@ int main(void) {
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
 
     rcb_init(&core, FIRMWARE_BUILD, reset_cause, count_boot());
+#ifdef ONBOARD
+    onboard_init();
+#endif
     sei();
     for (;;) {
         if (received_begin != received_end) {
@@ -92,7 +98,11 @@ int main(void) {
             received_begin = (uint8_t)((received_begin + 1) % RECEIVED_SIZE);
         }
         rcb_tick(&core, now());
+#ifdef ONBOARD
+        write_pins(onboard_buttons(&core, now()));
+#else
         write_pins(rcb_buttons(&core));
+#endif
         uint8_t byte;
         if ((UCSR0A & _BV(UDRE0)) && rcb_transmit(&core, &byte, 1) == 1) {
             UDR0 = byte;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ class RobotRunner:
 
     The task's origin is where the robot stands at the first trial, or that of the tracker
     (``tracker_frame``). ``seed`` fixes what an emulated robot draws. A fault ends the session: the
-    trial under way and those after it are missing, never scored.
+    trial under way and those after it are missing, never scored. ``told`` is called after every decision.
     """
 
     robot: Robot
@@ -37,6 +37,7 @@ class RobotRunner:
     listeners: Sequence[Listener] = ()
     stops: Stops = field(default_factory=Stops)
     progress: Progress | None = None
+    told: Callable[[TrialSeries], None] | None = None
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
@@ -53,7 +54,7 @@ class RobotRunner:
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument("robot: expected at least one candidate and one trial seed, got none")
         origin = np.zeros(self.robot.system.n_pose) if self.tracker_frame else None
-        series = TrialSeries(controller, parameters, task, seeds, origin=origin, progress=self.progress)
+        series = TrialSeries(controller, parameters, task, seeds, origin=origin, progress=self.progress, told=self.told)
         with self.robot.connect(seed=self.seed) as connection:
             loop = ControlLoop(connection, self.robot.system, listeners=self.listeners, stops=self.stops)
             report = loop.run(series)

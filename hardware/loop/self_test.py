@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from hardware.connection import Connection
+from hardware.connection import Connectable, Connection
+from hardware.finding import Finding
 from hardware.listener import Listener, RobotStatus
 from hardware.loop.control_loop import STALE, ControlLoop
 from hardware.loop.delay import estimator_delays
@@ -17,7 +16,6 @@ from hardware.loop.pilot import Estimate, Pilot
 from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
-from hardware.robot import Robot
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
 from sysid_evo.system import System
@@ -27,18 +25,8 @@ STILL_DISTANCE = 0.02  # m and
 STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
-
-    what: str
-    ok: bool
-    sentence: str
-    figures: Mapping[str, float] = field(default_factory=dict)
-
-
 def self_test(
-    robot: Robot, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
+    robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
 ) -> tuple[Finding, ...]:
     """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
 

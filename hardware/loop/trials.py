@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -76,7 +77,8 @@ class TrialSeries(Pilot):
 
     Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
     task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
-    controller's output is not a number, neither is the control, and the loop ends the run.
+    controller's output is not a number, neither is the control, and the loop ends the run. ``told`` is called with
+    this after every decision. ``states`` holds where the trials of each candidate stand, ``tapes`` what happened.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class TrialSeries(Pilot):
         *,
         origin: Array | None = None,
         progress: Progress | None = None,
+        told: Callable[[TrialSeries], None] | None = None,
     ) -> None:
         self.controller = controller
         self.parameters = parameters
@@ -99,8 +102,9 @@ class TrialSeries(Pilot):
         self.finished = 0
         self.tapes: list[Tape] = []
         self._progress = progress
+        self._told = told
         began = task.begin(seeds)
-        self._states = [began for _ in parameters]
+        self.states = [began for _ in parameters]
         self._noise = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
         self._memory = np.zeros((len(parameters), len(seeds), controller.n_memory))
         self._began: int | None = None
@@ -112,6 +116,12 @@ class TrialSeries(Pilot):
         return len(self.parameters) * len(self.seeds)
 
     def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        control = self._decide(tick, estimate)
+        if self._told is not None:
+            self._told(self)
+        return control
+
+    def _decide(self, tick: int, estimate: Estimate) -> Array | None:
         if self._began is None:
             if not self._rest.at_rest(estimate):
                 if (tick - self._waiting_since) * self.system.dt > REST_LIMIT:
@@ -138,7 +148,7 @@ class TrialSeries(Pilot):
         trial, candidate = divmod(self.finished, len(self.parameters))
         task, tape = self.task, self.tapes[-1]
         state, pose = estimate.state, self._in_arena(estimate.pose)
-        here = self._states[candidate]
+        here = self.states[candidate]
         only = np.arange(len(self.seeds)) == trial
         if not tape.ticks:
             here = replace(here, pose=np.where(only[:, None], pose, here.pose))
@@ -148,7 +158,7 @@ class TrialSeries(Pilot):
             )
             moved, _ = task.advance(here, before, after, control=control, pose=seen)
             here = here.keep(moved, only)
-        self._states[candidate] = here
+        self.states[candidate] = here
         tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
             return None
@@ -172,7 +182,7 @@ class TrialSeries(Pilot):
         """Return the trials that every candidate finished; the others are missing for the reason given."""
         candidates = len(self.parameters)
         done = self.finished // candidates
-        fitness = np.stack([self.task.fitness(state)[:done] for state in self._states])
+        fitness = np.stack([self.task.fitness(state)[:done] for state in self.states])
         tapes = [self.tapes[trial * candidates + c] for c in range(candidates) for trial in range(done)]
         steps = np.array([tape.ticks[-1] for tape in tapes], dtype=np.int64).reshape(candidates, done)
         names = [f"candidate-{c}-trial-{trial}" for c in range(candidates) for trial in range(done)]
@@ -180,7 +190,7 @@ class TrialSeries(Pilot):
             fitness=fitness,
             survived=steps,
             clipped=np.zeros_like(steps),
-            task_state=_joined(self._states, done),
+            task_state=_joined(self.states, done),
             engine=ENGINE,
             trajectories=tuple(
                 tape.trajectory(self.system.dt, name) for tape, name in zip(tapes, names, strict=True) if tape.controls

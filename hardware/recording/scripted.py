@@ -25,8 +25,9 @@ from hardware.recording.recorder import Recorder
 from hardware.trackers.gates import GateLimits
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.data.preparation import Prepared, prepare, said_once
+from sysid_evo.data.preparation import Prepared, said_once
 from sysid_evo.data.raw import RawLog
+from sysid_evo.data.sampled import episodes_of
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import Progress
@@ -176,7 +177,7 @@ def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
     left_out: list[str] = []
     for log in logs:
         try:
-            made.append(prepare(log, system))
+            made.append(episodes_of(log, system))
         except InvalidData as error:
             left_out.append(f"left out: {error}")
     episodes = [episode for one in made for episode in one.episodes]

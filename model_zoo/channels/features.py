@@ -1,4 +1,4 @@
-"""The inputs of a regression: periodic states as sine and cosine, and functions of single channels."""
+"""What families see of states and controls: periodic states as sine and cosine, and functions of single channels."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.lags import CarryLayout
@@ -27,7 +29,7 @@ FUNCTIONS: dict[str, Callable[[Array], Array]] = {
 
 @dataclass(frozen=True)
 class Features:
-    """What a regression sees of (carry, control).
+    """What a regression or a network sees of (carry, control).
 
     States, earlier states, earlier controls, the control, then ``functions`` of the present state or
     control, such as ``abs(speed)``. A periodic state stands as its sine and cosine, so that equal angles are equal.
@@ -52,18 +54,39 @@ class Features:
         """Whether the features are (carry, control) as they are, which is what compiled forms read."""
         return not self.functions and not self.system.periods
 
+    @property
+    def n_carry(self) -> int:
+        """How many of the features stand for the carry; they come first."""
+        return len(self.system.regressor_names) * (1 + self.lags[0]) + self.system.nu * self.lags[1]
+
     def __call__(self, carry: Array, control: Array) -> Array:
-        """Return the features (B, n) of carries (B, n_carry) and controls (B, nu)."""
-        if self.plain:
-            return np.concatenate([carry, control], axis=1)
-        system, past = self.system, self._layout.earlier_controls.start
-        states = carry[:, :past].reshape(len(carry), -1, system.nx)
-        parts = [system.regressors(states).reshape(len(carry), -1), carry[:, past:], control]
-        present = np.concatenate([carry[:, : system.nx], control], axis=1)
-        for name, channel in map(_parts, self.functions):
-            place = (*system.state_names, *system.control_names).index(channel)
-            parts.append(FUNCTIONS[name](present[:, place : place + 1]))
-        return np.concatenate(parts, axis=1)
+        """Return the features (..., n) of carries (..., n_carry) and controls (..., nu)."""
+        parts = self.parts(carry, control)
+        if self.functions:
+            system = self.system
+            present = np.concatenate([carry[..., : system.nx], control], axis=-1)
+            for name, channel in map(_parts, self.functions):
+                place = (*system.state_names, *system.control_names).index(channel)
+                parts.append(FUNCTIONS[name](present[..., place : place + 1]))
+        return np.concatenate(parts, axis=-1)
+
+    def parts(self, carry: Any, control: Any, sin: Any = np.sin, cos: Any = np.cos) -> list[Any]:
+        """Return the features without functions as parts, to be joined along the last axis.
+
+        Of arrays, or of tensors with torch's ``sin`` and ``cos``.
+        """
+        periods, nx, past = self.system.periods, self.system.nx, self._layout.earlier_controls.start
+        if not periods:
+            return [carry, control]
+        columns = []
+        for place in range(past):
+            column = carry[..., place : place + 1]
+            if place % nx in periods:
+                angle = TURN / periods[place % nx] * column
+                columns += [sin(angle), cos(angle)]
+            else:
+                columns.append(column)
+        return [*columns, carry[..., past:], control]
 
     @cached_property
     def names(self) -> list[str]:
@@ -79,13 +102,6 @@ class Features:
         of = {c.name: c.unit for c in (*system.states, *system.controls)}
         functions = [of[channel] if name == "abs" else "" for name, channel in map(_parts, self.functions)]
         return [*self._layout.each_input(of_states, [c.unit for c in system.controls]), *functions]
-
-    def anchor(self, state: Array) -> Array:
-        """Return periodic states (B, nx) as they are and 0 for the others: to what a prediction is added."""
-        anchor = np.zeros_like(state)
-        for i in self.system.periods:
-            anchor[:, i] = state[:, i]
-        return anchor
 
     @property
     def _layout(self) -> CarryLayout:

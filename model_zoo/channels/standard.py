@@ -17,10 +17,14 @@ CONSTANT = 1e-12
 
 @dataclass(frozen=True)
 class Standard:
-    """Centre and deviation of states and controls, and the RMS ``change`` of each state in one step."""
+    """Deviation of states, centre and deviation of what is seen of them and of controls, RMS ``change`` in one step.
 
-    state_centre: Array
+    Of a periodic state sine and cosine are seen (`Features`).
+    """
+
     state_scale: Array
+    seen_centre: Array
+    seen_scale: Array
     control_centre: Array
     control_scale: Array
     change: Array
@@ -31,25 +35,28 @@ class Standard:
         windows = dataset.windows(1, moving=True)
         if not len(windows):
             windows = dataset.windows(1)
-        states, controls = windows.start_states, windows.controls[:, 0]
-        change = dataset.system.acceleration(states, windows.states[:, 0]) * dataset.system.dt
-        state_centre, control_centre = states.mean(axis=0), controls.mean(axis=0)
+        system, states, controls = dataset.system, windows.start_states, windows.controls[:, 0]
+        change = system.acceleration(states, windows.states[:, 0]) * system.dt
+        seen = system.regressors(states) if system.periods else states
+        seen_centre, control_centre = seen.mean(axis=0), controls.mean(axis=0)
         if mirror is not None:
-            state_centre = np.where(mirror.states < 0, 0.0, state_centre)
+            signs = np.repeat(mirror.states, [2 if i in system.periods else 1 for i in range(system.nx)])
+            seen_centre = np.where(signs < 0, 0.0, seen_centre)
             control_centre = np.where(mirror.controls < 0, 0.0, control_centre)
         return cls(
-            state_centre,
-            deviation(states),
+            positive(system.spread(states)) if system.periods else deviation(states),
+            seen_centre,
+            deviation(seen),
             control_centre,
             deviation(controls),
             root_mean_square(change),
         )
 
     def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:
-        """Return centre and scale of (carry, control)."""
+        """Return centre and scale of what is seen of (carry, control)."""
         return (
-            np.array(layout.each_input(self.state_centre, self.control_centre)),
-            np.array(layout.each_input(self.state_scale, self.control_scale)),
+            np.array(layout.each_input(self.seen_centre, self.control_centre)),
+            np.array(layout.each_input(self.seen_scale, self.control_scale)),
         )
 
 

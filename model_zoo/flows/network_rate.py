@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from model_zoo.channels.features import Features
 from model_zoo.flows.runge_kutta import rk4
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, trials
@@ -29,6 +30,8 @@ QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
 class NetworkRate(DynamicsModel):
     """A family with dx/dt = network(carry, control) + `known_rate` + rotation of the frame.
 
+    Of a periodic state the network sees sine and cosine.
+
     ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
     measured states (multiple shooting); the weights that simulate held-out blocks of time best over
     one second are kept (early stopping). ``initial`` physical parameters of the known part are trained
@@ -36,6 +39,7 @@ class NetworkRate(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    periodic = True
     resumable = True
     requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {
@@ -100,7 +104,7 @@ class NetworkRate(DynamicsModel):
 
     @property
     def network(self) -> Network:
-        """Raw (carry, control) to the learned part of dx/dt."""
+        """Features of (carry, control) to the learned part of dx/dt."""
         return Network(self.weights_, self.biases_)
 
     def known_predictor(self) -> Predictor | None:
@@ -108,19 +112,28 @@ class NetworkRate(DynamicsModel):
         return None
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import added, network_predictor, runge_kutta_predictor, turning_frame
+        from sysid_evo.engine.kernels import (
+            added,
+            network_predictor,
+            runge_kutta_predictor,
+            turning_frame,
+            with_angles,
+        )
 
-        learned = network_predictor(self.network.members()[:1], self.n_carry, self.system.nu)
+        seen = Features(self.system, self.lags).n_carry
+        network = network_predictor(self.network.members()[:1], seen, self.system.nu)
+        learned = with_angles(network, self.system, self.lags)
         known = self.known_predictor()
         rate = turning_frame(learned if known is None else added(learned, known, self.system.nx), self.system)
         return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        system, network = self.system, self.network
-        held = np.concatenate([carry[:, system.nx :], control], axis=1)
+        system, network, features = self.system, self.network, Features(self.system, self.lags)
+        held = carry[:, system.nx :]
 
         def rate(state: Array) -> Array:
-            learned = network(np.concatenate([state, held], axis=1))[0] + system.turning(state)
+            seen = features(np.concatenate([state, held], axis=1), control)
+            learned = network(seen)[0] + system.turning(state)
             known = self.known_rate(state, control)
             return learned if known is None else learned + known
 

@@ -38,11 +38,12 @@ class Flow(StandardisedModel):
 
     def step(self, carry: Tensor, control: Tensor) -> Tensor:
         nx = self.system.nx
-        held = torch.cat([carry[..., nx:], control], dim=2)
+        held = carry[..., nx:]
         network = self.parameters if self.physics is None else self.parameters[:-1]
 
         def rate(_: Tensor, state: Tensor) -> Tensor:
-            result = forward_pass(network, self.inputs(state, held)) * self.rates
+            seen = self.inputs(torch.cat([state, held], dim=2), control)
+            result = forward_pass(network, seen) * self.rates
             if self.physics is not None:
                 result = result + self.physics(state, control, torch.exp(self.parameters[-1][0, 0]))
             return self.motion.turned(state, result)
@@ -54,7 +55,7 @@ class Flow(StandardisedModel):
 
 @dataclass(frozen=True)
 class FittedFlow:
-    """The network of raw (carry, control) to rates, the physical parameters, and the validation error."""
+    """The network of features of (carry, control) to rates, the physical parameters, and the validation error."""
 
     network: Network
     physical: Array

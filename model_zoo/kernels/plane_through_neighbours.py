@@ -22,19 +22,18 @@ FIRST = 2
 
 
 def plane_predictor(
-    points: Array, values: Array, metric: Array, limits: Array, *, count: int, ridge: float, n_carry: int
+    points: Array, values: Array, metric: Array, *, count: int, ridge: float, n_carry: int
 ) -> Predictor:
-    """Return a predictor of the state within ``limits`` plus the value of the plane through ``count`` neighbours.
+    """Return a predictor of the value of the plane through ``count`` neighbours.
 
     ``points`` (N, n) are (carry, control) times ``metric`` (n,), ``values`` (N, n_out) what the state
-    changed by, ``limits`` (2, n_out) the range of the state.
+    changed by there.
     """
     n, n_out = len(metric), values.shape[1]
     boxes, near, value = packed(points, values, split(points, np.arange(len(points))))
     groups = boxes.shape[2] // BUCKET
     flat = HEAD.pack(
         metric,
-        limits,
         boxes,
         near,
         value,
@@ -51,12 +50,11 @@ def plane_predictor(
 
 
 def plane_through_neighbours(x, u, p, y, scratch):
-    """Write the next state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
+    """Write the change of the state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
     n_carry, n_control, n_out = int(p[HEAD.n_carry]), int(p[HEAD.n_control]), int(p[HEAD.n_out])
     count, groups = int(p[HEAD.count]), int(p[HEAD.groups])
     n = n_carry + n_control
-    metric, limits = view(p, HEAD.size), view(p, HEAD.size + n)
-    boxes = view(limits, 2 * n_out)
+    metric, boxes = view(p, HEAD.size), view(p, HEAD.size + n)
     near = view(boxes, 2 * n * groups * BUCKET)
     values = view(near, n * groups * BUCKET * BUCKET)
     query, square, found = scratch, view(scratch, n), view(scratch, n + count)
@@ -88,10 +86,7 @@ def plane_through_neighbours(x, u, p, y, scratch):
         plane(nearness, offset, target, n, n_out, count, p[HEAD.ridge], work)
         for row in range(n_out):
             within(view(target, row * QUARTER), count, n_out, view(work, row * QUARTER))
-            add_inside(
-                view(x, row * LANES + first), limits[row], limits[n_out + row], view(work, row * QUARTER),
-                view(y, row * LANES + first),
-            )  # fmt: skip
+            store(view(y, row * LANES + first), 0, load_quarter(work, row * QUARTER))
 
 
 def scale(row, factor, scaled):
@@ -258,12 +253,6 @@ def within(target, count, stride, value):
     here = load_quarter(value, 0)
     here = where_less(here, low, low, here)
     store(value, 0, where_less(high, here, high, here))
-
-
-def add_inside(state, low, high, change, after):
-    """Write the state, taken back into the training range, plus its change."""
-    for lane in range(QUARTER):
-        after[lane] = min(max(state[lane], low), high) + change[lane]
 
 
 def box_distance(value, sides, bound, groups, side):

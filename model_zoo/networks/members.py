@@ -75,7 +75,7 @@ def train_members(
 ) -> tuple[Network, Array]:
     """Train ``members`` networks, each on the blocks of time that are left when its own are held out.
 
-    Returns networks of raw (carry, control) that give accelerations, and each member's validation error (M,).
+    Returns networks of features of (carry, control) that give accelerations, and each member's validation error (M,).
     """
     model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=trainings.rng)
     splits = [time_blocks(dataset, member, folds) for member in range(members)]

@@ -1,4 +1,4 @@
-"""Networks of standardised (carry, control) as a differentiable model, trained on all but held-out blocks of time."""
+"""Networks of standardised features as a differentiable model, trained on all but held-out blocks of time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.channels.standard import Standard
 from model_zoo.networks.multistep import Plan, Shots, TorchModel, as_tensors, judged, single, train
@@ -21,7 +22,7 @@ from sysid_evo.motion.torch_form import torch_motion
 
 
 class StandardisedModel(TorchModel):
-    """``members`` random networks with ``further`` inputs beside (carry, control), and what standardises these.
+    """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
 
     The last layer gives nx numbers in units of ``change``, each state's RMS change in one step, or of ``rates``,
     that per second.
@@ -40,6 +41,7 @@ class StandardisedModel(TorchModel):
     ) -> None:
         self.system = dataset.system
         self.motion = torch_motion(self.system)
+        self.features = Features(self.system, lags)
         self.layout = CarryLayout(self.system.nx, self.system.nu, *lags)
         self.standard = Standard.of(dataset, mirror)
         self.centre, self.scale = self.standard.of_inputs(self.layout)
@@ -49,8 +51,9 @@ class StandardisedModel(TorchModel):
         self.parameters = as_tensors(random_network(sizes, members, rng))
 
     def inputs(self, carry: Tensor, control: Tensor) -> Tensor:
-        """Return (carry, control), standardised."""
-        return (torch.cat([carry, control], dim=2) - self._centre) / self._scale
+        """Return the features of (carry, control), standardised."""
+        seen = torch.cat(self.features.parts(carry, control, torch.sin, torch.cos), dim=2)
+        return (seen - self._centre) / self._scale
 
     def moved(self, carry: Tensor, control: Tensor, after: Tensor) -> Tensor:
         """Return the carry whose newest state is ``after``."""

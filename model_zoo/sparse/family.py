@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from model_zoo.channels.features import Features
+from model_zoo.channels.integrals import between_limits, integrals, next_state, next_state_predictor
 from model_zoo.sparse.polynomial import equation, evaluate
-from sysid_evo.arrays import Array, IntArray
+from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.system import System
@@ -20,26 +21,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Regression:
-    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx)."""
+    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx).
+
+    ``added`` (nx,) says of which states the targets are changes.
+    """
 
     regressors: Array
     targets: Array
     measured: Array
     states: Array
+    added: BoolArray
 
     def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows])
+        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows], self.added)
 
 
 class PolynomialFamily(DynamicsModel):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
-    The polynomial is the next state, or the change of a periodic one; a differential equation says so in its own
-    `regression`, `left_sides`, `next_state` and `anchored`. With functions there is no compiled form.
+    The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
+    in its own `regression`, `left_sides`, `next_state` and `predictor`. With functions there is no compiled form.
     """
 
     periodic = True
-    anchored: ClassVar[bool] = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
         """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
@@ -53,9 +57,10 @@ class PolynomialFamily(DynamicsModel):
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         """Return what the polynomial is fitted to."""
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
-        features = self.features_of(dataset.system, lags)
+        features, added = self.features_of(dataset.system, lags), integrals(dataset)
         seen = features(data.carry, data.control)
-        return Regression(seen, data.after - features.anchor(data.state), seen, data.state)
+        found = Regression(seen, data.after - np.where(added, data.state, 0.0), seen, data.state, added)
+        return found[np.flatnonzero(between_limits(dataset.system, data.after))]
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
@@ -64,6 +69,7 @@ class PolynomialFamily(DynamicsModel):
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
         self.exponents_ = np.ascontiguousarray(exponents[used])
         self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
+        self.added_ = data.added.astype(np.float64)
 
     def polynomial(self, carry: Array, control: Array) -> Array:
         """Return the right-hand side (B, nx), its features clipped to the training range."""
@@ -71,9 +77,14 @@ class PolynomialFamily(DynamicsModel):
         return evaluate(inputs, self.exponents_) @ self.coefficients_
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        return self.features.anchor(carry[:, : self.system.nx]) + self.polynomial(carry, control)
+        return next_state(self.added_, carry[:, : self.system.nx], self.polynomial(carry, control))
 
     def predictor(self) -> Predictor | None:
+        right_side = self.right_side()
+        return None if right_side is None else next_state_predictor(self.added_, right_side)
+
+    def right_side(self) -> Predictor | None:
+        """Return the compiled form of the polynomial of the clipped features."""
         from sysid_evo.engine.kernels import polynomial_predictor, with_angles, within
 
         if self.features.functions:
@@ -81,11 +92,12 @@ class PolynomialFamily(DynamicsModel):
         seen = len(self.features.names) - self.system.nu
         sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
         clipped = within(sums, self.low_, self.high_, seen)
-        return with_angles(clipped, self.system, self.lags, anchored=self.anchored)
+        return with_angles(clipped, self.system, self.lags)
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
-        return [(f"{c.name}[+1]" + (f" - {c.name}" if c.period else ""), c.unit) for c in self.system.states]
+        pairs = zip(self.system.states, self.added_, strict=True)
+        return [(f"{c.name}[+1]" + (f" - {c.name}" if added else ""), c.unit) for c, added in pairs]
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from model_zoo.channels.integrals import between_limits, integrals
 from model_zoo.flows.runge_kutta import rk4
 from model_zoo.sparse.family import Regression
 from model_zoo.sparse.regression import SparsePolynomial
@@ -20,10 +21,8 @@ class ContinuousSparse(SparsePolynomial):
     """A sparse differential equation: what `Sindy` and its bagged form share.
 
     What a state has beyond the training range decays with the time constant dt, so that a
-    polynomial that pushes outwards there cannot run away.
+    polynomial that pushes outwards there cannot run away. Integrals run on.
     """
-
-    anchored = False
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         system = dataset.system
@@ -32,13 +31,14 @@ class ContinuousSparse(SparsePolynomial):
         rate = (data.after - data.state) / system.dt - system.turning(middle)
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
         features = self.features_of(system, lags)
-        return Regression(features(carry, data.control), rate, features(data.carry, data.control), data.state)
+        seen, measured = features(carry, data.control), features(data.carry, data.control)
+        found = Regression(seen, rate, measured, data.state, integrals(dataset))
+        return found[np.flatnonzero(between_limits(system, data.after))]
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         super().adopt(data, coefficients, exponents)
-        self.state_range_ = np.stack([data.states.min(axis=0), data.states.max(axis=0)])
-        for i in self.system.periods:
-            self.state_range_[:, i] = -np.inf, np.inf
+        seen = np.stack([data.states.min(axis=0), data.states.max(axis=0)])
+        self.state_range_ = np.where(data.added, [[-np.inf], [np.inf]], seen)
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
@@ -46,7 +46,7 @@ class ContinuousSparse(SparsePolynomial):
     def predictor(self) -> Predictor | None:
         from sysid_evo.engine.kernels import runge_kutta_predictor, turning_frame
 
-        polynomial = super().predictor()
+        polynomial = self.right_side()
         if polynomial is None:
             return None
         rate = turning_frame(polynomial, self.system, low=self.state_range_[0], high=self.state_range_[1])

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from itertools import combinations_with_replacement
 
 import numpy as np
 
 from model_zoo.sparse.units import quotient
 from sysid_evo.arrays import Array, IntArray
+
+DEGREES = (2, 3)
+"""What is tried where the degree is left open."""
+MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
+"""Terms of the largest library that is tried, by how many lags are."""
+
+
+def library_size(n_inputs: int, degree: int) -> int:
+    """Return how many monomials up to ``degree`` there are."""
+    return math.comb(n_inputs + degree, degree)
 
 
 def monomials(n_inputs: int, degree: int) -> IntArray:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from itertools import product
-from typing import ClassVar, Self, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import root_mean_square
 from model_zoo.sparse.family import PolynomialFamily, Regression
+from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, library_size
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
@@ -21,9 +21,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 
-DEGREES = (2, 3)
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
-MOST_TERMS = 250
 
 
 def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
@@ -61,13 +59,15 @@ class SparsePolynomial(PolynomialFamily):
     The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
     ``functions`` asked for, such as "abs(speed)". ``degree``, ``threshold`` and lags left at None are chosen by the
     simulation error over one second on held-out blocks of time: the setting with the fewest terms among those
-    within 5 % of the best. Settings that diverge there are never chosen if one does not.
+    within 5 % of the best. Settings that diverge there are never chosen if one does not. With ``lag_search="few"``
+    only none, and lags that are enough for dead time and slow actuators, are tried.
     """
 
     knowledge = "dark grey"
     requires = ("pysindy",)
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
+    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
 
     degree: int | None = None
     threshold: float | None = None
@@ -75,6 +75,7 @@ class SparsePolynomial(PolynomialFamily):
     functions: list[str] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
 
     def check_system(self, system: System) -> None:
@@ -126,10 +127,11 @@ class SparsePolynomial(PolynomialFamily):
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
-        lags = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
+        offered = self.few_lags if self.lag_search == "few" else self.offered_lags
+        lags = lag_candidates(self.state_lags, self.control_lags, offered)
         every = list(product(degrees, thresholds, lags))
 
         def terms(setting: Setting) -> int:
-            return math.comb(len(self.features_of(dataset.system, setting[2]).names) + setting[0], setting[0])
+            return library_size(len(self.features_of(dataset.system, setting[2]).names), setting[0])
 
-        return [setting for setting in every if terms(setting) <= MOST_TERMS] or [every[0]]
+        return [setting for setting in every if terms(setting) <= MOST_TERMS[self.lag_search]] or [every[0]]

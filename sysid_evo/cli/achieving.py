@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +17,10 @@ if TYPE_CHECKING:
     from evaluation.transfer import Measured
     from hardware.listener import Listener
     from hardware.loop.report import LoopReport
+    from hardware.loop.trials import TrialSeries
     from hardware.robot import Robot
+    from sysid_evo.arrays import Seeds
+    from sysid_evo.cli.watching import Watching
     from sysid_evo.engine import Rollouts
     from sysid_evo.evolution import Champion
 
@@ -33,40 +38,59 @@ def drive_controller(
     seed: int | None = None,
     tracker_origin: bool = False,
     listeners: Sequence[Listener] = (),
+    watching: Watching | None = None,
+    keep: Path | None = None,
 ) -> int:
     """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
 
     An evolved one has its own task, one written by hand does ``task``.
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
-    in ``folder``, or of the one that the file belongs to, whose report is then made again.
+    in ``folder``, or of the one that the file belongs to, whose report is then made again. ``watching`` shows it
+    on a page. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
     """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from hardware.driving.controller_panel import ControllerPanel, moment_of
+    from hardware.emulation.pacing import in_real_time
     from hardware.loop.report import Reason
     from hardware.loop.robot_runner import RobotRunner
     from hardware.loop.stops import Stops
     from hardware.preflight import check_driving
     from hardware.robot import find_robot
+    from sysid_evo.cli.hand_driving import page_server
     from sysid_evo.cli.progress import Bars
     from sysid_evo.errors import LinkLost
     from sysid_evo.evolution import Champion
     from sysid_evo.registry import make_controller, make_task
     from sysid_evo.store import load_champion
 
+    if watching is not None:
+        page_server()  # what it lacks is said before anything runs
     machine = find_robot(robot)
     if is_stored(controller):
-        champion = load_champion(controller.removesuffix(".safetensors"))
+        champion = load_champion(controller)
         folder = folder or owner_of(Path(controller))
     else:
         champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
     if machine.stepped:
-        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed)
+        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, watching=watching, keep=keep)
+    if watching is not None:
+        machine = in_real_time(machine)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
     column, title = column_of(machine), f"drive {champion.name} on {machine.name}"
     goal, law = make_task(champion.task), make_controller(champion.controller)
     check_driving(machine, goal, law, champion.parameters[None])
-    with Bars() as bars, Stops() as stops:
+    with ExitStack() as stack:
+        bars, stops = stack.enter_context(Bars()), stack.enter_context(Stops())
+        told = None
+        if watching is not None:
+            panel = ControllerPanel(machine.name, goal.bind(machine.system), champion.name)
+            stack.enter_context(watching.shown(panel, stops))
+
+            def told(series: TrialSeries) -> None:
+                panel.show(moment_of(series))
+
         runner = RobotRunner(
             machine,
             tracker_frame=tracker_origin,
@@ -74,6 +98,7 @@ def drive_controller(
             listeners=listeners,
             stops=stops,
             progress=bars.advance,
+            told=told,
         )
         bars.begin(title)
         try:
@@ -103,12 +128,27 @@ def drive_controller(
 
 def is_stored(controller: str) -> bool:
     """Whether ``controller`` is a file, not the spec of a controller."""
-    return Path(controller).suffix in (".json", ".safetensors") or Path(f"{controller}.json").is_file()
+    from sysid_evo.store import champion_file
+
+    return Path(controller).suffix in (".json", ".safetensors") or champion_file(controller).is_file()
 
 
-def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path | None, seed: int | None) -> int:
-    """Run a controller on a robot that steps when it is told to, an environment, and return the exit code."""
+def run_stepped(
+    champion: Champion,
+    machine: Robot,
+    *,
+    trials: int,
+    folder: Path | None,
+    seed: int | None,
+    watching: Watching | None = None,
+    keep: Path | None = None,
+) -> int:
+    """Run a controller on a robot that steps when it is told to, as an environment, and return the exit code.
+
+    With ``watching`` the trials are then played back on a page. ``keep`` is a folder for their data set.
+    """
     from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from sysid_evo.data import Dataset
     from sysid_evo.registry import make_controller, make_task
 
     runner, task = machine.runner(), make_task(champion.task)
@@ -121,7 +161,24 @@ def run_stepped(champion: Champion, machine: Robot, *, trials: int, folder: Path
     out.print(trials_table(measured, rollouts))
     if folder is not None:
         append(folder, measured)
-    return 0
+    if keep is not None:
+        named = [replace(one, name=f"trial-{number}") for number, one in enumerate(rollouts.trajectories, 1)]
+        Dataset(machine.system, tuple(named)).save(keep)
+        out.print(f"data set stored in {keep}", highlight=False, markup=False, soft_wrap=True)
+    return 0 if watching is None else play_back(champion, machine, seeds, rollouts, watching)
+
+
+def play_back(champion: Champion, machine: Robot, seeds: Seeds, rollouts: Rollouts, watching: Watching) -> int:
+    """Show trials that were simulated on a page, as fast as they went or faster, and return the exit code."""
+    from hardware.driving.controller_panel import ControllerPanel, pace, play
+    from hardware.loop.stops import Stops
+    from sysid_evo.registry import make_task
+
+    task = make_task(champion.task).bind(machine.system)
+    panel = ControllerPanel(machine.name, task, champion.name, faster=pace(task))
+    with Stops() as stops, watching.shown(panel, stops):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
+    return 0 if stops.reason is None else code_of_loop(stops.reason)
 
 
 def seed_of_run(run: Path | None) -> int:

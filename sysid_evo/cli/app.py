@@ -17,6 +17,7 @@ from sysid_evo.cli import (
     models,
     names,
     plugins,
+    racing,
     recordings,
     reporting,
     robots,
@@ -45,6 +46,8 @@ app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("evolve")(evolving.evolve)
+app.command("coevolve")(racing.coevolve)
+app.command("match")(racing.match)
 app.command("drive")(driving.drive)
 app.command("export")(exporting.export)
 app.command("report")(reporting.report)

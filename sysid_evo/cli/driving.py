@@ -14,6 +14,7 @@ from sysid_evo.cli.options import Plugins, Task, check_new_folder, latest_run_fo
 if TYPE_CHECKING:
     from hardware.trackers.gates import GateLimits
     from sysid_evo.cli.hand_driving import Driven
+    from sysid_evo.cli.watching import Watching
     from sysid_evo.system import System
 
 DEFAULT_ROBOT = "emulated_car"
@@ -45,19 +46,24 @@ def drive(
     host: Annotated[str, typer.Option(help="Serve the page at this address.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page (0: a free one).")] = 0,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser, too.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="With --controller: show on the page how it drives, in real time.")
+    ] = False,
     plugin: Plugins = None,
 ) -> None:
     """Drive a robot or a model, by hand on a local web page or with --controller, at the task of the matrix.
 
     By hand: prints the address of the page; whoever knows it may drive. Keys that are released or lost
     mean neutral. --out makes a data set of what is driven; --name adds the trials that are driven to
-    their end to the run's transfer matrix. --controller adds what it achieves on the robot.
+    their end to the run's transfer matrix. --controller adds what it achieves on the robot; with --watch
+    the page shows it.
 
     The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
     says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
     from sysid_evo.cli.achieving import is_stored
     from sysid_evo.cli.hand_driving import append_row, drive_by_hand
+    from sysid_evo.cli.watching import Watching
     from sysid_evo.errors import InvalidArgument
 
     load_plugins(plugin)
@@ -69,8 +75,9 @@ def drive(
                 "drive: --controller drives a robot and has a row, and one that was evolved a task; leave out "
                 "--model, --name and --task"
             )
+        shown = Watching(host, port, open_page) if watch or open_page else None
         code = _controlled(
-            controller, robot or DEFAULT_ROBOT, task or DEFAULT_TASK, trials, run, seed, tracker_origin, folder
+            controller, robot or DEFAULT_ROBOT, task or DEFAULT_TASK, trials, run, seed, tracker_origin, folder, shown
         )
         raise typer.Exit(code)
     driven = _choose(robot, model, run, name, task or DEFAULT_TASK)
@@ -140,13 +147,14 @@ def _controlled(
     seed: int | None,
     tracker_origin: bool,
     folder: Path | None,
+    watching: Watching | None,
 ) -> int:
     from hardware.robot import find_robot
     from sysid_evo.cli.achieving import drive_controller
     from sysid_evo.cli.hand_driving import recorder_of
 
     machine = find_robot(robot)
-    recorder = None if folder is None else recorder_of(folder, machine, CONTROLLED)
+    recorder = None if folder is None or machine.stepped else recorder_of(folder, machine, CONTROLLED)
     try:
         code = drive_controller(
             controller,
@@ -157,10 +165,12 @@ def _controlled(
             seed=seed,
             tracker_origin=tracker_origin,
             listeners=() if recorder is None else (recorder,),
+            watching=watching,
+            keep=folder if machine.stepped else None,
         )
     finally:
         if recorder is not None:
             recorder.close()
-    if folder is not None:
+    if folder is not None and not machine.stepped:
         _store(folder, machine.system, [(CONTROLLED, None)])
     return code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +19,10 @@ REALS = ("double", "float")
 
 
 def export(
-    controller: Annotated[Path, typer.Argument(help="File of an evolved controller.")],
+    controller: Annotated[Path, typer.Argument(help="File of an evolved controller, as RUN/controllers/NAME.")],
     to: Annotated[str, typer.Option(help="python (NumPy only), c (C99 without allocation) or onnx.")],
     file: Annotated[Path | None, typer.Option("--out", help="New file (default: NAME with its suffix, here).")] = None,
+    name: Annotated[str | None, typer.Option(help="What it is called in the file (default: its own name).")] = None,
     real: Annotated[str, typer.Option(help="Precision of C and ONNX: double or float.")] = "double",
     plugin: Plugins = None,
 ) -> None:
@@ -38,7 +40,7 @@ def export(
         raise InvalidArgument(f"--to: expected {', '.join(SUFFIXES)}, got {to!r}")
     if real not in REALS:
         raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
-    law = law_of(load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller))
+    law = replace(law_of(load_champion(controller)), called=name or "")
     path = file or Path(f"{law.name}{SUFFIXES[to]}")
     if path.exists():
         raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")

@@ -80,7 +80,7 @@ def drive_by_hand(
         recorders.append(recorder_of(folder, robot, name, limits))
         return recorders[-1]
 
-    server = _server_class()
+    server = page_server()
     with (
         stops,
         server(
@@ -117,7 +117,8 @@ def drive_by_hand(
     return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)
 
 
-def _server_class() -> type[PageServer]:
+def page_server() -> type[PageServer]:
+    """Return the server of the page. Raises `MissingExtra`."""
     from sysid_evo.extras import missing_extra
 
     try:

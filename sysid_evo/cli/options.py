@@ -29,7 +29,8 @@ Aggregate: TypeAlias = Annotated[
 Noise: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What evolution must cope with, such as envelope(sensor=0.1, latency=2, gain=0.15); see the docs."
+        help="What evolution must cope with, such as envelope(sensor=0.1, latency=2, gain=0.15), or none (default: "
+        "what is usual for the task); see the docs."
     ),
 ]
 Caution: TypeAlias = Annotated[

@@ -47,24 +47,24 @@ def check_robot(
 ) -> None:
     """Connect to a robot and look at link, tracker and loop, without moving it.
 
+    Of one that has no pose, such as equations of your own or an environment, sensors and answers are looked at.
     Exit code 4 if something is not as it should be.
     """
     from rich.text import Text
 
-    from hardware.loop.self_test import self_test
     from hardware.loop.stops import Stops
     from hardware.robot import find_robot
 
     load_plugins(plugin)
     machine = find_robot(robot)
     with Stops() as stops:
-        findings = self_test(machine, seconds=seconds, stops=stops)
+        findings = machine.look_at(seconds=seconds, stops=stops)
     if as_json:
         out.print_json(json.dumps([asdict(finding) for finding in findings]))
     else:
         for finding in findings:
             word = ("ok    ", "green") if finding.ok else ("wrong ", "red")
-            out.print(Text.assemble(word, (f"{finding.what}: ", "bold"), finding.sentence), soft_wrap=True)
+            out.print(Text.assemble(word, (f"{finding.what}: ", "bold"), finding.sentence))
     if stops.reason is not None:
         err.print(stops.reason.sentence)
         raise typer.Exit(code_of_loop(stops.reason))

@@ -74,7 +74,7 @@ def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ..
     from sysid_evo.plan import Store
     from sysid_evo.store import load_champion
 
-    champion = load_champion(controller.with_suffix("") if controller.suffix == ".safetensors" else controller)
+    champion = load_champion(controller)
     champion.check_system(support.system)
     folder = owner_of(controller)
     if folder is None:

@@ -42,6 +42,8 @@ class Controller(ABC):
     """
 
     hand_written: ClassVar[bool] = False
+    unwritten: ClassVar[str] = "it has no `program`"
+    """Why it cannot be written in other languages, where `program` gives None."""
 
     n_parameters: int
     n_memory: int

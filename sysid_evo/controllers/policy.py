@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from sysid_evo.arrays import Array, check_shape
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_controller
+
+if TYPE_CHECKING:
+    from sysid_evo.export.program import Program
 
 
 def rectified(values: Array) -> Array:
@@ -61,13 +64,44 @@ class Policy(Controller):
         bound.n_parameters = sum((n_in + 1) * n_out for n_in, n_out in pairwise(bound.sizes))
         return bound
 
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+    def layers(self, parameters: Array) -> list[tuple[Array, Array]]:
+        """Return weights (P, n_in, n_out) and biases (P, n_out) of every layer."""
         check_shape("parameters", parameters, (None, self.n_parameters))
-        y, at = view.observation, 0
-        for layer, (n_in, n_out) in enumerate(pairwise(self.sizes)):
+        found, at = [], 0
+        for n_in, n_out in pairwise(self.sizes):
             end = at + n_in * n_out
-            weights, bias = parameters[:, at:end].reshape(-1, n_in, n_out), parameters[:, end : end + n_out]
+            found.append((parameters[:, at:end].reshape(-1, n_in, n_out), parameters[:, end : end + n_out]))
+            at = end + n_out
+        return found
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        y = view.observation
+        for layer, (weights, bias) in enumerate(self.layers(parameters)):
             y = y @ weights + bias[:, None]
             y = OUTPUT[self.output](y) if layer == len(self.hidden) else INNER[self.inner](y)
-            at = end + n_out
         return y, memory.copy()
+
+    def program(self, parameters: Array) -> Program:
+        from sysid_evo.export.program import (
+            Binary,
+            Program,
+            Statement,
+            constant,
+            dot,
+            limited,
+            number,
+            observation,
+            tanh,
+        )
+
+        value, statements = observation(self.sizes[0]), []
+        for layer, (weights, bias) in enumerate(self.layers(parameters[None]), start=1):
+            term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0])
+            if layer > len(self.hidden):
+                shown = tanh(term) if self.output == "tanh" else limited(term)
+                statements.append(Statement("raw", shown, "outputs in [-1, 1]"))
+            else:
+                shown = tanh(term) if self.inner == "tanh" else Binary(term.size, "max", term, number(0.0))
+                statements.append(Statement(f"hidden_{layer}", shown, f"hidden layer {layer}"))
+            value = statements[-1].value
+        return Program(tuple(statements), value)

@@ -35,12 +35,15 @@ class Predictive(Controller):
     ``model`` is the file of a fitted model, the name of an emulated robot, a `Dynamics`, or a list of these: then the
     lowest of the scores counts. The two parameters are the logarithms of the temperature and of the ``spread`` of the
     variations, relative to those given: with zeros it plans as it was made. Its random sequences follow
-    from ``seed`` alone. It runs in NumPy.
+    from ``seed`` alone. What it imagines runs compiled where model and task have a compiled form, the rest in NumPy.
 
     Source: Williams, Aldrich and Theodorou, "Model Predictive Path Integral Control", J. Guidance 40 (2017).
     """
 
     hand_written: ClassVar[bool] = True
+    unwritten: ClassVar[str] = (
+        "it plans with a whole model at every sample. Evolve a network in that model and export it"
+    )
     n_parameters = 2
 
     def __init__(

@@ -44,11 +44,6 @@ class Transitions:
         """The state before each step, (N, nx)."""
         return self.carry[:, : self.after.shape[1]]
 
-    @property
-    def inputs(self) -> Array:
-        """Carry and control side by side, (N, n_carry + nu)."""
-        return np.concatenate([self.carry, self.control], axis=1)
-
 
 @dataclass(frozen=True)
 class Dataset:

@@ -13,10 +13,10 @@ from sysid_evo.arrays import Array
 from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
 from sysid_evo.data.columns import ColumnMap, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.preparation import prepare, said_once
+from sysid_evo.data.preparation import said_once
 from sysid_evo.data.rates import check_rate
 from sysid_evo.data.raw import RawLog
-from sysid_evo.data.sampled import at_control_rate, take_rows
+from sysid_evo.data.sampled import episodes_of
 from sysid_evo.data.storage import HEADER
 from sysid_evo.data.tables import Table, log_suffixes, reader_for
 from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
@@ -41,10 +41,7 @@ class Recording:
 
         The notes of the data set hold the doubts too. Raises `InvalidData`.
         """
-        prepared = [
-            take_rows(log, self.system) if at_control_rate(log, self.system) else prepare(log, self.system)
-            for log in self.logs
-        ]
+        prepared = [episodes_of(log, self.system) for log in self.logs]
         notes = [*self.notes, *said_once(prepared), *self.doubts]
         episodes = [episode for one in prepared for episode in one.episodes]
         return Dataset(self.system, tuple(episodes), tuple(dict.fromkeys(notes)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid_evo.data.clock import pieces
-from sysid_evo.data.preparation import Prepared, checked_pose
+from sysid_evo.data.preparation import Prepared, checked_pose, prepare
 from sysid_evo.data.raw import RawLog
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidData
@@ -26,6 +26,11 @@ def at_control_rate(log: RawLog, system: System) -> bool:
     """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
     has_states = all(name in log.extra for name in system.state_names)
     return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
+
+
+def episodes_of(log: RawLog, system: System) -> Prepared:
+    """Return the episodes of ``log``: row by row if it is at the control rate, else filtered, see `prepare`."""
+    return take_rows(log, system) if at_control_rate(log, system) else prepare(log, system)
 
 
 def take_rows(log: RawLog, system: System) -> Prepared:

@@ -260,11 +260,14 @@ class DynamicsModel(Dynamics, BaseEstimator):
         return REST_BAND * ranges
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return ``after`` (B, nx), with ``rest_hold`` neutral where the body rests and all controls are neutral.
+        """Return ``after`` (B, nx) within the limits of the channels, neutral where the body is held at rest.
 
-        Earlier controls in the carry count too: with dead time, a short pulse acts after it has ended.
+        That is with ``rest_hold``, where it rests and all controls are neutral. Earlier controls in the carry count
+        too: with dead time, a short pulse acts after it has ended.
         """
         band = self.rest_band
+        if self.system.limited:
+            after = np.clip(after, *self.system.limits)
         if band is None:
             return after
         layout, neutral, idle_control = self.layout, self.system.neutral_state, self.system.neutral_control

@@ -160,7 +160,7 @@ def evolve_controller(
             generations=settings.generations,
         )
         easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
-        return strategy, Schedule(easier, objective(run, task, models))
+        return strategy, Schedule(easier, objective(run, task, models), most=task.most)
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         return tuple(_finalists(strategy, objective(run, task, models), run, seeds))

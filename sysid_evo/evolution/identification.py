@@ -24,6 +24,7 @@ from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.system import System
 
 PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
 """(P, n) parameters, (P, W, n_carry) carries, (W, nu) controls -> (P, W, n_carry) next carries."""
@@ -85,7 +86,7 @@ class ModelEvolution:
                 f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
                 + (f" and {history} of history" if history else "")
             )
-        weight = state_weights(every, self.weights)
+        weight = state_weights(dataset.system, every, self.weights)
         seed = int(rng.integers(2**32))
 
         def objective(population: Array, generation: int) -> Array:
@@ -141,9 +142,9 @@ def starting_carries(windows: Windows, start: Start | None) -> Array:
     return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
 
 
-def state_weights(windows: Windows, weights: Weights) -> Array:
+def state_weights(system: System, windows: Windows, weights: Weights) -> Array:
     """Return how much the square error of each state counts, (nx,)."""
-    spread = windows.states[:, -1].std(axis=0)
+    spread = system.spread(windows.states[:, -1])
     if weights == "paper":
         return np.ones_like(spread)
     return 1.0 / np.where(spread > 0, spread, 1.0) ** 2

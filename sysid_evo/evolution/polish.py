@@ -72,7 +72,7 @@ def polish(
             sigma=sigma,
             initial=chosen[run].parameters,
         )
-        return strategy, Schedule((), objective(run))
+        return strategy, Schedule((), objective(run), most=task.most)
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])

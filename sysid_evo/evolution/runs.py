@@ -27,7 +27,7 @@ from sysid_evo.tasks.task import Task
 
 @dataclass(frozen=True)
 class Runs:
-    """``count`` runs of ``generations`` each.
+    """``count`` runs of ``generations`` each, or until the schedule is exhausted.
 
     ``begun(run)`` makes strategy and objective anew, as they are before the first generation; ``finals`` chooses
     the finalists of a run that has ended. ``models`` are the labels of those that each stage is met on, the last
@@ -67,7 +67,10 @@ class Runs:
         for run in range(len(standing.ended), self.count):
             strategy, schedule = self.begun(run)
             standing.restore(strategy, schedule)
-            for generation in evolve(strategy, schedule, self.generations, start=len(standing.history)):
+            begin = len(standing.history)
+            for generation in evolve(
+                strategy, schedule, begin if schedule.exhausted else self.generations, start=begin
+            ):
                 note = self._note(run, generation, strategy, schedule)
                 if schedule.tell(generation):
                     strategy.forget_fitness()
@@ -75,6 +78,8 @@ class Runs:
                 states = ({}, {}) if self.checkpoint is None else (strategy.state, schedule.state)
                 standing = Standing(standing.ended, history, *states)
                 yield standing, note
+                if schedule.exhausted:
+                    break
             if schedule.stage < len(schedule.stages):
                 warnings.warn(
                     f"run {run + 1} ended in {schedule.status}: the task itself was never evolved. "

@@ -13,6 +13,9 @@ from sysid_evo.evolution.loop import Generation, Objective, Scores
 from sysid_evo.evolution.strategy import StrategyState
 from sysid_evo.registry import Spec, split, tasks
 
+MANY, LONG = 0.5, 20
+"""Share of the candidates that must have all there is, and for how many generations, until a search is over."""
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -74,13 +77,17 @@ class Schedule:
         for generation in evolve(strategy, schedule, 300):
             if schedule.tell(generation):
                 strategy.forget_fitness()
+
+    ``most`` is the most that a candidate can score at what is asked for: where many reach that for long, the schedule
+    is `exhausted`, for nothing is left to choose by.
     """
 
-    def __init__(self, stages: Sequence[tuple[Stage, Objective]], asked: Objective) -> None:
+    def __init__(self, stages: Sequence[tuple[Stage, Objective]], asked: Objective, *, most: float = np.inf) -> None:
         self.stages = tuple(stage for stage, _ in stages)
         self.objectives = (*(objective for _, objective in stages), asked)
-        self.stage = 0
+        self.stage, self.most = 0, most
         self._levels: list[float] = []
+        self._full = 0
 
     def __call__(self, population: Array, generation: int) -> Scores | Array:
         """Return what ``population`` (P, n) scores in the present stage."""
@@ -89,6 +96,8 @@ class Schedule:
     def tell(self, generation: Generation) -> bool:
         """Take in a generation; return whether the next stage begins after it."""
         if self.stage == len(self.stages):
+            reached = np.mean(generation.fitness >= self.most)
+            self._full = self._full + 1 if reached >= MANY else 0
             return False
         self._levels.append(float(np.median(np.sort(generation.fitness)[len(generation.fitness) // 2 :])))
         if not self.stages[self.stage].reached(self._levels):
@@ -98,6 +107,11 @@ class Schedule:
         return True
 
     @property
+    def exhausted(self) -> bool:
+        """Whether half of the candidates have had all there is in each of the last 20 generations."""
+        return self._full >= LONG
+
+    @property
     def status(self) -> str:
         """Which stage of how many it is, the last being what is asked for; empty without stages."""
         return f"stage {self.stage + 1} of {len(self.objectives)}" if self.stages else ""
@@ -105,7 +119,7 @@ class Schedule:
     @property
     def state(self) -> StrategyState:
         """All that `tell` has changed."""
-        return {"stage": self.stage, "levels": np.array(self._levels)}
+        return {"stage": self.stage, "levels": np.array(self._levels), "full": self._full}
 
     def restore(self, state: StrategyState) -> None:
         """Go on from a ``state`` of a schedule of the same stages. Raises `InvalidArgument` or `ShapeError`."""
@@ -113,3 +127,4 @@ class Schedule:
         if not isinstance(stage, int) or not 0 <= stage <= len(self.stages):
             raise InvalidArgument(f"schedule: expected the number of a stage up to {len(self.stages)}, got {stage!r}")
         self.stage, self._levels = stage, check_shape("levels", state["levels"], (None,)).tolist()
+        self._full = int(state["full"])

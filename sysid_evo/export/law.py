@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,22 +26,25 @@ ATTEMPTS = 50
 class Law:
     """A controller that was evolved, ready to be written.
 
-    ``program`` goes from the observations to the ``controls`` (names of its statements, one for each control of
-    ``system``). ``seen`` (T, n) and ``decided`` (T, nu) are its test vectors: one run from the memory's start.
+    ``formulas`` say how observations are computed, where their names do not. ``program`` goes from the observations
+    to the ``controls`` (names of its statements, one for each control of ``system``). ``seen`` (T, n) and ``decided``
+    (T, nu) are its test vectors: one run from the memory's start.
     """
 
     champion: Champion
     system: System
     observations: tuple[Channel, ...]
+    formulas: Mapping[str, str]
     program: Program
     controls: tuple[Variable, ...]
     seen: Array
     decided: Array
+    called: str = ""
 
     @property
     def name(self) -> str:
-        """The champion's name as an identifier."""
-        name = _identifier(self.champion.name).strip("_").lower()
+        """What it is ``called``, by default the champion's name, as an identifier."""
+        name = _identifier(self.called or self.champion.name).strip("_").lower()
         return name if name[:1].isalpha() else f"controller_{name}".rstrip("_")
 
     @property
@@ -53,12 +57,16 @@ class Law:
             f"task {champion.task.text}, evolved against {against} ({champion.aggregate})",
             f"Call it once every {self.system.dt:g} s.",
         )
-        return tuple(line.replace("\\", "/").replace('"', "'").replace("*/", "* /") for line in lines)
+        return tuple(_harmless(line) for line in lines)
 
     def rows(self, channels: tuple[Channel, ...]) -> list[str]:
-        """Return a line for each channel: its place, name, unit and legal values."""
+        """Return a line for each channel: its place, name, and its formula, or unit and legal values."""
         width = max((len(channel.name) for channel in channels), default=0)
-        return [f"{i}  {channel.name:<{width}}  {_legal(channel)}".rstrip() for i, channel in enumerate(channels)]
+        texts = [self.formulas.get(channel.name) or _legal(channel) for channel in channels]
+        return [
+            _harmless(f"{i}  {channel.name:<{width}}  {text}".rstrip())
+            for i, (channel, text) in enumerate(zip(channels, texts, strict=True))
+        ]
 
 
 def law_of(champion: Champion) -> Law:
@@ -71,14 +79,15 @@ def law_of(champion: Champion) -> Law:
     program = controller.program(champion.parameters)
     if program is None:
         raise InvalidArgument(
-            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: it has no "
-            "`program`. The controllers recurrent, feed_forward, linear, lqr, pid and pursuit do"
+            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
+            f"{controller.unwritten}. The controllers recurrent, feed_forward, linear, lqr, pid, policy and pursuit can"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))
     controls = tuple(statement.value for statement in actuated)
     seen = _observations(whole, controls, task.observations)
-    return Law(champion, system, task.observations, whole, controls, seen, decided_by(controller, champion, task, seen))
+    decided = decided_by(controller, champion, task, seen)
+    return Law(champion, system, task.observations, task.formulas(), whole, controls, seen, decided)
 
 
 def decided_by(controller: Controller, champion: Champion, task: Task, seen: Array) -> Array:
@@ -141,6 +150,11 @@ def _run(program: Program, controls: tuple[Variable, ...], seen: Array) -> Array
         decided.append([float(value[0]) for value, _ in results])
         memory = results[0][1]
     return np.array(decided)
+
+
+def _harmless(line: str) -> str:
+    """Return ``line`` so that it ends no comment and no text in any of the languages."""
+    return line.replace("\\", "/").replace('"', "'").replace("*/", "* /")
 
 
 def _identifier(name: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from sysid_evo.progress import Progress
 
-CONTRACT = 3
+CONTRACT = 4
 """Raised whenever the same inputs give another result than before: every stored result is then computed anew."""
 
 
@@ -22,14 +22,16 @@ class Work:
     """What a cell may use while it computes.
 
     ``result(cell)`` is the value of a cell that it needs, None if that one failed and this one is
-    `Cell.tolerant`; ``place`` is the path, without suffix, at which its result will be stored. What it keeps in
-    the file ``checkpoint`` is there when it is computed again after an interruption, and goes when it is done.
+    `Cell.tolerant`; ``place`` is the path, without suffix, at which its result will be stored, and ``where(cell)`` the
+    one at which that of a cell that it needs stands. What it keeps in the file ``checkpoint`` is there when it is
+    computed again after an interruption, and goes when it is done.
     """
 
     result: Callable[[Cell], Any]
     progress: Progress
     place: Path
     checkpoint: Path
+    where: Callable[[Cell], Path]
 
 
 class Cell(ABC):

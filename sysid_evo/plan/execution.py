@@ -113,7 +113,9 @@ class _Execution:
         self.observer.start(cell)
         began = time.perf_counter()
         checkpoint = self.store.checkpoint(cell)
-        work = Work(self._result, partial(self.observer.progress, cell), self.store.place(cell), checkpoint)
+        work = Work(
+            self._result, partial(self.observer.progress, cell), self.store.place(cell), checkpoint, self.store.where
+        )
         try:
             value = cell.compute(work)
         except Blocked as blocked:  # no failure of its own, so that none is stored

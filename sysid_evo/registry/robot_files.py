@@ -25,14 +25,27 @@ def robot_spec(text: str) -> Spec:
 
 
 def make_robot(spec: str | Spec) -> Any:
-    """Return the robot that ``spec`` names, see `robot_spec`; it is not connected yet."""
+    """Return the robot that ``spec`` names, see `robot_spec`; it is not connected yet.
+
+    Raises `InvalidArgument`, also where somebody registered dynamics instead of a robot that has them.
+    """
+    from sysid_evo.dynamics import Dynamics
+
     found = robot_spec(spec) if isinstance(spec, str) else spec
     try:
-        return robots.make(found)
+        made = robots.make(found)
     except InvalidArgument as error:
         if isinstance(spec, str) and spec.endswith(SUFFIX):
             raise InvalidArgument(f"robot file {spec}: {error}") from error
         raise
+    if isinstance(made, Dynamics):
+        kind = type(made).__name__
+        raise InvalidArgument(
+            f"robot {found.name!r}: expected a robot, got the dynamics {kind}. Register a function that returns "
+            f"SensedRobot({found.name!r}, {kind}()) of hardware.emulation.sensed_robot, or with a pose "
+            f"ModelledRobot({found.name!r}, {kind}()) of hardware.emulation.modelled_robot"
+        )
+    return made
 
 
 def _of_file(path: Path) -> Spec:

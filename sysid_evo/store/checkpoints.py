@@ -18,7 +18,7 @@ from sysid_evo.checkpoint import State
 from sysid_evo.errors import ArtefactError, CheckpointWarning, InvalidArgument
 from sysid_evo.files import write_atomically
 
-SCHEMA: Literal["sysid-evo/checkpoint/1"] = "sysid-evo/checkpoint/1"
+SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
 CONTENT = "sysid-evo"
 SHARE = 0.01
 """The most that saving takes of the time."""
@@ -32,7 +32,7 @@ class _Content(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/checkpoint/1"] = SCHEMA
+    schema_: Literal["sysid-evo/checkpoint/2"] = SCHEMA
     identity: str
     numbers: list[str]
     others: dict[str, int | str]

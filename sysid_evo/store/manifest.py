@@ -17,7 +17,7 @@ from safetensors.numpy import load_file, save
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.files import write_atomically
 
-SCHEMA: Literal["sysid-evo/artefact/2"] = "sysid-evo/artefact/2"
+SCHEMA: Literal["sysid-evo/artefact/3"] = "sysid-evo/artefact/3"
 MAX_MANIFEST_BYTES = 4 * 2**20
 MAX_HEADER_BYTES = 2**20
 MAX_TENSOR_BYTES = 2**31
@@ -49,7 +49,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/artefact/2"] = SCHEMA
+    schema_: Literal["sysid-evo/artefact/3"] = SCHEMA
     kind: Literal["model", "controller"]
     name: str
     module: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -72,6 +73,8 @@ class Following(Task):
     one as sine and cosine; and the error of every target in tens of tolerances, a periodic one as sine and cosine.
     """
 
+    usual_noise: ClassVar[str] = "envelope(process=0.02)"
+    """A model without noise never leaves the target that it rests on: nothing shows what would bring it back."""
     fitness_unit = "% of full score"
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
     starts_at_target = False
@@ -144,6 +147,13 @@ class Following(Task):
         for goal, error in zip(self.goals, errors.T, strict=True):
             columns += _shown(goal.channel, error, 0.0, 1.0 / (SHOWN * goal.tolerance))
         return np.stack(columns, axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        found = formulas_of_states(self.system)
+        for goal in self.goals:
+            name = goal.channel.name
+            found |= _formula(goal.channel, f"{name}_error", f"target - {name}", 0.0, 1.0 / (SHOWN * goal.tolerance))
+        return found
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
@@ -241,6 +251,27 @@ def scaling(channel: Channel) -> tuple[float, float]:
     if not channel.bounded:
         return 0.0, 1.0
     return 0.5 * (channel.low + channel.high), 2.0 / (channel.high - channel.low)
+
+
+def formulas_of_states(system: System) -> dict[str, str]:
+    """Return how what `shown_states` shows is computed, by the name of the observation."""
+    found: dict[str, str] = {}
+    for channel in system.states:
+        found |= _formula(channel, channel.name, channel.name, *scaling(channel))
+    return found
+
+
+def _formula(channel: Channel, name: str, value: str, centre: float, scale: float) -> dict[str, str]:
+    """Return the formulas of what `_shown` shows of a ``value``; none for what is shown as it is."""
+    if channel.period:
+        factor = "" if math.isclose(channel.period, TURN) else f"{TURN / channel.period:.10g} "
+        inside = f"{factor}({value})" if factor and " " in value else f"{factor}{value}"
+        return {f"sin_{name}": f"sin({inside})", f"cos_{name}": f"cos({inside})"}
+    unit = f" {channel.unit}" if channel.unit else ""
+    if (centre, scale) == (0.0, 1.0):
+        return {name: f"{value}, in{unit}" if unit else value} if unit or value != name else {}
+    off = f"{value} {'-' if centre > 0.0 else '+'} {abs(centre):.10g}{unit}" if centre else value
+    return {name: f"{f'({off})' if ' ' in off else off} / ({1.0 / scale:.10g}{unit})"}
 
 
 def full_controls(system: System) -> Array:

@@ -135,7 +135,7 @@ class PointToPoint(Task):
         """Return the trials with the next waypoint alone; what comes after it is expected in the arena's centre."""
         here = cast("PointToPointState", task_state)
         trials = len(here.trial)
-        known = np.zeros((trials, here.waypoints.shape[1] + 1, 2))
+        known = np.zeros((trials, here.waypoints.shape[1], 2))
         known[:, 0] = here.waypoint
         return replace(here, waypoints=known, trial=np.arange(trials), passed=np.zeros(trials, dtype=np.int64))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
 
@@ -12,7 +12,7 @@ from sysid_evo.arrays import Array, BoolArray, Seeds, check_shape
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.following import observations, shown_states
+from sysid_evo.tasks.following import formulas_of_states, observations, shown_states
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ class Reward(Task):
     ``worth`` for one state and control, in plain numbers as kernels are written: with it, and without ``ended``, the
     task has a compiled form. The observations are a bias and every state, as for `set_point`.
 
-    This class has no name on the command line: register a function that returns one.
+    It has no name on the command line: `register_reward` gives one to a function of single numbers, or register a
+    function that returns such a task.
     """
 
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
@@ -85,13 +86,16 @@ class Reward(Task):
     def observe(self, task_state: TaskState, state: Array) -> Array:
         return np.stack(shown_states(self.system, state), axis=1)
 
+    def formulas(self) -> Mapping[str, str]:
+        return formulas_of_states(self.system)
+
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("RewardState", task_state)
         rewards = check_shape("rewards", self.worth(before, control), (len(before),))
         rewards = np.where(rewards >= self.lowest, rewards, self.lowest)
-        over = np.zeros(len(before), dtype=bool) if self.ended is None else self.ended(after)
+        over = self.over_after(control, after)
         advanced = replace(
             here,
             score=here.score + rewards / self.horizon,
@@ -100,8 +104,12 @@ class Reward(Task):
         )
         return advanced, after
 
+    def over_after(self, control: Array, after: Array) -> BoolArray:
+        """Return which trials are over (B,) in the states ``after`` (B, nx), to which ``control`` (B, nu) led."""
+        return np.zeros(len(after), dtype=bool) if self.ended is None else self.ended(after)
+
     def fitness(self, task_state: TaskState) -> Array:
-        return cast("RewardState", task_state).score
+        return np.maximum(cast("RewardState", task_state).score, self.worst)  # a sum of so many shares is rounded
 
     def kernel(self) -> TaskKernel | None:
         if self.scalar is None or self.ended is not None:

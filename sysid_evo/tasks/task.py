@@ -59,10 +59,17 @@ class TaskState:
 
 
 class Task(ABC):
-    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``."""
+    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``.
+
+    ``most`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by default.
+    """
+
+    usual_noise: ClassVar[str] = ""
+    """What candidates meet in models at this task where no noise is named, see `RadicalEnvelope`; empty for none."""
 
     horizon: int
     worst: float = 0.0
+    most: float = np.inf
     fitness_unit: str = ""
     observations: tuple[Channel, ...]
     system: System
@@ -85,6 +92,13 @@ class Task(ABC):
     @abstractmethod
     def observe(self, task_state: TaskState, state: Array) -> Array:
         """Return what the controller is given, (B, len(observations)), in state (B, nx)."""
+
+    def formulas(self) -> Mapping[str, str]:
+        """Return how observations are computed from states and targets, by their names.
+
+        It stands in the head of an exported controller. Those whose name says it are left out. The task is bound.
+        """
+        return {}
 
     @abstractmethod
     def advance(

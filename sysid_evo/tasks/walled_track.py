@@ -12,12 +12,11 @@ import numpy as np
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.scene import Scene
 from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.tasks.track import at_offset, distance_to_wall, draw_track, place_of, wall
+from sysid_evo.tasks.track import at_offset, distance_to_wall, place_of, tracks_of, wall
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import TaskKernel
@@ -26,6 +25,10 @@ POSE = ("x", "y", "heading")
 COLLISIONS = ("slow", "end")
 KEPT = 0.5
 """Share of its speed that a body keeps in each step at a wall."""
+PRESSED = 1e-6
+"""How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
+AHEAD = 0.1
+"""What a body that stands well promises, in m."""
 
 
 @dataclass(frozen=True)
@@ -118,12 +121,11 @@ class WalledTrack(Task):
 
     def begin(self, seeds: Seeds) -> WalledTrackState:
         trials = len(seeds)
-        tracks = [draw_track(generator(seed, TASK_STREAM), self.radius, self.bends) for seed in seeds]
         return WalledTrackState(
             state=np.tile(self.system.neutral_state, (trials, 1)),
             pose=np.zeros((trials, 3)),
             alive=np.ones(trials, dtype=bool),
-            tracks=np.array(tracks),
+            tracks=tracks_of(tuple(seeds.tolist()), self.radius, self.bends),
             half=0.5 * self.width,
             trial=np.arange(trials),
             progress=np.zeros(trials),
@@ -153,7 +155,7 @@ class WalledTrack(Task):
         )
         progress = here.progress + turned * place.per_radian
         room = here.half - self.body
-        touching = np.abs(place.offset) > room
+        touching = np.abs(place.offset) > room + PRESSED
         advanced = replace(
             here,
             progress=progress,
@@ -175,6 +177,19 @@ class WalledTrack(Task):
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("WalledTrackState", task_state).furthest
+
+    def foreseen(self, task_state: TaskState) -> WalledTrackState:
+        """Return the trials as they stand, the track known; what was driven before does not count."""
+        here = cast("WalledTrackState", task_state)
+        return replace(here, furthest=here.progress)
+
+    def promise(self, task_state: TaskState, state: Array) -> Array:
+        """Return up to ``AHEAD`` (m): all of it in the middle of the track and along it, 0 at a wall or backwards."""
+        here = cast("WalledTrackState", task_state)
+        x, y, heading = here.pose.T
+        place = place_of(here.track, x, y)
+        along = np.cos(heading - np.arctan2(place.sine, place.cosine) - np.arctan2(place.middle, place.slope))
+        return AHEAD * 0.5 * (1.0 + along) * np.maximum(0.0, 1.0 - (place.offset / here.half) ** 2)
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return the laps driven and the steps spent at a wall."""

@@ -11,7 +11,7 @@ TRIALS, STEPS, HELD, WARM_UP = 32, 120, 8, 40
 
 
 def state_spread(dynamics: Dynamics) -> Array:
-    """Return the standard deviation (nx,) of each state in the training data of ``dynamics``.
+    """Return the standard deviation (nx,) of each state in the training data of ``dynamics``, see `System.spread`.
 
     What was not fitted to any, as an emulated robot, is driven by random commands for that, from a fixed
     seed: 32 times, each command held for 8 samples. A state that never varies has 1, its own unit.
@@ -19,7 +19,7 @@ def state_spread(dynamics: Dynamics) -> Array:
     nx = dynamics.system.nx
     pairs = getattr(dynamics, "pairs_", None)
     states = _driven(dynamics) if pairs is None else pairs[:, :nx]
-    spread = np.asarray(states.std(axis=0), dtype=np.float64)
+    spread = dynamics.system.spread(states)
     return np.where(np.isfinite(spread) & (spread > 0.0), spread, 1.0)
 
 

@@ -1,22 +1,29 @@
-"""What the champion of a comparison achieves in an environment, beside one evolved on the environment's own equations.
+"""From Gymnasium alone: ``python -m tests.benchmarks.environments --out FOLDER``.
 
-Run: python -m tests.benchmarks.environments --run RUN --id Pendulum-v1
-RUN is the folder of: sysid-evo compare --robot 'gymnasium(id="Pendulum-v1")' --task 'environment(id="Pendulum-v1")'
+The default comparison is made for each of ``--ids``, in a folder of its own in ``FOLDER`` (what stands there is not
+done again): the environment is recorded, models are fitted, controllers evolved in them and run in the environment.
+Beside the recommended controller stand a *yardstick*, evolved on the environment's own equations with as many
+generations and trials, and the *floor*, controls at rest. All run in the environment in the same ``--trials`` fresh
+trials. Prints what they achieve, the share of the way from the floor to the yardstick, and what the comparison took:
+processor seconds of this process, and seconds on the clock.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.comparison import BUDGETS, compare
+from evaluation.labels import percent
 from evaluation.transfer import transfer_seeds
 from hardware.environments.gymnasium_robot import GymnasiumRobot
 from sysid_evo.arrays import Array
@@ -75,47 +82,67 @@ class Equations(Dynamics):
         return DynamicsKernel(Lifted(self.function, n_carry=self.n_carry, nu=self.system.nu))
 
 
-def achieved(champion: Champion, runner: Any, trials: int) -> float:
-    """Return the mean fitness of a champion in fresh trials."""
-    task, controller = make_task(champion.task), make_controller(champion.controller)
-    return float(runner.run(controller, champion.parameters[None], task, transfer_seeds(0, trials)).fitness.mean())
+@dataclass(frozen=True)
+class Compared:
+    """A comparison of one environment: its recommended controller, and the seconds that it took."""
+
+    champion: Champion
+    processor: float
+    clock: float
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Print what is achieved, the yardstick, and both measured from a controller that does nothing."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--id", default="Pendulum-v1")
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--controller", default="recommended")
-    parser.add_argument("--generations", type=int, default=300)
-    parser.add_argument("--trials", type=int, default=100)
-    given = parser.parse_args(arguments)
-    robot = GymnasiumRobot(id=given.id)
-    stored = sorted((given.run / "controllers").glob(f"*{given.controller}-*.json"))[0]
-    champion = load_champion(stored.with_suffix(""))
-    own = Equations(given.id, robot.system)
+def compared(name: str, folder: Path, seed: int) -> Compared:
+    """Make the default comparison for the environment ``name`` in ``folder``."""
+    processor, clock = time.process_time(), time.perf_counter()
+    report = compare(out=folder, robot=f'gymnasium(id="{name}")', task=f'environment(id="{name}")', seed=seed)
+    spent = time.process_time() - processor, time.perf_counter() - clock
+    assert report.transfer is not None
+    assert report.transfer.pick is not None
+    return Compared(load_champion((folder / report.controllers[report.transfer.pick]).with_suffix("")), *spent)
+
+
+def yardstick(champion: Champion, name: str, system: System, seed: int) -> Champion:
+    """Evolve a controller of the same kind on the environment's own equations, on the budget of one model."""
+    budget = BUDGETS["quick"]
     settings = ControllerEvolution(
-        generations=given.generations,
-        trials=10,
+        generations=budget.generations,
+        trials=budget.trials,
         task=champion.task,
         controller=champion.controller,
-        strategy=Spec.parse("niches"),
+        strategy=Spec.parse(budget.strategy),
     )
-    began = time.perf_counter()
-    best = evolve_controller("own", {"own": DynamicsRunner(own)}, robot.system, settings, seed=0)
-    seconds = time.perf_counter() - began
-    idle = Champion("idle", np.zeros(len(best.parameters)), (), "min", 0, np.empty((0, 3)), best.controller, best.task)
-    reached, yardstick, nothing = (achieved(one, robot.runner(), given.trials) for one in (champion, best, idle))
-    table = Table("", "fitness", box=None)
-    for label, value in (
-        (f"{champion.name}, evolved on models only", reached),
-        (f"evolved on the environment's own equations ({seconds:.0f} s)", yardstick),
-        ("a controller that does nothing", nothing),
-        ("share of the way from nothing to the yardstick", (reached - nothing) / (yardstick - nothing)),
-    ):
-        table.add_row(label, f"{value:.3g}")
+    return evolve_controller("yardstick", {"own": DynamicsRunner(Equations(name, system))}, system, settings, seed=seed)
+
+
+def achieved(champion: Champion, robot: GymnasiumRobot, trials: int) -> float:
+    """Return the mean fitness of a champion in fresh trials."""
+    task, controller = make_task(champion.task), make_controller(champion.controller)
+    run = robot.runner().run(controller, champion.parameters[None], task, transfer_seeds(0, trials))
+    return float(run.fitness.mean())
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--ids", default=",".join(EQUATIONS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--trials", type=int, default=100)
+    given = parser.parse_args(arguments)
+    heads = ("environment", "controller", "achieved", "yardstick", "floor", "share", "proc. s", "clock s")
+    table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials", box=None)
+    for name in given.ids.split(","):
+        robot = GymnasiumRobot(id=name)
+        made = compared(name, given.out / f"{name}-{given.seed}", given.seed)
+        rest = Champion.hand_written("constant", made.champion.task, robot.system)
+        best = yardstick(made.champion, name, robot.system, given.seed)
+        reached, most, floor = (achieved(one, robot, given.trials) for one in (made.champion, best, rest))
+        figures = (f"{value:.1f}" for value in (reached, most, floor))
+        share = percent((reached - floor) / (most - floor))
+        table.add_row(name, made.champion.name, *figures, share, f"{made.processor:.0f}", f"{made.clock:.0f}")
     Console().print(table)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

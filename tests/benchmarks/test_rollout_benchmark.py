@@ -1,4 +1,4 @@
-"""The benchmark of rollouts runs and reports every model."""
+"""The benchmarks of rollouts run, and report every model and every task."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.benchmarks import task_speed
 from tests.benchmarks.c_reference.__main__ import main as against_c
 from tests.benchmarks.rollout.__main__ import main
 
@@ -37,3 +38,11 @@ def test_the_c_reference_steps_with_the_numbers_of_the_engine(
         # a waypoint more or less in 100 short trials, where rounding decides; another model would be far off
         assert abs(row["off_percent"]["c"]) < 10.0, row
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
+
+
+@pytest.mark.slow
+def test_a_quick_run_sets_the_speed_of_other_tasks_beside_waypoints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert task_speed.main(["--quick", "--tasks", "point_to_point, walled_track"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("walled_track") == 2
+    assert printed.count("1.00") >= 2

@@ -28,6 +28,7 @@ OWN_TEST = {
     "data.md": "tests/data/test_data_page.py",
     "kernels.md": "tests/sysid_evo/engine/test_kernels_page.py",
     "robots.md": "tests/hardware/test_robots_page.py",
+    "your_own_system.md": "tests/docs/test_your_own_system.py",
 }
 """Pages whose Python wants more than a folder of logs."""
 PYTHON = [page for page in PAGES if blocks(page, "python") and page not in OWN_TEST]

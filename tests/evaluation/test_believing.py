@@ -9,7 +9,7 @@ import numpy as np
 from evaluation.comparison import Column, GivenData, PredictCell, Split
 from evaluation.comparison.believing import believed
 from evaluation.prediction import ErrorScore, Interval, ModelPrediction
-from sysid_evo.plan import Work
+from sysid_evo.plan import Cell, Work
 from sysid_evo.testing import example_dataset
 
 DATA = GivenData(example_dataset(), Split())
@@ -39,8 +39,12 @@ def no_progress(done: int, total: int, note: str = "") -> None:
     pass
 
 
+def nowhere(cell: Cell) -> Path:
+    raise AssertionError(f"nobody asks where {cell.title} stands")
+
+
 def names(*columns: Column) -> tuple[str, ...]:
-    work = Work(measured, no_progress, Path("unused"), Path("unused"))  # type: ignore[arg-type]  # predictions only
+    work = Work(measured, no_progress, Path("unused"), Path("unused"), nowhere)  # type: ignore[arg-type]  # predictions only
     return tuple(one.label for one in believed(columns, work))
 
 

@@ -118,6 +118,8 @@ def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
         "sysid-evo drive --controller 'runs/x/controllers/my sindy.json' --robot car:3"
     )
     assert drive_command(made, "linear") is None
+    own = replace(made, settings={"robot": "tank", "plugins": ["/home/me/tank.py"]})
+    assert (drive_command(own, "sindy") or "").endswith("--robot tank --plugin /home/me/tank.py")
     assert made.transfer is not None
     assert made.transfer.pick == "linear"
     assert "sysid-evo drive" not in " ".join(printed(brief(made)))

@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 
 from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
+from evaluation.comparison.champion_cells import EvolveCell
 from evaluation.comparison.hand_written import HandWrittenCell
 from evaluation.report import Report, save_report, to_json
 from evaluation.transfer import summarise
 from hardware.robot import Connection, Robot
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, LinkLost
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, LinkLost, UnknownName
 from sysid_evo.plan import Cell, Silent, Store, execute
-from sysid_evo.registry import Registry, Spec, make_model, models, robots
-from sysid_evo.store import save_model
+from sysid_evo.registry import Registry, Spec, make_controller, make_model, make_task, models, robots
+from sysid_evo.store import load_champion, save_model
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import pendulum, switched_car
 
@@ -219,6 +220,38 @@ def test_a_controller_written_by_hand_is_a_row_of_the_matrix(tmp_path: Path) -> 
     save_report(report, tmp_path)
 
 
+def test_a_model_of_the_comparison_stands_inside_a_controller_by_its_label(tmp_path: Path) -> None:
+    """One or several; the controller that is stored names their files, so that it can drive from anywhere."""
+    by_hand = ["one=predictive(model=linear, horizon=3)", "two=predictive(model=[linear, made_up_robot], horizon=3)"]
+    report = run_in(tmp_path, "linear", by_hand=by_hand)
+    assert report.matrix is not None
+    for row in ("one", "two"):
+        cell = report.matrix.cell(row, "linear")
+        assert (cell.trials, cell.reason) == (3, "")
+        stored = load_champion(next((tmp_path / "controllers").glob(f"{row}-*.json")))
+        inside = stored.controller.parameters["model"]
+        assert Path(inside if row == "one" else inside[0]).parent == (tmp_path / "models").resolve()
+        make_controller(stored.controller).bind_to(make_task(stored.task).bind(switched_car()))
+    fit = planned("linear").fits["linear"]
+    cells = [HandWrittenCell(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}) for n in "ab"]
+    assert cells[0].needs == (fit,)
+    assert cells[0].digest == cells[1].digest, "a label is no part of a result"
+
+
+def noises_met(**changes: Any) -> dict[str, str]:
+    """Return the noise of every evolution of a comparison with a yardstick, by the label of what it is evolved on."""
+    plan = planned("linear", robot="made_up_robot", yardstick=True, **changes).plan
+    return {cell.name: cell.settings.noise for cell in plan if isinstance(cell, EvolveCell)}
+
+
+def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_asked_for() -> None:
+    target = "set_point(channels=yaw_rate, low=-1, high=1)"
+    assert noises_met(task=target) == {"linear": "envelope(process=0.02)", "made_up_robot": ""}
+    assert set(noises_met(task=target, noise="none").values()) == {""}
+    assert set(noises_met(task=target, noise="envelope(sensor=0.1)").values()) == {"envelope(sensor=0.1)"}
+    assert set(noises_met().values()) == {""}
+
+
 def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path: Path) -> None:
     file = save_model(make_model("linear").fit(example_dataset(), rng=0), tmp_path / "body")
     spec = Spec("predictive", {"model": str(file)})
@@ -249,6 +282,8 @@ def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
         ({"controller": "recurrent(hidden=0)"}, InvalidArgument, "hidden"),
         ({"aggregate": "min(share=0.2)"}, InvalidArgument, "'min' has no parameter 'share'"),
         ({"by_hand": ("recurrent",)}, InvalidArgument, "'recurrent' must be evolved before it can drive"),
+        ({"by_hand": ("predictive(model=liner)",)}, UnknownName, "the models compared are linear"),
+        ({"by_hand": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
         ({"by_hand": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' stands there 2 times"),
         ({"by_hand": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
         ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "no controller is run with only = 'fit'"),

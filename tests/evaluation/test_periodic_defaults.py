@@ -25,22 +25,24 @@ def swings(lengths: list[int]) -> Dataset:
     return Dataset.from_arrays(SWING, states, [rng.uniform(-1.0, 1.0, length) for length in lengths])
 
 
-def test_families_that_take_an_angle_for_a_plain_number_are_no_default_where_there_is_one() -> None:
+def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there() -> None:
     plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
-    assert set(plan.fits) == {"nearest_neighbour", "sindy", "sindy_discrete", "narx"}
+    assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
     assert plan.experiment.models is not None
     assert len(plan.experiment.models) == len(plan.fits)  # the run can be planned again from what is stored of it
-    assert any("backprop27, evolved3, parametrised, mlp_ensemble are left out" in text for text in plan.plan.remarks)
-    asked = plan_comparison(Experiment(only="prediction", models=("mlp_ensemble",)), dataset=swings([400, 400]))
-    assert set(asked.fits) == {"mlp_ensemble"}
+    assert any("evolved3 is left out" in text and "angle comes round" in text for text in plan.plan.remarks)
+    asked = plan_comparison(Experiment(only="prediction", models=("evolved3", "linear")), dataset=swings([400, 400]))
+    assert set(asked.fits) == {"evolved3", "linear"}
+    assert not any("left out" in text for text in asked.plan.remarks)
 
 
 def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later() -> None:
     data = swings([300])
     names = [name for name in models.names() if getattr(models.get(name), "periodic", False)]
-    assert {"nearest_neighbour", "k_neighbours", "sindy", "narx"} <= set(names)
+    assert {"nearest_neighbour", "k_neighbours", "sindy", "narx", "mlp_ensemble", "gaussian_process"} <= set(names)
+    assert "linear" not in names
     quick: dict[str, dict[str, Any]] = {name: models.get(name).presets.get("quick", {}) for name in names}
-    for name in ("nearest_neighbour", "sindy_discrete", "narx"):
+    for name in ("nearest_neighbour", "sindy_discrete", "narx", "backprop27"):
         model = models.make(name, **quick[name]).fit(data)
         lags, control, turn = model.n_lags, np.array([[0.5]]), np.array([[2.0 * np.pi, 0.0]])
         states = np.tile([[0.4, 1.0]], (1, lags + 1, 1))

@@ -9,6 +9,7 @@ import pytest
 
 from evaluation.report import Report, tells_nothing, verdict
 from evaluation.report.predicting import main_horizon
+from sysid_evo.registry import Spec
 from tests.evaluation.made_up import matrix, prediction, report
 
 GOOD = {"persistence": 0.9, "linear": 0.3, "sindy": 0.6}
@@ -252,3 +253,32 @@ def test_a_report_with_something_to_tell_asks_its_three_questions() -> None:
         "Which controllers transfer?",
         "What to use?",
     ]
+
+
+def below_zero(rest: float | None) -> str:
+    """Return what is told of two controllers whose fitness is negative, with or without one at rest."""
+    fitness = {"a": {"a": -200.0, "b": -250.0, "car": -220.0}, "car": {"a": -300.0, "b": -300.0, "car": -200.0}}
+    if rest is not None:
+        fitness["rest"] = {"a": rest, "b": rest, "car": rest}
+    made = matrix(fitness, against={"rest": ()}, robot="car")
+    champions = tuple(
+        replace(c, controller=Spec.parse("rest=constant")) if c.name == "rest" else replace(c, polished=c.name == "a")
+        for c in made.champions
+    )
+    return told(report(transfer=replace(made, champions=champions)))
+
+
+def test_shares_of_a_negative_fitness_are_measured_from_controls_at_rest() -> None:
+    text = below_zero(-1200.0)
+    assert "a achieves 98 % of that." in text
+    assert "At least nine tenths of their claim is kept on the robot by a." in text
+    assert "Shares are measured from controls at rest: -1200.0 waypoints." in text
+    far = below_zero(-230.0)
+    assert "a achieves 33 % of that" in far
+    assert "No controller keeps nine tenths of its claim" in far
+
+
+def test_a_negative_fitness_has_no_shares_without_controls_at_rest() -> None:
+    text = below_zero(None)
+    assert "%" not in text
+    assert "tenths of" not in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +74,14 @@ def test_what_was_computed_is_found_again_as_it_was(report: tuple[Report, Path])
     assert trace.targets[0].channel == found.data.system.states[0]
 
 
-def test_no_command_is_given_to_drive_what_cannot_be_driven(report: tuple[Report, Path]) -> None:
+def test_a_command_drives_the_robot_and_none_is_given_where_there_are_only_recordings(
+    report: tuple[Report, Path],
+) -> None:
     found, _ = report
-    assert drive_command(found, "linear") is None
+    robot = found.settings["robot"]
+    assert (drive_command(found, "linear") or "").endswith(f" --robot {robot}")
+    recordings = {name: value for name, value in found.settings.items() if name != "robot"}
+    assert drive_command(replace(found, settings=recordings), "linear") is None
 
 
 def test_an_angle_is_drawn_beside_its_target_and_its_line_breaks_where_it_jumps() -> None:

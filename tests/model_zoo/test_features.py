@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -38,7 +40,6 @@ def test_a_periodic_state_stands_as_sine_and_cosine_with_its_lags() -> None:
     np.testing.assert_allclose(features(carry, control)[0], expected)
     assert features.names[3:5] == ["sin angle[-1]", "cos angle[-1]"]
     assert features.units == ["", "", "rad/s", "", "", "rad/s", "N m", "N m"]
-    np.testing.assert_array_equal(features.anchor(np.array([[0.5, 2.0]])), [[0.5, 0.0]])
     assert not features.plain
 
 
@@ -68,23 +69,34 @@ def test_a_pendulum_is_recovered_over_the_top() -> None:
     np.testing.assert_allclose(model.step(carry + turn, control), model.step(carry, control) + turn)
 
 
-@pytest.mark.parametrize("family", ["k_neighbours", "narx", "nearest_neighbour", "sindy", "sindy_discrete"])
+QUICK: dict[str, dict[str, Any]] = {
+    "backprop27": {"epochs": 60},
+    "evolved3": {"generations": 8},
+    "gaussian_process": {"inducing": 20},
+    "k_neighbours": {"neighbours": 8},
+    "mlp_ensemble": {"members": 2, "hidden": [12], "one_step_updates": 60, "updates": 5},
+    "narx": {"terms": 6},
+    "nearest_neighbour": {},
+    "neural_ode_history": {"hidden": [12], "one_step_updates": 100, "updates": 10},
+    "sindy": {"degree": 2},
+    "sindy_discrete": {"degree": 2},
+}
+
+
+@pytest.mark.parametrize("family", QUICK)
 def test_a_full_turn_of_a_periodic_state_changes_nothing(family: str) -> None:
     """Also for lags: every family that compares or multiplies states sees sine and cosine."""
     data = swung(1, steps=120)
-    options = {"degree": 2} if "sindy" in family else {"neighbours": 8} if family == "k_neighbours" else {}
-    options = {"terms": 6} if family == "narx" else options
-    model = make_model(family, **options, state_lags=1, control_lags=1).fit(data)
+    model = make_model(family, **QUICK[family], state_lags=1, control_lags=1).fit(data)
     steps = data.transitions(state_lags=1, control_lags=1)
     turn = np.array([2 * np.pi, 0.0, 2 * np.pi, 0.0, 0.0])
     expected = model.step(steps.carry, steps.control)
     np.testing.assert_allclose(model.step(steps.carry + turn, steps.control), expected + turn, atol=1e-7)
-    assert model.score(data) > -0.5
+    assert model.score(data) > -0.8
     kernel = model.kernel()
-    assert (kernel is None) == (family == "k_neighbours")
-    if kernel is not None:
-        compiled = kernel_step(kernel, steps.carry, steps.control, precision="float64")
-        np.testing.assert_allclose(compiled, expected, rtol=1e-6, atol=1e-6)
+    assert kernel is not None
+    compiled = kernel_step(kernel, steps.carry, steps.control, precision="float64")
+    np.testing.assert_allclose(compiled, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_drag_that_is_no_polynomial_is_found_among_the_functions_asked_for() -> None:

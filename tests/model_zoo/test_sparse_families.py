@@ -106,7 +106,7 @@ def test_coefficients_are_those_of_pysindy() -> None:
     rng = np.random.default_rng(1)
     x, u = rng.standard_normal((300, 2)), rng.standard_normal((300, 1))
     targets = np.stack([x[:, 0] * u[:, 0] - x[:, 1], 2.0 * x[:, 1] ** 2], axis=1)
-    data = Regression(np.hstack([x, u]), targets, np.hstack([x, u]), x)
+    data = Regression(np.hstack([x, u]), targets, np.hstack([x, u]), x, np.zeros(2, dtype=bool))
     scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
     theirs = pysindy.SINDy(
         optimizer=pysindy.STLSQ(threshold=0.02, alpha=1e-3),

@@ -174,7 +174,7 @@ def test_a_truncated_file_is_refused(stored: Path) -> None:
     source = stored.with_suffix(".json")
     source.write_bytes(source.read_bytes()[:-20])
     with pytest.raises(
-        ArtefactError, match=r"model.json: not a manifest of schema sysid-evo/artefact/2: the file: Invalid"
+        ArtefactError, match=r"model.json: not a manifest of schema sysid-evo/artefact/3: the file: Invalid"
     ):
         load_model(stored)
 
@@ -255,6 +255,19 @@ def test_a_model_of_an_unknown_family_says_where_it_came_from(stored: Path) -> N
         ArtefactError, match=r"needs the model family 'lineal', which the module 'their_zoo'.*--plugin.*linear"
     ):
         load_model(stored)
+
+
+def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_there_are_two(tmp_path: Path) -> None:
+    save_champion(CHAMPION, tmp_path / "best of 1.5-0123abcd")
+    for name in ("best of 1.5", "best of 1.5.json", "best of 1.5-0123abcd", "best of 1.5-0123abcd.safetensors"):
+        assert load_champion(tmp_path / name).name == CHAMPION.name
+    save_champion(CHAMPION, tmp_path / "best of 1.5-plain")
+    assert load_champion(tmp_path / "best of 1.5").name == CHAMPION.name
+    save_champion(CHAMPION, tmp_path / "best of 1.5-4567abcd")
+    with pytest.raises(ArtefactError, match=r"best of 1.5-0123abcd.json, best of 1.5-4567abcd.json: name one"):
+        load_champion(tmp_path / "best of 1.5")
+    with pytest.raises(ArtefactError, match=r"best.json: expected one half of a stored controller, found no such file"):
+        load_champion(tmp_path / "best")
 
 
 def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:

@@ -166,7 +166,20 @@ def test_other_arguments_keep_the_contract_too(name: str, parameters: dict[str, 
     check_controller(name, **parameters)
 
 
-@pytest.mark.parametrize("spec", ["feed_forward", "linear", "pid", "pursuit", "pursuit(backward=true)"])
+def test_a_constant_controller_with_zeros_keeps_every_control_at_rest() -> None:
+    system = System(
+        (Channel("speed"),),
+        (Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))),
+        0.1,
+    )
+    law = make_controller("constant").bind_to(make_task("set_point(channels=speed)").bind(system))
+    assert law.hand_written
+    raw = outputs(law, [0.0, 0.0], np.zeros((2, 3)))
+    np.testing.assert_allclose(system.actuate(raw), [[1.0, 0.0]] * 2)
+    np.testing.assert_allclose(system.actuate(outputs(law, [0.5, 9.0], np.zeros((1, 3)))), [[2.0, 1.0]])
+
+
+@pytest.mark.parametrize("spec", ["constant", "feed_forward", "linear", "pid", "pursuit", "pursuit(backward=true)"])
 def test_both_engines_drive_a_car_with_switches_alike(spec: str) -> None:
     robot = make_robot("emulated_car")
     task, law = PointToPoint(horizon=150), make_controller(spec)

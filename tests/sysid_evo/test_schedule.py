@@ -26,6 +26,7 @@ from sysid_evo.evolution import (
 )
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.store import CheckpointFile
+from sysid_evo.tasks.point_to_point import PointToPoint
 
 from .test_checkpoints import Stop, StopAfter, assert_same
 
@@ -193,3 +194,39 @@ def test_stages_must_fit_what_is_asked_for(recording: Dataset) -> None:
     wrong = replace(SETTINGS, schedule=(Stage(models=("lineer",), until=3.0),))
     with pytest.raises(InvalidArgument, match="'lineer' is not among the models: linear"):
         wrong.stages(wrong.make_task(recording.system), ("linear",))
+
+
+def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations() -> None:
+    schedule = Schedule([], hill(1.0), most=2.0)
+    full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
+    for generation in (*[full] * 19, not_quite, *[full] * 19):
+        schedule.tell(generation)
+        assert not schedule.exhausted
+    schedule.tell(full)
+    assert schedule.exhausted
+
+
+def test_an_easier_stage_does_not_end_a_search() -> None:
+    schedule = Schedule([(Stage(at_most=30), hill(9.0))], hill(1.0), most=1.0)
+    for _ in range(30):
+        schedule.tell(scored(1.0, 1.0))
+    assert schedule.stage == 1
+    assert not schedule.exhausted
+
+
+def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(
+    runners: dict[str, DynamicsRunner], recording: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PointToPoint, "most", 0.0)  # whatever anybody does is all there is
+    settings = replace(SETTINGS, generations=40, runs=2, schedule=())
+
+    def evolved(progress: StopAfter | None, checkpoint: CheckpointFile | None) -> Champion:
+        return evolve_controller(
+            "c", runners, recording.system, settings, seed=3, progress=progress, checkpoint=checkpoint
+        )
+
+    champion = evolved(None, None)
+    assert len(champion.history) == 20
+    with pytest.raises(Stop):
+        evolved(StopAfter(20), CheckpointFile(tmp_path / "c"))
+    assert_same(evolved(None, CheckpointFile(tmp_path / "c")), champion)

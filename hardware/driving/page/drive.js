@@ -1,5 +1,6 @@
 // The page says many times a second which keys are held; what it does not say again counts for nothing.
 
+import { Traces } from "./traces.js";
 import { View } from "./view.js";
 
 const KEYS = { ArrowUp: 1, KeyW: 1, ArrowDown: 2, KeyS: 2, ArrowLeft: 4, KeyA: 4, ArrowRight: 8, KeyD: 8 };
@@ -12,6 +13,7 @@ const part = (id) => document.getElementById(id);
 const write = (id, text) => { if (part(id).textContent !== text) part(id).textContent = text; };
 
 const view = new View(part("view"));
+const traces = new Traces(part("traces"));
 const held = new Map(); // what is down (a key's code, a pointer's number) and its bit
 let socket = null;
 let reading = null;
@@ -44,16 +46,20 @@ function connect() {
     const said = JSON.parse(event.data);
     heard = performance.now();
     if (said.setting) {
-      view.setting = said.setting;
-      view.half = null;
-      document.title = `${said.setting.robot} – driving by hand`;
-      write("robot", said.setting.robot);
-      write("unit", said.setting.unit || "score");
+      arrange(said.setting);
       return;
     }
-    if (!reading || said.trial !== reading.trial) view.clear();
+    if (said.scenery) {
+      view.scenery = traces.scenery = said.scenery;
+      return;
+    }
+    if (!reading || said.trial !== reading.trial) {
+      view.clear();
+      traces.clear();
+    }
     reading = said;
     view.show(said);
+    traces.show(said);
   };
   socket.onclose = (event) => {
     held.clear();
@@ -63,22 +69,46 @@ function connect() {
   };
 }
 
+// Show what this robot and this task have: a top view, traces, keys.
+function arrange(setting) {
+  view.setting = traces.setting = setting;
+  view.half = null;
+  document.title = `${setting.robot} – ${setting.by_hand ? "driving by hand" : setting.controller}`;
+  write("robot", setting.robot);
+  write("unit", setting.unit || "score");
+  document.body.classList.toggle("by-hand", setting.by_hand);
+  part("view").hidden = !setting.top_view;
+  part("traces").hidden = !setting.traces.length;
+}
+
 function banner() {
   if (over) return "The session is over.";
   if (socket?.readyState !== WebSocket.OPEN) return tries > 3 ? "No answer: does sysid-evo drive still run?" : "Connecting";
   if (!reading) return "";
+  if (!view.setting.by_hand) return watched();
   if (!reading.drives) return "Watching: another page drives.";
   switch (reading.phase) {
     case "settling": return "Release all keys; the robot must stand still.";
     case "ready": return "Press an arrow key to start: the clock starts with it.";
-    case "finished": return `Trial over, score ${reading.score}. R starts the next.`;
+    case "finished": return `Trial over, score ${score(reading.score)}. R starts the next.`;
     case "ended": return reading.message ? `${reading.message}. R starts another trial.` : "R starts a trial.";
     default: return "";
   }
 }
 
+function watched() {
+  const { controller, faster } = view.setting;
+  const pace = faster > 1 ? `, ${faster.toFixed(faster < 10 ? 1 : 0)} times as fast` : "";
+  if (reading.phase === "settling") return `Waiting until the robot stands; then ${controller} drives.`;
+  return reading.phase === "finished" ? `Trial over, score ${score(reading.score)}.` : `${controller} drives${pace}`;
+}
+
+function score(value) {
+  return String(Number(value.toFixed(Math.abs(value) < 100 ? 2 : 1)));
+}
+
 function signed(value) {
-  return `${value > 0 ? "+" : value < 0 ? "−" : ""}${Math.abs(value)}`;
+  return `${value > 0 ? "+" : value < 0 ? "−" : ""}${Number(Math.abs(value).toPrecision(3))}`;
 }
 
 function health(id, state, text) {
@@ -88,13 +118,15 @@ function health(id, state, text) {
 
 function panel() {
   write("banner", banner());
+  const byHand = Boolean(view.setting.by_hand);
   const alive = socket?.readyState === WebSocket.OPEN && performance.now() - heard < SILENT;
   const watchers = reading?.drives && reading.watchers ? `, ${reading.watchers} watching` : "";
-  health("page", alive ? "good" : "bad", alive ? (reading?.drives ? "in control" : "watching") + watchers : "not connected");
+  health("page", alive ? "good" : "bad", alive ? (byHand && reading?.drives ? "in control" : "watching") + (byHand ? watchers : "") : "not connected");
   if (!reading) return;
   write("trial", `trial ${reading.trial}`);
-  write("score", String(reading.score));
+  write("score", score(reading.score));
   write("time", reading.time_left.toFixed(1));
+  part("speed").closest("div").hidden = reading.speed === null && !view.setting.top_view;
   write("speed", (reading.speed ?? 0).toFixed(2));
   const names = view.setting.controls ?? [];
   write("command", reading.control ? names.map((name, i) => `${name} ${signed(reading.control[i])}`).join(" · ") : "neutral");
@@ -105,13 +137,14 @@ function panel() {
   if (!link || !reading.control) health("link", "off", "–");
   else health("link", link.state === "tripped" || link.age > 0.25 ? "bad" : "good", link.state);
   const mean = scores.reduce((sum, score) => sum + score, 0) / scores.length;
-  write("scores", scores.length ? `scores ${scores.slice(-8).join(" ")}, mean ${mean.toFixed(1)}` : "no trial driven to its end yet");
+  write("scores", scores.length ? `scores ${scores.slice(-8).map(score).join(" ")}, mean ${mean.toFixed(1)}` : "no trial driven to its end yet");
   for (const button of part("pad").children) button.classList.toggle("held", Boolean(reading.keys & button.dataset.key));
 }
 
 function frame() {
   panel();
   view.draw();
+  traces.draw();
   requestAnimationFrame(frame);
 }
 

@@ -12,6 +12,7 @@ export class View {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d");
     this.setting = {};
+    this.scenery = {};
     this.half = null;
     this.clear();
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -108,13 +109,20 @@ export class View {
 
   task() {
     const { pen, setting } = this;
-    if (setting.arena) {
+    if (setting.arena && !this.scenery.walls?.length) {
       pen.strokeStyle = this.colour("--arena");
       pen.lineWidth = 1.5;
       pen.setLineDash([6, 5]);
       this.circle([0, 0], setting.arena * this.scale);
       pen.stroke();
       pen.setLineDash([]);
+    }
+    pen.strokeStyle = this.colour("--ink");
+    pen.lineWidth = 1.5;
+    for (const wall of this.scenery.walls ?? []) {
+      pen.beginPath();
+      for (const point of wall) pen.lineTo(...this.at(point));
+      pen.stroke();
     }
     pen.strokeStyle = this.colour("--axis");
     for (const point of this.passed) {

@@ -115,7 +115,21 @@ class Lifted:
         return "\n".join(lines)
 
 
-Source: TypeAlias = KernelSource | Lifted
+@dataclass(frozen=True)
+class Picked:
+    """A function of single numbers, called as a function of ``x`` and ``u`` with ``arguments``, such as ``x[0]``."""
+
+    function: Callable[..., Any]
+    arguments: tuple[str, ...]
+
+    bindings: ClassVar[Mapping[str, Any]] = {}
+
+    def write(self, inner: str, name: str) -> str:
+        """Return the text of the function ``name(x, u)`` around the one called ``inner``."""
+        return f"def {name}(x, u):\n    return {inner}({', '.join(self.arguments)})"
+
+
+Source: TypeAlias = KernelSource | Lifted | Picked
 
 
 def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
@@ -153,9 +167,9 @@ class _Writer:
         self.count = 0
 
     def function(self, source: Source, entry: str | None = None) -> str:
-        if isinstance(source, Lifted):
+        if isinstance(source, (Lifted, Picked)):
             scalar = self.needs(KernelSource(source.function))
-            name = "entry" if entry else self.fresh("lifted")
+            name = "entry" if entry else self.fresh(type(source).__name__.lower())
             return f"{entry or INNER}\n{source.write(scalar, name)}"
         function = _plain(source.function)
         tree = _parse(function)
@@ -252,7 +266,7 @@ class _Specialise(ast.NodeTransformer):
             return self._named(KernelSource(elementary.FLOAT32[value]))
         if getattr(value, "__module__", "") == "math":
             return ast.Attribute(ast.Name("math", ast.Load()), value.__name__, ast.Load())
-        if isinstance(value, (KernelSource, Lifted)):
+        if isinstance(value, (KernelSource, Lifted, Picked)):
             return self._named(value)
         if isinstance(_plain(value), FunctionType):
             return self._named(KernelSource(value))

@@ -1,4 +1,4 @@
-"""The loops over time, as kernel functions: closed loop with a controller, open loop over windows.
+"""The loops over time, as kernel functions: closed loop with a controller, imagined trials, open loop over windows.
 
 They know nothing about cars: kernels come as first-class functions, sizes in an integer array.
 """
@@ -29,6 +29,7 @@ CLOSED = Layout(
     "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
+IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
 
 
@@ -245,6 +246,68 @@ def open_loop(
         error[candidate] = total / float(windows * nx)
 
 
+def imagine(
+    dynamics, advance, sizes, dynamics_parameters, task_parameters,
+    start, task_start, trial_data, controls, envelope,
+    carry, control, noise, before, task, kept, marks, scratch, trials, dead,
+    lost, final_state, final_task,
+):  # fmt: skip
+    """Run blocks of 64 rollouts each, sequence first, trial second, under ``controls`` (rollouts, steps, nu)."""
+    steps, nx, nu, n_carry = sizes[IMAGINED.steps], sizes[IMAGINED.nx], sizes[IMAGINED.nu], sizes[IMAGINED.n_carry]
+    n_task, n_trials, rollouts = sizes[IMAGINED.n_task], sizes[IMAGINED.trials], sizes[IMAGINED.rollouts]
+    for block in range((rollouts + LANES - 1) // LANES):
+        n_dead = 0
+        for lane in range(LANES):
+            trial = min(block * LANES + lane, rollouts - 1) % n_trials
+            trials[lane] = trial % sizes[IMAGINED.of_data]
+            for row in range(n_carry):
+                carry[row * LANES + lane] = start[trial * n_carry + row]
+            for row in range(n_task):
+                task[row * LANES + lane] = task_start[trial * n_task + row]
+            dead[lane] = 1 if task[LANES + lane] == 0.0 else 0
+            n_dead += dead[lane]
+        for k in range(steps):
+            if n_dead == LANES:
+                break
+            for lane in range(LANES):
+                rollout = min(block * LANES + lane, rollouts - 1)
+                given = view(controls, (rollout * steps + k) * nu)
+                for row in range(nu):
+                    control[row * LANES + lane] = given[row]
+            for i in range(nx * LANES):
+                before[i] = carry[i]
+            if n_dead > 0:
+                keep(carry, n_carry, task, n_task, kept)
+            dynamics(carry, control, noise, dynamics_parameters, scratch)
+            if suspicious(carry, envelope, n_carry, nx, marks) > 0:
+                for lane in range(LANES):
+                    if marks[lane] != marks[lane]:
+                        if dead[lane] == 0:
+                            dead[lane] = 2
+                            n_dead += 1
+                            for row in range(n_task):
+                                kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
+                        if dead[lane] == 2:
+                            for row in range(n_carry):
+                                carry[row * LANES + lane] = 0.0
+                                kept[row * LANES + lane] = 0.0
+                clip(carry, envelope, nx)
+            advance(task, before, carry, control, trials, trial_data, task_parameters)
+            if n_dead > 0:
+                restore(carry, n_carry, task, n_task, kept, dead)
+            for lane in range(LANES):
+                if dead[lane] == 0 and task[LANES + lane] == 0.0:
+                    dead[lane] = 1
+                    n_dead += 1
+        for lane in range(min(LANES, rollouts - block * LANES)):
+            rollout = block * LANES + lane
+            lost[rollout] = 1 if dead[lane] == 2 else 0
+            for row in range(nx):
+                final_state[rollout * nx + row] = carry[row * LANES + lane]
+            for row in range(n_task):
+                final_task[rollout * n_task + row] = task[row * LANES + lane]
+
+
 def decide(
     controller, observe, sizes, controller_parameters, task_parameters, actuation,
     state, theta_of, memory_of, task_of, control_of, carry, control, observation, raw, scratch,
@@ -315,6 +378,9 @@ CLOSED_LOOP = Signature.of(
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+IMAGINE = Signature.of(
+    imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, dead=WHOLES, lost=WHOLES
+)
 DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
 SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)
 ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)

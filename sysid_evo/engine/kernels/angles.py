@@ -13,16 +13,13 @@ from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 from sysid_evo.system import System
 
-HEAD = Layout("n_carry", "n_seen", "nx", "anchored", "own", align=CACHE_LINE)
+HEAD = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
 
 
-def with_angles(
-    inner: Predictor, system: System, lags: tuple[int, int] = (0, 0), *, anchored: bool = False
-) -> Predictor:
+def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)) -> Predictor:
     """Return a predictor that shows ``inner`` each periodic state of the carry as sine and cosine, see `regressors`.
 
-    The carry holds the state, ``lags[0]`` earlier states and ``lags[1]`` earlier controls. With ``anchored`` what
-    ``inner`` predicts of a periodic state is its change, to which the state itself is added.
+    The carry holds the state, ``lags[0]`` earlier states and ``lags[1]`` earlier controls.
     """
     if not system.periods:
         return inner
@@ -35,8 +32,6 @@ def with_angles(
         inner.parameters,
         n_carry=len(per_row),
         n_seen=n_seen,
-        nx=system.nx,
-        anchored=anchored,
         own=HEAD.size + len(rows),
     )
     return Predictor(
@@ -53,7 +48,7 @@ def prepare_inner(u, p, scratch):
 
 
 def seen_as_angles(x, u, p, y, scratch):
-    """Predict from the sines and cosines, and add what the change is added to."""
+    """Predict from the sines and cosines."""
     row = 0
     for i in range(int(p[HEAD.n_carry])):
         factor, here, there = p[HEAD.size + i], view(x, i * LANES), view(scratch, row * LANES)
@@ -66,9 +61,3 @@ def seen_as_angles(x, u, p, y, scratch):
             copy(here, there, LANES)
             row += 1
     predict(scratch, u, view(p, int(p[HEAD.own])), y, view(scratch, int(p[HEAD.n_seen]) * LANES))
-    if p[HEAD.anchored] > 0.0:
-        for i in range(int(p[HEAD.nx])):
-            if p[HEAD.size + i] > 0.0:
-                here, there = view(x, i * LANES), view(y, i * LANES)
-                for lane in range(LANES):
-                    there[lane] += here[lane]

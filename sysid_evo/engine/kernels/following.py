@@ -68,7 +68,7 @@ def following_kernel(task: Following) -> TaskKernel | None:
         advance=KernelSource(advance, {"move": motion.move}),
         n_rows=ROWS.pose + system.n_pose + 2 * m,
         rows=_rows,
-        trial_data=lambda task_state: cast("FollowingState", task_state).reference.reshape(len(task_state.alive), -1),
+        trial_data=_targets,
         state=_state,
         parameters=parameters,
         pose_row=ROWS.pose,
@@ -97,6 +97,11 @@ def _of_goal(goal: Goal) -> Array:
         scale=1.0 / (SHOWN * goal.tolerance),
         end=min(goal.end, NEVER),
     )
+
+
+def _targets(task_state: TaskState) -> Array:
+    reference = cast("FollowingState", task_state).reference
+    return reference.reshape(len(reference), -1)
 
 
 def _rows(task_state: TaskState) -> Array:

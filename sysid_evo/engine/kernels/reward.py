@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.dialect import KernelSource, Source
 from sysid_evo.engine.compiled.kernel import TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
 from sysid_evo.engine.compiled.layout import Layout
@@ -25,11 +25,21 @@ ROWS = Layout("score", "alive", "pose")
 OWN = Layout("lowest", "share")
 
 
-def reward_kernel(system: System, scalar: Callable[..., Any], lowest: float, horizon: int) -> TaskKernel | None:
-    """Return the compiled form; None if the motion has none, or state and control fill more than a row."""
+def reward_kernel(
+    system: System,
+    scalar: Callable[..., Any] | Source,
+    lowest: float,
+    horizon: int,
+    over: Source | None = None,
+) -> TaskKernel | None:
+    """Return the compiled form; None if the motion has none, or state and control fill more than a row.
+
+    ``scalar`` and ``over`` are functions of one state and control; a trial is over where the latter is not 0.
+    """
     motion = motion_kernel(system)
     if motion is None or system.nx + system.nu > LANES:
         return None
+    worth = KernelSource(scalar) if callable(scalar) else scalar
     states = state_numbers(system)
     own = OBSERVED.size + states.size
     parameters = OBSERVED.pack(
@@ -51,7 +61,7 @@ def reward_kernel(system: System, scalar: Callable[..., Any], lowest: float, hor
     )
     return TaskKernel(
         observe=KernelSource(observe),
-        advance=KernelSource(advance, {"move": motion.move, "worth": KernelSource(scalar)}),
+        advance=KernelSource(advance, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}),
         n_rows=ROWS.pose + system.n_pose + 1,
         rows=_rows,
         trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
@@ -89,3 +99,12 @@ def advance(task, before, after, control, trials, trial_data, parameters):
             u[j] = control[j * LANES + lane]
         reward = worth(x, u)
         task[lane] += share * (reward if reward >= lowest else lowest)
+        for i in range(nx):
+            x[i] = after[i * LANES + lane]
+        if over(x, u):
+            task[ROWS.alive * LANES + lane] = 0.0
+
+
+def never(x, u):
+    """No trial is over before its time."""
+    return 0.0

@@ -1,10 +1,10 @@
-"""Predictors around predictors: a turning frame, inputs kept in a range, a sum of two."""
+"""Predictors around predictors: a turning frame, inputs kept in a range, changes added to states, a sum of two."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.lanes import LANES, view
 from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
@@ -110,6 +110,67 @@ def clip_rows(x, low, high, count, y):
         here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
         for lane in range(LANES):
             there[lane] = min(max(here[lane], least), most)
+
+
+INSIDE = Layout("nx", "low", "high", "own", align=CACHE_LINE)
+
+
+def from_inside(change: Predictor, low: Array, high: Array) -> Predictor:
+    """Return a predictor of the next state: the present one within ``low`` to ``high`` (nx,), plus ``change``."""
+    nx, limits = len(low), padded(np.concatenate([low, high]))
+    places = {"low": INSIDE.size, "high": INSIDE.size + nx, "own": INSIDE.size + len(limits)}
+    return Predictor(
+        KernelSource(add_inside, change.bindings),
+        INSIDE.pack(limits, change.parameters, nx=nx, **places),
+        change.n_scratch,
+        prepare=KernelSource(prepare_change, change.bindings),
+    )
+
+
+def prepare_change(u, p, scratch):
+    """Prepare what predicts the change."""
+    prepare(u, view(p, int(p[INSIDE.own])), scratch)
+
+
+def add_inside(x, u, p, y, scratch):
+    """Add the state, taken back into its range, to its change."""
+    predict(x, u, view(p, int(p[INSIDE.own])), y, scratch)
+    low, high = view(p, int(p[INSIDE.low])), view(p, int(p[INSIDE.high]))
+    for row in range(int(p[INSIDE.nx])):
+        here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
+        for lane in range(LANES):
+            there[lane] += min(max(here[lane], least), most)
+
+
+ON_TOP = Layout("nx", "added", "own", align=CACHE_LINE)
+
+
+def on_top(inner: Predictor, added: BoolArray) -> Predictor:
+    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,)."""
+    rows = padded(added.astype(np.float64))
+    parameters = ON_TOP.pack(rows, inner.parameters, nx=len(added), added=ON_TOP.size, own=ON_TOP.size + len(rows))
+    return Predictor(
+        KernelSource(put_on_top, inner.bindings),
+        parameters,
+        inner.n_scratch,
+        prepare=KernelSource(prepare_on_top, inner.bindings),
+    )
+
+
+def prepare_on_top(u, p, scratch):
+    """Prepare what is inside."""
+    prepare(u, view(p, int(p[ON_TOP.own])), scratch)
+
+
+def put_on_top(x, u, p, y, scratch):
+    """Predict, and add changes to their states."""
+    predict(x, u, view(p, int(p[ON_TOP.own])), y, scratch)
+    added = view(p, int(p[ON_TOP.added]))
+    for row in range(int(p[ON_TOP.nx])):
+        if added[row] > 0.0:
+            here, there = view(x, row * LANES), view(y, row * LANES)
+            for lane in range(LANES):
+                there[lane] += here[lane]
 
 
 SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)

@@ -23,7 +23,20 @@ from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-HEAD = Layout("nx", "nu", "state_lags", "control_lags", "dt", "held", "frame", "rest", "own", align=CACHE_LINE)
+HEAD = Layout(
+    "nx",
+    "nu",
+    "state_lags",
+    "control_lags",
+    "dt",
+    "held",
+    "limited",
+    "frame",
+    "rest",
+    "limits",
+    "own",
+    align=CACHE_LINE,
+)
 
 
 @dataclass(frozen=True)
@@ -77,7 +90,7 @@ def stepping_kernel(
     None if an acceleration is to be integrated and the system's motion has no compiled form.
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
     ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
-    controls in the carry included.
+    controls in the carry included. No state leaves the limits of its channel.
     """
     motion = REACHED if output == "next_state" else motion_kernel(system)
     if motion is None:
@@ -85,7 +98,8 @@ def stepping_kernel(
     rest = np.empty(0)
     if rest_band is not None:
         rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
-    parts = [padded(motion.parameters), padded(rest)]
+    limits = np.ravel(system.limits) if system.limited else np.empty(0)
+    parts = [padded(motion.parameters), padded(rest), padded(limits)]
     places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
     parameters = HEAD.pack(
         *parts,
@@ -96,16 +110,18 @@ def stepping_kernel(
         control_lags=lags[1],
         dt=system.dt,
         held=rest_band is not None,
+        limited=system.limited,
         frame=places[0],
         rest=places[1],
-        own=places[2],
+        limits=places[2],
+        own=places[3],
     )
     bindings = {**predictor.bindings, "integrate": motion.integrate}
     return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + 1 + predictor.n_scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
-    """Predict, integrate, and shift the lags."""
+    """Predict, integrate, keep within limits, and shift the lags."""
     nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
     rows = nx * LANES
     moving = view(scratch, rows)
@@ -115,6 +131,12 @@ def step(carry, control, noise, parameters, scratch):
     integrate(carry, scratch, nx, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.frame])))
     state_lags, control_lags = int(parameters[HEAD.state_lags]), int(parameters[HEAD.control_lags])
     past = view(carry, (1 + state_lags) * rows)
+    if parameters[HEAD.limited] > 0.0:
+        limits = view(parameters, int(parameters[HEAD.limits]))
+        for row in range(nx):
+            there, low, high = view(scratch, row * LANES), limits[row], limits[nx + row]
+            for lane in range(LANES):
+                there[lane] = min(max(there[lane], low), high)
     if parameters[HEAD.held] > 0.0:
         hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, moving, scratch)
     for back in range(state_lags, 0, -1):

@@ -43,14 +43,17 @@ def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -
         advance=KernelSource(advance, {"move": motion.move}),
         n_rows=ROWS.size,
         rows=_rows,
-        trial_data=lambda task_state: cast("PointToPointState", task_state).waypoints.reshape(
-            len(task_state.alive), -1
-        ),
+        trial_data=_data,
         state=_state,
         parameters=parameters,
         pose_row=ROWS.x,
         n_pose=system.n_pose,
     )
+
+
+def _data(task_state: TaskState) -> Array:
+    waypoints = cast("PointToPointState", task_state).waypoints
+    return waypoints.reshape(len(waypoints), -1)
 
 
 def _rows(task_state: TaskState) -> Array:

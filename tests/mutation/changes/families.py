@@ -83,4 +83,20 @@ CHANGES = (
         "plane",
         (VALIDATION,),
     ),
+    Change(
+        "an angle is seen as a plain number",
+        "model_zoo/channels/features.py",
+        "if place % nx in periods:",
+        "if place < 0:",
+        ("tests/model_zoo/test_features.py::test_a_periodic_state_stands_as_sine_and_cosine_with_its_lags",),
+    ),
+    Change(
+        "the turns that an angle has made count as its spread",
+        "sysid_evo/system.py",
+        "off = self.difference(states, np.broadcast_to(middle, states.shape))",
+        "off = states - middle",
+        (
+            "tests/sysid_evo/wrappers/test_noise.py::test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot",
+        ),
+    ),
 )

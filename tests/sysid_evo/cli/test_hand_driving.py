@@ -26,7 +26,7 @@ from hardware.emulation.modelled_robot import ModelledRobot
 from hardware.loop.report import LoopReport, Reason
 from hardware.recording.journal import read_journal
 from hardware.trackers.gates import GateLimits
-from sysid_evo.cli.hand_driving import Driven, _server_class, append_row
+from sysid_evo.cli.hand_driving import Driven, append_row, page_server
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
@@ -62,6 +62,8 @@ def drive(
             reading = json.loads(line.recv(timeout=20.0))
             while True:
                 reading = json.loads(line.recv(timeout=20.0))
+                if "scenery" in reading:
+                    continue
                 driving = reading["phase"] in ("ready", "driving")
                 line.send(json.dumps({"keys": FORWARD | LEFT if driving else 0, "clock": time.monotonic()}))
                 began = began or (time.monotonic() if reading["phase"] == "driving" else 0.0)
@@ -163,4 +165,4 @@ def test_a_page_that_cannot_be_served_says_what_to_install(monkeypatch: pytest.M
     monkeypatch.delitem(sys.modules, "hardware.driving.server", raising=False)
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingExtra, match=r"driving by hand needs the package 'uvicorn'.*sysid-evo\[drive\]"):
-        _server_class()
+        page_server()

@@ -17,6 +17,8 @@ from sysid_evo.testing.examples import switched_car
 SPECS = (
     "recurrent",
     "feed_forward(hidden=[4, 3])",
+    "policy(hidden=[4, 3])",
+    "policy(hidden=[5], inner=relu, output=tanh)",
     "linear(inputs=[yaw_rate, waypoint_angle])",
     "pid(loops={steer: [waypoint_angle, yaw_rate], drive: waypoint_distance})",
     "pursuit",

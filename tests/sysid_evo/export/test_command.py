@@ -15,8 +15,9 @@ from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, View
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import law_of
-from sysid_evo.registry import controllers
-from sysid_evo.store import save_champion
+from sysid_evo.registry import controllers, make_model
+from sysid_evo.store import save_champion, save_model
+from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import Caller
 
 from .made import champion_of
@@ -46,6 +47,15 @@ def test_it_names_the_file_and_how_to_use_it(to: str, suffix: str, stored: Path,
     assert again.says(f"best_of_a_b{suffix} exists already")
 
 
+def test_it_may_be_called_otherwise_in_its_file(stored: Path, tmp_path: Path, call: Caller) -> None:
+    done = call("export", stored, "--to", "c", "--name", "controller")
+    assert "written to controller.c" in done.stdout
+    text = (tmp_path / "controller.c").read_text()
+    assert "void controller_step(controller_memory *memory" in text
+    assert "controller 'best of a+b'" in text
+    assert "best_of_a_b" not in text
+
+
 def test_wrong_words_are_refused_with_those_that_would_do(stored: Path, call: Caller) -> None:
     assert call("export", stored, "--to", "java").says("--to: expected python, c, onnx, got 'java'")
     wrong = call("export", stored, "--to", "c", "--real", "half")
@@ -70,6 +80,12 @@ def test_a_controller_that_has_no_program_is_refused_with_those_that_have(regist
     register(controllers, "bare", Bare)
     with pytest.raises(InvalidArgument, match=r"'bare' cannot be written as a file .* recurrent, feed_forward, linear"):
         law_of(champion_of("bare"))
+
+
+def test_a_model_inside_is_refused_with_what_to_do_instead(tmp_path: Path) -> None:
+    file = save_model(make_model("linear").fit(example_dataset()), tmp_path / "body")
+    with pytest.raises(InvalidArgument, match=r"'predictive' cannot be written .* Evolve a network in that model"):
+        law_of(champion_of(f"predictive(model={str(file)!r}, horizon=3)"))
 
 
 def test_somebody_who_drives_by_hand_is_no_controller() -> None:

@@ -20,7 +20,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.closed_loop import expect_engines_agree
-from sysid_evo.testing.examples import ExampleDynamics
+from sysid_evo.testing.examples import ExampleDynamics, pendulum
 from sysid_evo.wrappers import (
     DelayedEstimate,
     NoisySensors,
@@ -47,6 +47,13 @@ GIVEN = RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (13, 78)),
 @cache
 def linear() -> DynamicsModel:
     return make_model("linear", state_lags=1, control_lags=1).fit(example_dataset(), rng=np.random.default_rng(0))
+
+
+class SpinningBody(ExampleDynamics):
+    """Its angle goes round a fifth of a turn in each step."""
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return carry + np.array([0.4 * np.pi, 0.0])
 
 
 def started(dynamics: Dynamics, rows: int, rng: np.random.Generator) -> Array:
@@ -198,6 +205,8 @@ def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_r
     data = example_dataset()
     states = np.concatenate([episode.states[:-1] for episode in data.episodes])
     np.testing.assert_allclose(state_spread(linear()), states.std(axis=0))
+    turned = SpinningBody(pendulum())
+    assert state_spread(turned)[0] < 2.0, "turns that were made do not count"
     driven = state_spread(SluggishCar(data.system))
     assert (driven > 0).all()
     np.testing.assert_array_equal(driven, state_spread(SluggishCar(data.system)))

@@ -1,0 +1,80 @@
+"""What a comparison's recommended controller achieves at a task: ``python -m tests.benchmarks.tasks --out DIR``.
+
+Each of ``--cases`` is a robot and a task. A comparison with its usual families, and nothing else given, records the
+emulated robot, evolves controllers in the models alone, and one on the robot itself, the yardstick. Prints what the
+recommended controller achieves on the robot beside it, and the processor time of all; a folder for each case and seed,
+in which what stands there is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from evaluation import Report, compare
+
+CASES = "pendulum/swing_up,cart_pole/balance,thermal/set_point"
+COLUMNS = ("robot", "task", "seed", "recommended", "achieved", "yardstick", "share, %", "processor time, s")
+WORDS = 4
+
+
+def row_of(report: Report, robot: str, task: str, seed: int, seconds: float) -> tuple[str, ...]:
+    """Return one row of the table; achieved and yardstick are means over trials, ± standard errors."""
+    assert report.transfer is not None
+    controllers = report.transfer.controllers
+    pick = next(c for c in controllers if c.name == report.transfer.pick)
+    yardstick = next(c for c in controllers if c.on_robot)
+    assert pick.achieved is not None
+    assert yardstick.achieved is not None
+    reached, possible = pick.achieved, yardstick.achieved
+    shown = tuple(f"{value.value:.1f} ± {value.standard_error:.1f}" for value in (reached, possible))
+    return (
+        robot,
+        task,
+        str(seed),
+        f"{pick.name} of {', '.join(pick.against)}",
+        *shown,
+        f"{100.0 * reached.value / possible.value:.0f}",
+        f"{seconds:.0f}",
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--cases", default=CASES)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--minutes", type=float, default=6.0)
+    parser.add_argument("--generations", type=int, help="of each evolution (default: the preset's)")
+    options = parser.parse_args(arguments)
+    console, table = Console(), Table(title="evolved on models only, and on the emulated robot itself")
+    for number, heading in enumerate(COLUMNS):
+        table.add_column(heading, justify="right" if number >= WORDS else "left")
+    for case in options.cases.split(","):
+        robot, task = case.split("/")
+        for seed in options.seeds:
+            began = time.process_time()
+            report = compare(
+                out=options.out / f"{robot}-{task}-{seed}",
+                robot=robot,
+                task=task,
+                seed=seed,
+                minutes=options.minutes,
+                generations=options.generations,
+                yardstick=True,
+            )
+            row = row_of(report, robot, task, seed, time.process_time() - began)
+            console.print(*row)
+            table.add_row(*row)
+    console.print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
