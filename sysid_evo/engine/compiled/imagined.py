@@ -65,8 +65,7 @@ class CompiledTrials:
             *loops.IMAGINE.ordered(
                 sizes=sizes,
                 trials=np.zeros(LANES, np.int64),
-                dead=np.zeros(LANES, np.int64),
-                lost=lost,
+                lost_of=lost,
                 final_state=state,
                 final_task=final,
                 **self.shared,

@@ -64,7 +64,7 @@ def closed_loop(
         in_order = (block * LANES) % n_trials  # from here on the trials of the lanes follow each other
         marks = observation  # observed anew before it is read
         over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
-        lost = over & 0  # and for each that diverged
+        lost = 0  # and for each that diverged
         for k in range(horizon):
             if over == -1:
                 break
@@ -84,27 +84,22 @@ def closed_loop(
             dynamics(carry, control, noise, dynamics_parameters, scratch)
             marked = suspicious(carry, envelope, n_carry, nx, marks)
             if marked != 0:
-                touched = view(clipped, block * LANES)
-                while marked != 0:
-                    lane = first_lane(marked)
-                    marked &= marked - 1
-                    bit = 1 << lane
-                    if marks[lane] == marks[lane]:
-                        if over & bit == 0 and lane < used:
-                            touched[lane] += 1
-                    else:
-                        if over & bit == 0:
-                            over |= bit
-                            lost |= bit
-                            for row in range(n_task):
-                                kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
-                            if lane < used:
-                                diverged[block * LANES + lane] = 1
-                                survived[block * LANES + lane] = k
-                        if lost & bit != 0:
-                            for row in range(n_carry):
-                                carry[row * LANES + lane] = 0.0
-                                kept[row * LANES + lane] = 0.0
+                diverging = lanes_differ(load(marks, 0), load(marks, 0)) & marked
+                fresh, clipping = diverging & ~over, marked & ~diverging & ~over
+                over |= fresh
+                lost |= fresh
+                forget(carry, kept, n_carry, task, n_task, fresh, diverging & lost)
+                while fresh != 0:
+                    lane = first_lane(fresh)
+                    fresh &= fresh - 1
+                    if lane < used:
+                        diverged[block * LANES + lane] = 1
+                        survived[block * LANES + lane] = k
+                while clipping != 0:
+                    lane = first_lane(clipping)
+                    clipping &= clipping - 1
+                    if lane < used:
+                        clipped[block * LANES + lane] += 1
                 clip(carry, envelope, nx)
             advance(task, before, carry, control, trials, trial_data, task_parameters)
             if over != 0:
@@ -194,6 +189,16 @@ def actuate(raw, control, actuation, nu):
             store(control, row * LANES, chosen)
 
 
+def forget(carry, kept, n_carry, task, n_task, fresh, lost):
+    """Put zeros into the carry of the lanes that are ``lost``; the ``fresh`` ones among them keep their task."""
+    for row in range(n_carry):
+        store(carry, row * LANES, where_bits(lost, splat(0.0), load(carry, row * LANES)))
+        store(kept, row * LANES, where_bits(lost, splat(0.0), load(kept, row * LANES)))
+    for row in range(n_carry, n_carry + n_task):
+        here = load(task, (row - n_carry) * LANES)
+        store(kept, row * LANES, where_bits(fresh, here, load(kept, row * LANES)))
+
+
 def clear(array, rows):
     """Write zeros."""
     for row in range(rows):
@@ -249,14 +254,13 @@ def open_loop(
 def imagine(
     dynamics, advance, sizes, dynamics_parameters, task_parameters,
     start, task_start, trial_data, controls, envelope,
-    carry, control, noise, before, task, kept, marks, scratch, trials, dead,
-    lost, final_state, final_task,
+    carry, control, noise, before, task, kept, marks, scratch, trials,
+    lost_of, final_state, final_task,
 ):  # fmt: skip
     """Run blocks of 64 rollouts each, sequence first, trial second, under ``controls`` (rollouts, steps, nu)."""
     steps, nx, nu, n_carry = sizes[IMAGINED.steps], sizes[IMAGINED.nx], sizes[IMAGINED.nu], sizes[IMAGINED.n_carry]
     n_task, n_trials, rollouts = sizes[IMAGINED.n_task], sizes[IMAGINED.trials], sizes[IMAGINED.rollouts]
     for block in range((rollouts + LANES - 1) // LANES):
-        n_dead = 0
         for lane in range(LANES):
             trial = min(block * LANES + lane, rollouts - 1) % n_trials
             trials[lane] = trial % sizes[IMAGINED.of_data]
@@ -264,44 +268,37 @@ def imagine(
                 carry[row * LANES + lane] = start[trial * n_carry + row]
             for row in range(n_task):
                 task[row * LANES + lane] = task_start[trial * n_task + row]
-            dead[lane] = 1 if task[LANES + lane] == 0.0 else 0
-            n_dead += dead[lane]
+        over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
+        lost = 0  # and for each that diverged
         for k in range(steps):
-            if n_dead == LANES:
+            if over == -1:
                 break
             for lane in range(LANES):
                 rollout = min(block * LANES + lane, rollouts - 1)
                 given = view(controls, (rollout * steps + k) * nu)
                 for row in range(nu):
                     control[row * LANES + lane] = given[row]
-            for i in range(nx * LANES):
-                before[i] = carry[i]
-            if n_dead > 0:
-                keep(carry, n_carry, task, n_task, kept)
+            copy_rows(carry, before, nx)
+            if over != 0:
+                copy_rows(carry, kept, n_carry)
+                copy_rows(task, view(kept, n_carry * LANES), n_task)
             dynamics(carry, control, noise, dynamics_parameters, scratch)
-            if suspicious(carry, envelope, n_carry, nx, marks) > 0:
-                for lane in range(LANES):
-                    if marks[lane] != marks[lane]:
-                        if dead[lane] == 0:
-                            dead[lane] = 2
-                            n_dead += 1
-                            for row in range(n_task):
-                                kept[(n_carry + row) * LANES + lane] = task[row * LANES + lane]
-                        if dead[lane] == 2:
-                            for row in range(n_carry):
-                                carry[row * LANES + lane] = 0.0
-                                kept[row * LANES + lane] = 0.0
+            marked = suspicious(carry, envelope, n_carry, nx, marks)
+            if marked != 0:
+                diverging = lanes_differ(load(marks, 0), load(marks, 0)) & marked
+                fresh = diverging & ~over
+                over |= fresh
+                lost |= fresh
+                forget(carry, kept, n_carry, task, n_task, fresh, diverging & lost)
                 clip(carry, envelope, nx)
             advance(task, before, carry, control, trials, trial_data, task_parameters)
-            if n_dead > 0:
-                restore(carry, n_carry, task, n_task, kept, dead)
-            for lane in range(LANES):
-                if dead[lane] == 0 and task[LANES + lane] == 0.0:
-                    dead[lane] = 1
-                    n_dead += 1
+            if over != 0:
+                restore(carry, kept, n_carry, over)
+                restore(task, view(kept, n_carry * LANES), n_task, over)
+            over |= ~lanes_differ(load(task, LANES), splat(0.0))
         for lane in range(min(LANES, rollouts - block * LANES)):
             rollout = block * LANES + lane
-            lost[rollout] = 1 if dead[lane] == 2 else 0
+            lost_of[rollout] = (lost >> lane) & 1
             for row in range(nx):
                 final_state[rollout * nx + row] = carry[row * LANES + lane]
             for row in range(n_task):
@@ -378,9 +375,7 @@ CLOSED_LOOP = Signature.of(
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
-IMAGINE = Signature.of(
-    imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, dead=WHOLES, lost=WHOLES
-)
+IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
 DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
 SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)
 ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)
