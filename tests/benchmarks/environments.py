@@ -129,8 +129,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, default=100)
     given = parser.parse_args(arguments)
-    heads = ("environment", "controller", "achieved", "yardstick", "floor", "share", "proc. s", "clock s")
+    heads = ("environment", "achieved", "yardstick", "floor", "share", "proc. s", "clock s")
     table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials", box=None)
+    table.columns[0].no_wrap = True
     for name in given.ids.split(","):
         robot = GymnasiumRobot(id=name)
         made = compared(name, given.out / f"{name}-{given.seed}", given.seed)
@@ -139,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
         reached, most, floor = (achieved(one, robot, given.trials) for one in (made.champion, best, rest))
         figures = (f"{value:.1f}" for value in (reached, most, floor))
         share = percent((reached - floor) / (most - floor))
-        table.add_row(name, made.champion.name, *figures, share, f"{made.processor:.0f}", f"{made.clock:.0f}")
+        table.add_row(name, *figures, share, f"{made.processor:.0f}", f"{made.clock:.0f}")
     Console().print(table)
     return 0
 

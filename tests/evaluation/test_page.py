@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,9 @@ def test_the_drawings_have_ink_all_the_way_down(tab: Tab, tmp_path: Path) -> Non
     assert np.count_nonzero(inked.sum(axis=1)) > 1500
     # nothing sticks out of the column of 60 rem
     assert not inked[:, 1200:].any()
+
+
+def test_headings_go_down_one_level_at_a_time(tab: Tab) -> None:
+    levels = tab.evaluate("[...document.querySelectorAll('h1, h2, h3, h4')].map(e => Number(e.tagName[1]))")
+    assert levels[0] == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
