@@ -130,11 +130,16 @@ class Tab:
 
     def picture(self, file: Path, *, width: int, height: int, dark: bool = False) -> None:
         """Write a picture of the page at this size in CSS pixels."""
+        self.to_front()
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         time.sleep(0.2)
         file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
+
+    def to_front(self) -> None:
+        """Show the tab: one behind another draws nothing, and its pictures are waited for in vain."""
+        self.call("Page.bringToFront")
 
     def close(self) -> None:
         """Close the tab as its user would."""

@@ -131,6 +131,7 @@ def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(tab: Tab, tmp
 
 
 def test_it_plays_to_the_end_pauses_and_begins_anew(tab: Tab) -> None:
+    tab.to_front()
     seek(tab, 0.0)
     tab.evaluate("document.getElementById('replay-pace').value = '1'; document.getElementById('replay-play').click()")
     assert tab.evaluate("document.getElementById('replay-play').textContent") == "Pause"
