@@ -13,6 +13,7 @@ from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import ControllerKernel, DynamicsKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES, view
 from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.engine.kernels.networks import squash
 from sysid_evo.engine.kernels.stepping import copy
 from sysid_evo.engine.kernels.walled_track import HEAD as SINGLE
 from sysid_evo.engine.kernels.walled_track import ROWS as TRACK
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from sysid_evo.controllers.controller import Controller
 
 BODIES = Layout("nx", "nu", "n_carry", "n_noise", align=CACHE_LINE)
-DRIVERS = Layout("n_theta", "n_memory", "n_seen", "nu", "second", align=CACHE_LINE)
+DRIVERS = Layout("n_theta", "n_memory", "n_seen", "nu", "second", "first_before", "second_before", align=CACHE_LINE)
 RACE = Layout("nx", "n_seen", "touch", align=CACHE_LINE)
 TASK = Layout("fitness", "alive", "contacts", "own")
 OWN = TRACK.track + NUMBERS
@@ -74,6 +75,8 @@ def drivers_kernel(
         n_seen=n_seen,
         nu=nu,
         second=DRIVERS.size + len(own),
+        first_before=first.before_tanh,
+        second_before=second.before_tanh,
     )
     source = KernelSource(act_both, {"first": first.source, "second": second.source})
     return ControllerKernel(source, parameters, max(first.n_scratch, second.n_scratch))
@@ -81,15 +84,20 @@ def drivers_kernel(
 
 def act_both(theta, memory, observation, raw, parameters, scratch):
     """Let the first act for the first body, the second for the second."""
+    size = int(parameters[DRIVERS.nu]) * LANES
     first(theta, memory, observation, raw, view(parameters, DRIVERS.size), scratch)
+    if parameters[DRIVERS.first_before] > 0.0:
+        squash(raw, size)
     second(
         view(theta, int(parameters[DRIVERS.n_theta]) * LANES),
         view(memory, int(parameters[DRIVERS.n_memory]) * LANES),
         view(observation, int(parameters[DRIVERS.n_seen]) * LANES),
-        view(raw, int(parameters[DRIVERS.nu]) * LANES),
+        view(raw, size),
         view(parameters, int(parameters[DRIVERS.second])),
         scratch,
     )
+    if parameters[DRIVERS.second_before] > 0.0:
+        squash(view(raw, size), size)
 
 
 def duel_kernel(task: Duel) -> TaskKernel | None:
