@@ -73,8 +73,8 @@ CHANGES = (
     Change(
         "steps of trials that are over count as clipped in the compiled form",
         LOOPS,
-        "1 if (marks[lane] > 0.0) & (dead[lane] == 0) else 0",
-        "1 if marks[lane] > 0.0 else 0",
+        "fresh, clipping = diverging & ~over, marked & ~diverging & ~over",
+        "fresh, clipping = diverging & ~over, marked & ~diverging",
         (f"{COMPILED}::test_a_trial_that_is_over_is_clipped_no_more",),
     ),
     Change(
@@ -94,8 +94,8 @@ CHANGES = (
     Change(
         "a compiled simulation goes on beyond the envelope",
         LOOPS,
-        "value[lane] = min(max(value[lane], low), high)",
-        "value[lane] = max(value[lane], low)",
+        "store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))",
+        "store(carry, row * LANES, max(load(carry, row * LANES), envelope[row]))",
         (f"{COMPILED}::test_clipped_steps_are_counted_and_clipped_states_go_on",),
     ),
     Change(
@@ -129,8 +129,8 @@ CHANGES = (
     Change(
         "a switch closes at half instead of three tenths",
         "sysid_evo/engine/compiled/run.py",
-        "row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], boundary",
-        "row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], 1.5 * boundary",
+        "channel.levels[i], np.arctanh(boundary) if before_tanh else boundary",
+        "channel.levels[i], np.arctanh(1.5 * boundary) if before_tanh else 1.5 * boundary",
         (f"{COMPILED}::test_every_output_selects_the_level_that_the_system_says",),
     ),
 )
