@@ -25,14 +25,13 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import llvmlite
 import numba
 
-from sysid_evo.engine.compiled import elementary, lanes
+from sysid_evo.engine.compiled import elementary, lanes, rows
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
@@ -308,7 +307,8 @@ def _parse(function: FunctionType) -> ast.FunctionDef:
 @cache
 def _fingerprint() -> str:
     """Return a digest of everything outside a generated file that its compiled form depends on."""
-    parts = [numba.__version__, llvmlite.__version__, sys.version, Path(lanes.__file__).read_text()]
+    rooms = [inspect.getsource(module) for module in (rows, lanes)]
+    parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 

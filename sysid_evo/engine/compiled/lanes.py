@@ -1,11 +1,12 @@
-"""A vector of 64 lanes as a Numba type, so that a sum over many rows stays in registers.
+"""What kernels do with rows of 64 lanes as values, so that a sum over many rows stays in registers.
 
 Block kernels hold 64 rollouts side by side: row i of a quantity is ``array[i * LANES : (i + 1) *
 LANES]``. Plain loops over lanes vectorise by themselves; what they cannot do is keep an accumulator
-in registers across an inner loop. A row as a value can: `load` and `splat` make one, ``+ - *`` and
-`where_less` combine them, `store` writes one; `load_quarter` and `splat_quarter` make rows of sixteen.
-For a search, `lowest` and `lane_of_lowest` reduce a row, `pick` takes one lane of it, and `lanes_less`
-marks lanes as the bits of an integer, whose lowest `first_lane` finds.
+in registers across an inner loop. A row as a value can: `load` and `splat` make one, arithmetic
+(`sysid_evo.engine.compiled.rows`) and `where_less` combine them, `store` writes one; `load_quarter`
+and `splat_quarter` make rows of sixteen. For a search, `lowest` and `lane_of_lowest` reduce a row,
+`pick` takes one lane of it, and `lanes_less` marks lanes as the bits of an integer, whose lowest
+`first_lane` finds.
 
 `view` moves the beginning of an array: an index that is a loop's own counter is known not to be
 negative, ``start + i`` is not, and Numba's test for it would keep the loop from vectorising; a slice
@@ -15,7 +16,6 @@ would count references in the loop.
 from __future__ import annotations
 
 import math
-import operator
 from functools import cache
 from typing import Any
 
@@ -24,29 +24,12 @@ from llvmlite.binding import get_host_cpu_features
 from numba import config as numba_settings
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import intrinsic, overload
+
+from sysid_evo.engine.compiled.rows import LanesType, broadcast, call_named
 
 LANES = 64
 QUARTER = LANES // 4
-FASTMATH = ("contract", "arcp", "nsz")
-"""What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
-
-
-class LanesType(types.Type):
-    """A vector of ``count`` numbers of one precision."""
-
-    def __init__(self, dtype: types.Type, count: int) -> None:
-        self.dtype, self.count = dtype, count
-        super().__init__(name=f"Lanes({dtype}, {count})")
-
-
-@register_model(LanesType)
-class LanesModel(models.PrimitiveModel):
-    """Represents the lanes as one LLVM vector."""
-
-    def __init__(self, manager: Any, lanes: LanesType) -> None:
-        scalar = ir.FloatType() if lanes.dtype == types.float32 else ir.DoubleType()
-        super().__init__(manager, lanes, ir.VectorType(scalar, lanes.count))
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: Any) -> Any:
@@ -70,16 +53,9 @@ def _splat(number: Any, count: int) -> Any:
     lanes = LanesType(number, count)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _broadcast(builder, arguments[0], context.get_value_type(lanes))
+        return broadcast(builder, arguments[0], context.get_value_type(lanes))
 
     return lanes(number), generate
-
-
-def _broadcast(builder: Any, number: Any, vector: Any) -> Any:
-    empty = ir.Constant(vector, ir.Undefined)
-    first = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
-    return builder.shuffle_vector(first, empty, zeros)
 
 
 @intrinsic
@@ -119,25 +95,6 @@ def store(typing_context, array, offset, row):
     return types.void(array, types.int64, row), generate
 
 
-def _operation(name: str) -> Any:
-    """Return a function of two rows that is one LLVM instruction, lane by lane."""
-
-    @intrinsic
-    def operation(typing_context, a, b):
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, name)(*arguments, flags=FASTMATH)
-
-        return a(a, b), generate
-
-    return operation
-
-
-_add, _sub, _mul = _operation("fadd"), _operation("fsub"), _operation("fmul")
-
-
-_div = _operation("fdiv")
-
-
 def _choice(comparison: str) -> Any:
     """Return a function of rows or numbers: the third in the lanes where the first two compare, else the fourth."""
 
@@ -149,7 +106,7 @@ def _choice(comparison: str) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             vector = context.get_value_type(row)
             first, second, yes, no = (
-                value if isinstance(kind, LanesType) else _broadcast(builder, value, vector)
+                value if isinstance(kind, LanesType) else broadcast(builder, value, vector)
                 for kind, value in zip(kinds, arguments, strict=True)
             )
             return builder.select(builder.fcmp_ordered(comparison, first, second), yes, no)
@@ -184,104 +141,6 @@ def lanes_differ(typing_context, a, b):
         return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
 
     return types.int64(a, b), generate
-
-
-def _are_lanes(a: Any, b: Any) -> bool:
-    return isinstance(a, LanesType) and isinstance(b, LanesType)
-
-
-@intrinsic
-def _like(typing_context, row, number):
-    """Return a row like ``row`` with ``number`` in every lane."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _broadcast(builder, arguments[1], context.get_value_type(signature.args[0]))
-
-    return row(row, row.dtype), generate
-
-
-def _overload_with_numbers(function: Any, operation: Any) -> None:
-    """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
-
-    @overload(function)
-    def with_lanes(a, b):
-        if _are_lanes(a, b):
-            return lambda a, b: operation(a, b)
-        if isinstance(a, LanesType) and isinstance(b, types.Number):
-            return lambda a, b: operation(a, _like(a, b))
-        if isinstance(a, types.Number) and isinstance(b, LanesType):
-            return lambda a, b: operation(_like(b, a), b)
-        return None
-
-
-for _function, _instruction in (
-    (operator.add, _add), (operator.sub, _sub), (operator.mul, _mul), (operator.truediv, _div),
-):  # fmt: skip
-    _overload_with_numbers(_function, _instruction)
-
-
-@overload(operator.neg)
-def _lanes_neg(a):
-    if isinstance(a, LanesType):
-        return lambda a: _negative(a)
-    return None
-
-
-@intrinsic
-def _negative(typing_context, a):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fneg(arguments[0])
-
-    return a(a), generate
-
-
-@overload(abs)
-def _lanes_abs(a):
-    if isinstance(a, LanesType):
-        return lambda a: _magnitude(a)
-    return None
-
-
-@intrinsic
-def _magnitude(typing_context, a):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _call(builder, "fabs", context.get_value_type(signature.args[0]), arguments)
-
-    return a(a), generate
-
-
-def _call(builder: Any, name: str, vector: Any, arguments: Any) -> Any:
-    """Call LLVM's own elementwise function ``name``."""
-    kind = "f32" if isinstance(vector.element, ir.FloatType) else "f64"
-    return _call_named(builder, f"llvm.{name}.v{vector.count}{kind}", vector, arguments)
-
-
-def _call_named(builder: Any, name: str, result: Any, arguments: Any) -> Any:
-    kind = ir.FunctionType(result, [argument.type for argument in arguments])
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
-
-
-@intrinsic
-def _least(typing_context, a, b):
-    """The second where they do not compare, as the built-in function of two numbers."""
-    return a(a, b), _smaller("<")
-
-
-@intrinsic
-def _most(typing_context, a, b):
-    return a(a, b), _smaller(">")
-
-
-def _smaller(comparison: str) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second = arguments
-        return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
-
-    return generate
-
-
-_overload_with_numbers(min, _least)
-_overload_with_numbers(max, _most)
 
 
 @intrinsic
@@ -341,7 +200,7 @@ def lane_of_lowest(typing_context, row):
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         least = _lowest(context, builder, signature, arguments)
-        everywhere = _broadcast(builder, least, context.get_value_type(row))
+        everywhere = broadcast(builder, least, context.get_value_type(row))
         bits = _bits(builder, builder.fcmp_ordered("==", arguments[0], everywhere), row.count)
         return _first_bit(builder, builder.or_(bits, ir.Constant(bits.type, 1 << (row.count - 1))))
 
@@ -397,7 +256,7 @@ def look_up(typing_context, table, place):
         index = builder.fptosi(places, whole)
         single = table.dtype == types.float32
         if single and _host_has("avx512f"):
-            return _call_named(builder, "llvm.x86.avx512.permvar.sf.512", numbers.type, [numbers, index])
+            return call_named(builder, "llvm.x86.avx512.permvar.sf.512", numbers.type, [numbers, index])
         if single and _host_has("avx2"):
             return _look_up_eights(builder, numbers, index)
         found = ir.Constant(numbers.type, ir.Undefined)
@@ -418,7 +277,7 @@ def _look_up_eights(builder: Any, numbers: Any, index: Any) -> Any:
     found = []
     for half in halves:
         places = builder.shuffle_vector(index, index, half)
-        first, second = (_call_named(builder, "llvm.x86.avx2.permps", low.type, [part, places]) for part in (low, high))
+        first, second = (call_named(builder, "llvm.x86.avx2.permps", low.type, [part, places]) for part in (low, high))
         bound = ir.Constant(places.type, [eight] * eight)
         found.append(builder.select(builder.icmp_signed("<", places, bound), first, second))
     return builder.shuffle_vector(*found, ir.Constant(ir.VectorType(whole, QUARTER), list(range(QUARTER))))
