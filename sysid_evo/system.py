@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -14,12 +14,7 @@ from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
-
-SWITCH_MARGIN = 0.9
-"""Boundaries between levels are equal parts of [-1, 1] drawn together by this factor.
-
-Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
-"""
+from sysid_evo.switches import switch
 
 
 @dataclass(frozen=True)
@@ -387,16 +382,3 @@ def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
         if not isinstance(channel, Channel):
             raise InvalidSystem(f"system: expected Channel(...) or names as {what}, got {type(channel).__name__}")
     return tuple(channels)
-
-
-@cache
-def level_boundaries(n_levels: int) -> tuple[float, ...]:
-    """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
-    return tuple(SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels)
-
-
-def switch(raw: Array, levels: Sequence[float], control: Array) -> None:
-    """Write the level that each output in [-1, 1] selects to ``control``; a boundary itself is inner."""
-    control[...] = levels[0]
-    for boundary, level in zip(level_boundaries(len(levels)), levels[1:], strict=True):
-        np.copyto(control, level, where=(raw >= boundary) if boundary < 0 else (raw > boundary))

@@ -14,7 +14,8 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.export.program import Expression, Program, Statement, Variable, choose, limited, number, take
 from sysid_evo.registry import make_controller, make_task
-from sysid_evo.system import Channel, System, level_boundaries
+from sysid_evo.switches import level_boundaries
+from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
 
 VECTORS = 20

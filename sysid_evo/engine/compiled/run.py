@@ -30,7 +30,8 @@ from sysid_evo.engine.compiled.kernel import (
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.randomness import step_noise, trial_draws
-from sysid_evo.system import System, level_boundaries
+from sysid_evo.switches import level_boundaries
+from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 
 CACHE_LINE = 64
