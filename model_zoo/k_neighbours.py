@@ -110,7 +110,7 @@ class KNeighbours(DynamicsModel):
     @cached_property
     def _compiled(self) -> DynamicsKernel | None:
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
-        from sysid_evo.engine.kernels import from_inside, with_angles
+        from sysid_evo.engine.kernels import on_top, with_angles
 
         change = plane_predictor(
             self.points_,
@@ -120,7 +120,8 @@ class KNeighbours(DynamicsModel):
             ridge=RIDGE,
             n_carry=Features(self.system, self.lags).n_carry,
         )
-        return self.stepping(from_inside(with_angles(change, self.system, self.lags), self.low_, self.high_))
+        inside = with_angles(change, self.system, self.lags)
+        return self.stepping(on_top(inside, np.ones(self.system.nx, dtype=bool), low=self.low_, high=self.high_))
 
     @cached_property
     def _tree(self) -> Any:

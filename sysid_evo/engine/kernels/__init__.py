@@ -7,14 +7,13 @@ from sysid_evo.engine.kernels.neighbours import neighbour_predictor
 from sysid_evo.engine.kernels.networks import network_predictor, separate_networks_predictor
 from sysid_evo.engine.kernels.polynomial import polynomial_predictor
 from sysid_evo.engine.kernels.runge_kutta import runge_kutta_predictor
-from sysid_evo.engine.kernels.shells import added, from_inside, on_top, turning_frame, within
+from sysid_evo.engine.kernels.shells import added, on_top, turning_frame, within
 from sysid_evo.engine.kernels.stepping import Predictor, stepping_kernel
 
 __all__ = [
     "Predictor",
     "added",
     "command_network_predictor",
-    "from_inside",
     "gaussian_predictor",
     "network_predictor",
     "neighbour_predictor",

@@ -112,46 +112,21 @@ def clip_rows(x, low, high, count, y):
             there[lane] = min(max(here[lane], least), most)
 
 
-INSIDE = Layout("nx", "low", "high", "own", align=CACHE_LINE)
+ON_TOP = Layout("nx", "added", "low", "high", "own", align=CACHE_LINE)
 
 
-def from_inside(change: Predictor, low: Array, high: Array) -> Predictor:
-    """Return a predictor of the next state: the present one within ``low`` to ``high`` (nx,), plus ``change``."""
-    nx, limits = len(low), padded(np.concatenate([low, high]))
-    places = {"low": INSIDE.size, "high": INSIDE.size + nx, "own": INSIDE.size + len(limits)}
-    return Predictor(
-        KernelSource(add_inside, change.bindings),
-        INSIDE.pack(limits, change.parameters, nx=nx, **places),
-        change.n_scratch,
-        prepare=KernelSource(prepare_change, change.bindings),
-    )
+def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high: Array | None = None) -> Predictor:
+    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,).
 
-
-def prepare_change(u, p, scratch):
-    """Prepare what predicts the change."""
-    prepare(u, view(p, int(p[INSIDE.own])), scratch)
-
-
-def add_inside(x, u, p, y, scratch):
-    """Add the state, taken back into its range, to its change."""
-    predict(x, u, view(p, int(p[INSIDE.own])), y, scratch)
-    low, high = view(p, int(p[INSIDE.low])), view(p, int(p[INSIDE.high]))
-    for row in range(int(p[INSIDE.nx])):
-        here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
-        for lane in range(LANES):
-            there[lane] += min(max(here[lane], least), most)
-
-
-ON_TOP = Layout("nx", "added", "own", align=CACHE_LINE)
-
-
-def on_top(inner: Predictor, added: BoolArray) -> Predictor:
-    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,)."""
-    rows = padded(added.astype(np.float64))
-    parameters = ON_TOP.pack(rows, inner.parameters, nx=len(added), added=ON_TOP.size, own=ON_TOP.size + len(rows))
+    With ``low`` and ``high`` (nx,) it is the present state within them to which a change is added.
+    """
+    nx = len(added)
+    least, most = np.full(nx, -np.inf) if low is None else low, np.full(nx, np.inf) if high is None else high
+    rows = padded(np.concatenate([added.astype(np.float64), least, most]))
+    places = {name: ON_TOP.size + i * nx for i, name in enumerate(("added", "low", "high"))}
     return Predictor(
         KernelSource(put_on_top, inner.bindings),
-        parameters,
+        ON_TOP.pack(rows, inner.parameters, nx=nx, **places, own=ON_TOP.size + len(rows)),
         inner.n_scratch,
         prepare=KernelSource(prepare_on_top, inner.bindings),
     )
@@ -165,12 +140,12 @@ def prepare_on_top(u, p, scratch):
 def put_on_top(x, u, p, y, scratch):
     """Predict, and add changes to their states."""
     predict(x, u, view(p, int(p[ON_TOP.own])), y, scratch)
-    added = view(p, int(p[ON_TOP.added]))
+    added, low, high = view(p, int(p[ON_TOP.added])), view(p, int(p[ON_TOP.low])), view(p, int(p[ON_TOP.high]))
     for row in range(int(p[ON_TOP.nx])):
         if added[row] > 0.0:
-            here, there = view(x, row * LANES), view(y, row * LANES)
+            here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
             for lane in range(LANES):
-                there[lane] += here[lane]
+                there[lane] += min(max(here[lane], least), most)
 
 
 SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
