@@ -28,13 +28,13 @@ from sysid_evo.engine.compiled.kernel import (
     TaskKernel,
 )
 from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.memory import aligned, together
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.switches import level_boundaries
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 
-CACHE_LINE = 64
 SHARES = 2  # parts of the work for each thread
 
 
@@ -94,22 +94,6 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
     take()
     for other in others:
         other.result()
-
-
-def empty_lines(count: int, real: Any) -> Any:
-    """Return ``count`` zeros, at least one, that begin on a cache line: a load across two lines costs twice."""
-    count, itemsize = max(1, count), np.dtype(real).itemsize
-    room = np.zeros(count + CACHE_LINE // itemsize, real)
-    first = -room.__array_interface__["data"][0] % CACHE_LINE // itemsize
-    return room[first : first + count]
-
-
-def aligned(array: Any, real: Any = None) -> Any:
-    """Return a flat copy of ``array`` from a cache line on, in another precision if ``real`` is given."""
-    copied = empty_lines(array.size, real or array.dtype)
-    with np.errstate(over="ignore"):  # a number beyond float32 is infinite
-        copied[: array.size].reshape(array.shape)[...] = array
-    return copied
 
 
 def actuation_table(system: System, *, before_tanh: bool = False) -> Array:
@@ -198,7 +182,7 @@ def run(
         "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
-    shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
+    shared = {name: aligned(array, real) for name, array in given.items()}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
     counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
@@ -230,11 +214,12 @@ def run(
     loop = closed_loop(precision)
 
     def prepare() -> Work:
-        own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
-        own["trials"] = np.zeros(LANES, np.int64)
+        arrays = together({name: n * LANES for name, n in room.items()}, real, copies=shared)
+        trials_of = np.zeros(LANES, np.int64)
 
         def work(first: int, last: int) -> None:
-            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **shared, **own, **results))
+            arguments = {**functions, "sizes": sizes, "trials": trials_of, **arrays, **results}
+            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
 
         return work
 
