@@ -31,7 +31,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 import llvmlite
 import numba
 
-from sysid_evo.engine.compiled import elementary, lanes, pointers, rows
+from sysid_evo.engine.compiled import elementary, lanes, pointers, row_mathematics, rows
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
@@ -41,11 +41,12 @@ Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = (
     "first_lane", "lane_of_lowest", "lanes_at_most", "lanes_differ", "lanes_less", "load", "load_quarter",
-    "look_up", "lowest", "pick", "power_of_two", "splat", "splat_quarter", "store", "view", "where_at_most",
+    "look_up", "lowest", "pick", "splat", "splat_quarter", "store", "view", "where_at_most",
     "where_bits", "where_less",
 )  # fmt: skip
 _IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
+PASSED_ON[row_mathematics.power_of_two] = "power_of_two"
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
@@ -66,6 +67,7 @@ from numba import {precision} as _real
 
 from sysid_evo.engine.compiled.lanes import {functions}
 from sysid_evo.engine.compiled.pointers import address, array_at
+from sysid_evo.engine.compiled.row_mathematics import power_of_two
 
 LANES = {lanes}
 R = types.Array(_real, 1, "C")
@@ -320,7 +322,7 @@ def _parse(function: FunctionType) -> ast.FunctionDef:
 @cache
 def _fingerprint() -> str:
     """Return a digest of everything outside a generated file that its compiled form depends on."""
-    rooms = [inspect.getsource(module) for module in (rows, lanes, pointers)]
+    rooms = [inspect.getsource(module) for module in (rows, lanes, pointers, row_mathematics)]
     parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

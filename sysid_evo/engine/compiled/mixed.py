@@ -82,7 +82,7 @@ def run(
         for array in (
             controller_kernel.parameters,
             task_kernel.parameters,
-            actuation_table(system, before_tanh=controller_kernel.before_tanh),
+            actuation_table(system, PRECISION, before_tanh=controller_kernel.before_tanh),
             task_kernel.trial_data(began),
         )
     )

@@ -6,7 +6,7 @@ import math
 
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, splat_quarter, store, view
+from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load, load_quarter, splat, splat_quarter, store, view
 
 
 def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:
@@ -18,21 +18,21 @@ def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKe
 def recurrent(theta, memory, observation, raw, parameters, scratch):
     """h = tanh(W_in o + W_h h) and W_out h, see `RecurrentNetwork`."""
     for first in range(0, LANES, QUARTER):
-        weights, seen, before, after = (
+        own, seen, before, after = (
             view(theta, first),
             view(observation, first),
             view(memory, first),
             view(scratch, first),
         )
-        sums(weights, seen, before, after, N_INPUTS, HIDDEN)
-        for j in range(HIDDEN):
-            store(before, j * LANES, math.tanh(load_quarter(after, j * LANES)))
-        outward = view(weights, (N_INPUTS + HIDDEN) * HIDDEN * LANES)
-        for j in range(N_OUTPUTS):
-            total = splat_quarter(0.0)
-            for i in range(HIDDEN):
-                total = total + load_quarter(outward, (i * N_OUTPUTS + j) * LANES) * load_quarter(before, i * LANES)
-            store(raw, first + j * LANES, total)
+        sums(own, seen, before, after, N_INPUTS, HIDDEN)
+    for j in range(HIDDEN):
+        store(memory, j * LANES, math.tanh(load(scratch, j * LANES)))
+    outward = view(theta, (N_INPUTS + HIDDEN) * HIDDEN * LANES)
+    for j in range(N_OUTPUTS):
+        total = splat(0.0)
+        for i in range(HIDDEN):
+            total = total + load(outward, (i * N_OUTPUTS + j) * LANES) * load(memory, i * LANES)
+        store(raw, j * LANES, total)
 
 
 def sums(weights, seen, before, after, n_inputs, hidden):
