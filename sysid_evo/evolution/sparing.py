@@ -23,6 +23,8 @@ def run_leading(
     search: nobody is run who is not among the ``needed`` highest bounds, as their worst is at least that of the best.
     Only where a block of `TOGETHER` rollouts would not be full, the next ones fill it.
     """
+    if models == 1:
+        return run(0, np.arange(candidates))
     bounds, done = np.full(candidates, np.inf), np.zeros(candidates, dtype=np.int64)
     while True:
         level = np.partition(bounds, -needed)[-needed]

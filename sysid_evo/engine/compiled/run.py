@@ -112,6 +112,21 @@ def aligned(array: Any, real: Any = None) -> Any:
     return copied
 
 
+def side_by_side(noise: Array, real: Any) -> Any:
+    """Return ``noise`` (E, steps, n_noise) as (steps, n_noise, E + LANES), flat: trials in order, again and again.
+
+    Any 64 rollouts that follow each other find theirs in one piece.
+    """
+    trials, steps, n_noise = noise.shape
+    if not n_noise:
+        return empty_lines(0, real)
+    by_trial = np.ascontiguousarray(noise.reshape(trials, -1).T, dtype=real)
+    found = empty_lines(steps * n_noise * (trials + LANES), real)
+    in_order = np.arange(trials + LANES) % trials
+    np.take(by_trial, in_order, axis=1, out=found.reshape(-1, trials + LANES), mode="clip")
+    return found
+
+
 def actuation_table(system: System, *, before_tanh: bool = False) -> Array:
     """Return `System.actuate` as numbers: the width of a row, then one row a control.
 
@@ -161,7 +176,6 @@ def run(
 
     if dynamics.n_noise:
         spread(lambda: draw, trials, threads)
-    in_order = np.arange(trials + LANES) % trials  # the trials of any 64 rollouts that follow each other
     sizes = loops.CLOSED.integers(
         trials=trials,
         horizon=task.horizon,
@@ -193,12 +207,12 @@ def run(
         "start": carry,
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
-        "noise_of": noise.transpose(1, 2, 0).astype(real).take(in_order, axis=2),
         "envelope": envelope,
         "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
-    shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
+    arrays = {name: aligned(array, real) for name, array in given.items()}
+    shared = {**functions, "sizes": sizes, "noise_of": side_by_side(noise, real), **arrays}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
     counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
