@@ -208,7 +208,7 @@ class Dataset:
         for episode in self.episodes:
             digest.update(episode.name.encode())
             for array in (episode.states, episode.controls, episode.pose):
-                digest.update(b"none" if array is None else memoryview(np.ascontiguousarray(array).reshape(-1)))
+                digest.update(b"none" if array is None else np.ascontiguousarray(array).reshape(-1).data)
         return digest.hexdigest()
 
     def with_episodes(self, episodes: Sequence[Trajectory]) -> Dataset:
