@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.data.moving import moving_rows
 from sysid_evo.data.trajectory import Trajectory, as_columns
-from sysid_evo.data.windows import Windows, cut_windows
+from sysid_evo.data.windows import WindowPlaces, Windows
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.lags import CarryLayout
 from sysid_evo.system import System
@@ -248,13 +248,23 @@ class Dataset:
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, only those that start in motion."""
+        """Cut windows of ``horizon`` steps, see `window_places`, which takes no memory for windows never looked at."""
+        places = self.window_places(horizon, stride=stride, history=history, first=first, moving=moving)
+        return places[:]
+
+    def window_places(
+        self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
+    ) -> WindowPlaces:
+        """Find windows of ``horizon`` steps, see `WindowPlaces.of`; with ``moving``, only those that start in motion.
+
+        ``places[rows]`` cuts some of them.
+        """
         if horizon < 1 or stride < 1 or history < 0:
             raise InvalidArgument(
                 f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"
             )
         rows = self.moving if moving else None
-        return cut_windows(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
+        return WindowPlaces.of(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
     def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
         """Return every single step with that many earlier states and controls.
