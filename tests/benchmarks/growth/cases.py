@@ -56,7 +56,7 @@ def _search(quick: bool) -> Iterator[Growth]:
             **{"population": POPULATION, "trials": TRIALS, "models": 1, "hidden": 5, "horizon": HORIZON, **chosen}
         )
 
-    top = 2 if quick else 32
+    top = 2 if quick else 16
     for axis, unit, first, best in (
         ("population", "candidates", POPULATION, 1.0),
         ("trials", "trials of a candidate", TRIALS, 1.0),
@@ -92,7 +92,7 @@ def _generation(*, population: int, trials: int, models: int, hidden: int, horiz
 
 def _strategies(quick: bool) -> Iterator[Growth]:
     """Asking and telling, without the rollouts."""
-    sizes = doubled(64, 128 if quick else 4096)
+    sizes = doubled(64, 128 if quick else 2048)
     for name, best, note in (
         ("mu_plus_lambda", 1.0, ""),
         ("cma_es", 1.0, ""),
@@ -126,8 +126,8 @@ def _asking(name: str, size: int) -> Callable[[], object]:
 
 def _data(quick: bool) -> Iterator[Growth]:
     """What is done with recordings before anything is fitted."""
-    sizes = doubled(10_000, 20_000 if quick else 640_000)
-    in_pieces = doubled(100, 200 if quick else 6_400)
+    sizes = doubled(10_000, 20_000 if quick else 320_000)
+    in_pieces = doubled(100, 200 if quick else 1_600)
     looks: dict[str, Callable[[Dataset], object]] = {
         "inspect (advice)": lambda data: advise(_anew(data)),
         "windows of 20 steps": lambda data: data.windows(20, history=3, moving=True),
@@ -189,22 +189,30 @@ def _commands(quick: bool) -> Iterator[Growth]:
     )
 
 
+FEW_UPDATES = {"one_step_updates": 20, "updates": 5}
+SHORT: dict[str, dict[str, object]] = {
+    "evolved3": {"generations": 5},
+    "parametrised": {"generations": 5},
+    "backprop27": {"epochs": 20},
+    "sindy_bagged": {"bags": 2},
+    **dict.fromkeys(("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history"), FEW_UPDATES),
+}
+"""Short fits of families whose updates are as many on few steps: what grows with the data is the rest."""
+
+
 def _fits(quick: bool) -> Iterator[Growth]:
-    """The fit of every family with the preset quick; those with ``most_steps`` stop growing there."""
+    """The fit of every family with the preset quick, shortened; those with ``most_steps`` stop growing there."""
     from sysid_evo.registry import models
 
     for name in models.names():
-        sizes = doubled(1_000, 1_000 if quick else 512_000 if name not in SLOW else 32_000)
-        yield Growth("fits", f"fit {name}", "steps", sizes, make=_fitting(name))
-
-
-SLOW = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "parametrised", "evolved3")
-"""Families whose fit takes as long on few steps: what grows is only what is prepared."""
+        yield Growth(
+            "fits", f"fit {name}", "steps", doubled(4_000, 4_000 if quick else 256_000, 4), make=_fitting(name)
+        )
 
 
 def _fitting(name: str) -> Callable[[int], Callable[[], object]]:
     def make(size: int) -> Callable[[], object]:
-        data, spec = long_car(size), with_preset(Spec(name), "quick")
+        data, spec = long_car(size), with_preset(Spec(name, SHORT.get(name, {})), "quick")
         return lambda: make_model(spec).fit(data, rng=0)
 
     return make
@@ -233,8 +241,8 @@ def _stepping(name: str, parameters: str) -> Callable[[int], Callable[[], object
 
 def _tests(quick: bool) -> Iterator[Growth]:
     """What is measured on held-out data."""
-    sizes = doubled(4_000, 8_000 if quick else 256_000)
-    in_pieces = doubled(100, 200 if quick else 3_200)
+    sizes = doubled(4_000, 8_000 if quick else 128_000)
+    in_pieces = doubled(100, 200 if quick else 800)
     model = "linear"
 
     def scoring(data: Dataset) -> Callable[[], object]:

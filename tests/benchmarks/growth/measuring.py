@@ -24,6 +24,9 @@ WORSE = 1.15
 SHORTEST = 0.02
 """Processor seconds that one timing lasts at least; what is quicker is repeated."""
 
+LONG = 1.0
+"""Processor seconds from which on a program is run once."""
+
 
 @dataclass(frozen=True)
 class Growth:
@@ -77,7 +80,7 @@ def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
 def measured(growth: Growth, *, rounds: int, most_seconds: float, memory: bool) -> Curve:
     """Time all sizes in turn, ``rounds`` times, and keep the least; sizes after one over ``most_seconds`` are left out.
 
-    A command runs once at each size.
+    A command, and what takes longer than `LONG`, runs once at each size.
     """
     curve = Curve(growth)
     if growth.command is not None:
@@ -95,15 +98,16 @@ def measured(growth: Growth, *, rounds: int, most_seconds: float, memory: bool) 
         warnings.simplefilter("ignore", DataWarning)
         for size in growth.sizes:
             program = growth.make(size)
-            program()
             programs.append(program)
             curve.sizes.append(size)
-            curve.seconds.append(timed(program))
+            began = time.process_time()
+            program()  # the first run may compile
+            curve.seconds.append(time.process_time() - began)
             if curve.seconds[-1] > most_seconds:
                 break
-        for _ in range(rounds - 1):
+        for _ in range(rounds):
             for i, program in enumerate(programs):
-                if curve.seconds[i] < most_seconds / 4.0:
+                if curve.seconds[i] < LONG:
                     curve.seconds[i] = min(curve.seconds[i], timed(program))
         if memory:
             curve.megabytes = [allocated(program) for program in programs]
