@@ -115,7 +115,8 @@ class Compressed:
         for first in range(0, len(data.regressors), ROWS):
             part = slice(first, first + ROWS)
             library = evaluate(data.regressors[part] / size, exponents)
-            rest = np.linalg.qr(np.concatenate([rest, np.column_stack([library, data.targets[part]])]), mode="r")
+            rows = np.concatenate([rest, np.column_stack([library, data.targets[part]])])
+            rest = np.asarray(np.linalg.qr(rows, mode="r"))
         return cls(rest[:, : len(exponents)], rest[:, len(exponents) :], exponents, np.prod(size**exponents, axis=1))
 
     def selection(self, count: int) -> list[IntArray]:
