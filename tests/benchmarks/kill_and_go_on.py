@@ -5,8 +5,7 @@ A small comparison is run to its end once. Then the same command is killed (SIGK
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
 A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
 controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
-and
-exits 1 if anything differs.
+and exits 1 if anything differs.
 """
 
 from __future__ import annotations
