@@ -15,9 +15,7 @@ from sysid_evo.free_run import judging_windows
 
 SAMPLES = 30
 SHARE = 0.9
-MOST_WINDOWS = 240
-ROUGHLY = 6
-"""Of so many windows one is simulated in all rounds but the last, which come near enough to what it starts from."""
+MOST_WINDOWS = 150
 MOST_GROUPS = 4
 BLOCK_FOLDS = 2
 LONE_FOLDS = 3
@@ -42,15 +40,13 @@ def conformal_scale(
     scale grows by the ``share`` quantile of these over all windows, every case weighing alike, (n + 1) / n
     times ``share`` for n windows (split conformal prediction: Lei et al. 2018, Romano et al. 2019), all
     channels at once, ``rounds`` times, since the width is not quite proportional to the scale and the
-    channels are coupled; all but the last round look at a sixth of the windows. The same noise is drawn each time;
-    ``still`` is called every second or so.
+    channels are coupled. The same noise is drawn each time; ``still`` is called every second or so.
     """
     few = [(with_noise(model), _evenly(windows, MOST_WINDOWS // len(cases))) for model, windows in cases]
+    noisy = [(model, part[at : at + PIECE]) for model, part in few for at in range(0, len(part), PIECE)]
     nx = cases[0][1].states.shape[2]
     seed, scale = int(rng.integers(2**32)), np.ones(nx)
-    for number_of_round in range(rounds):
-        looked_at = [(model, part[:: 1 if number_of_round + 1 == rounds else ROUGHLY]) for model, part in few]
-        noisy = [(model, part[at : at + PIECE]) for model, part in looked_at for at in range(0, len(part), PIECE)]
+    for _ in range(rounds):
         parts = []
         for number, (model, windows) in enumerate(noisy):
             still()
