@@ -72,7 +72,7 @@ class Flow(StandardisedModel):
         for call, (node, share) in enumerate(zip(NODES, SHARES, strict=True)):
             here = state + (node * dt) * rate if node else state
             self.visited[step, call] = here
-            rate = self.called(step, call, here) * self.rates
+            rate = self.called(step, call, here)
             if self.system.motion is not None:
                 rate += self.system.turning(here)
             if self.physics is not None:
@@ -88,7 +88,7 @@ class Flow(StandardisedModel):
                 by_rate += (NODES[call + 1] * dt) * from_next
             self.by_rate[step, call] = by_rate
             here = self.visited[step, call]
-            from_next = self.pulled_through(step, call, here, by_rate * self.rates)
+            from_next = self.pulled_through(step, call, here, by_rate)
             if self.system.motion is not None:
                 from_next = from_next + self.motion.turned(here, by_rate)
             if self.physics is not None:
@@ -128,6 +128,5 @@ def train_flow(
     if physics is not None:
         model.know(physics, physical)
     best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
-    rates = model.standard.change / dataset.system.dt
-    network = model.layers.network(best).folded(model.centre, model.scale, rates)
+    network = model.layers.network(best).folded(model.centre, model.scale, model.rates)
     return FittedFlow(network, np.exp(best[0, model.layers.size :].astype(np.float64)), float(errors[0]))

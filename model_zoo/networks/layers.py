@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model_zoo.networks.network import Network
+from sysid_evo.arrays import Array
 
 Single: TypeAlias = npt.NDArray[Any]
 """Of single precision, in which all training is done."""
@@ -34,12 +35,17 @@ class Trace:
 class Layers:
     """M networks as `Network`, run call after call, then gone through backwards.
 
-    The parameters are rows (M, P): weights (n_in, n_out) and bias (n_out,) of each layer, first to last. `reserve` says
-    how many calls there will be; their inputs stand in what it returns.
+    The parameters are rows (M, P): weights (n_in, n_out) and bias (n_out,) of each layer, first to last, of a network
+    of (input - ``centre``) / ``scale`` that gives outputs in units of ``output_scale``. `take` works these into the
+    weights, so that inputs and outputs are raw. `reserve` says how many calls there will be; their inputs stand in what
+    it returns.
     """
 
-    def __init__(self, sizes: Sequence[int], members: int) -> None:
+    def __init__(self, sizes: Sequence[int], members: int, *, centre: Array, scale: Array, output_scale: Array) -> None:
         self.sizes, self.members = tuple(sizes), members
+        self.output_scale: Single = output_scale.astype(np.float32)
+        self.per_scale: Single = (1.0 / scale[:, None]).astype(np.float32)
+        self.offset: Single = (centre / scale).astype(np.float32)
         self.size = sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
         self._traces: dict[tuple[int, int], Trace] = {}
 
@@ -58,9 +64,12 @@ class Layers:
         return Network(weights, biases)
 
     def take(self, parameters: Single) -> None:
-        """Run with these ``parameters`` (M, P) from here on; they may change in place."""
-        self.weights, biases = self._cut(parameters)
-        self.biases = [bias[:, None] for bias in biases]
+        """Run with these ``parameters`` (M, P) from here on."""
+        weights, biases = self._cut(parameters)
+        biases[0] = biases[0] - self.offset @ weights[0]
+        weights[0] = weights[0] * self.per_scale
+        weights[-1], biases[-1] = weights[-1] * self.output_scale, biases[-1] * self.output_scale
+        self.weights, self.biases = weights, [bias[:, None] for bias in biases]
 
     def reserve(self, calls: int, batch: int) -> Single:
         """Prepare for so many calls with so many rows; return the inputs (C, M, B, n_in), to be filled."""
@@ -96,9 +105,15 @@ class Layers:
     def gradient(self) -> Single:
         """Return the gradient (M, P) by the parameters, over all calls."""
         parts, ones = [], np.ones((1, self.trace.spare[0].shape[1]), dtype=np.float32)
-        for value, slope in zip(self.trace.values, self.trace.slopes, strict=True):
-            parts.append(np.matmul(np.swapaxes(value, 2, 3), slope).sum(axis=0).reshape(self.members, -1))
-            parts.append(np.matmul(ones, slope).sum(axis=0)[:, 0])
+        last = len(self.weights) - 1
+        for layer, (value, slope) in enumerate(zip(self.trace.values, self.trace.slopes, strict=True)):
+            by_weight = np.matmul(np.swapaxes(value, 2, 3), slope).sum(axis=0)
+            by_bias = np.matmul(ones, slope).sum(axis=0)
+            if layer == last:
+                by_weight, by_bias = by_weight * self.output_scale, by_bias * self.output_scale
+            if layer == 0:
+                by_weight = by_weight * self.per_scale - self.offset[:, None] * by_bias
+            parts += [by_weight.reshape(self.members, -1), by_bias[:, 0]]
         return np.concatenate(parts, axis=1)
 
     def _cut(self, parameters: Single) -> tuple[list[Single], list[Single]]:

@@ -41,7 +41,7 @@ class LaggedMembers(StandardisedModel):
         self.accelerations: Single = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
 
     def advance(self, step: int, state: Single) -> Single:
-        acceleration: Single = self.called(step, 0, state) * self.rates
+        acceleration: Single = self.called(step, 0, state)
         self.accelerations[step] = acceleration
         return self.system.integrate(state, acceleration)
 
@@ -49,7 +49,7 @@ class LaggedMembers(StandardisedModel):
         state = self.states[self.layout.history + step]
         moved = self.motion.integrated(state, self.accelerations[step], self.system.dt, gradient)
         by_state, by_acceleration = moved
-        return by_state + self.pulled_through(step, 0, state, by_acceleration * self.rates)
+        return by_state + self.pulled_through(step, 0, state, by_acceleration)
 
     def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
         """Mirror half of the windows, if the body has a mirror."""
@@ -86,5 +86,4 @@ def train_members(
     weights, biases = list(flagged.weights), list(flagged.biases)
     biases[0] = biases[0] + weights[0][:, -1]
     weights[0] = weights[0][:, :-1]
-    accelerations = model.standard.change / dataset.system.dt
-    return Network(weights, biases).folded(model.centre, model.scale, accelerations), errors
+    return Network(weights, biases).folded(model.centre, model.scale, model.rates), errors

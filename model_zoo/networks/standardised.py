@@ -25,9 +25,9 @@ from sysid_evo.motion.gradient_form import motion_gradient
 class StandardisedModel(ABC):
     """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
 
-    The last layer gives nx numbers in units of ``change``, each state's RMS change in one step, or of ``rates``,
-    that per second. The ``further`` inputs are ``flag`` (M, B or 1, 1). In every step the network is called ``calls``
-    times, with other present states. A step and its derivative are written by hand, `advance` and `pull_back`.
+    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs
+    are ``flag`` (M, B or 1, 1). In every step the network is called ``calls`` times, with other present states. A step
+    and its derivative are written by hand, `advance` and `pull_back`.
     """
 
     calls: ClassVar[int] = 1
@@ -48,9 +48,14 @@ class StandardisedModel(ABC):
         self.layout = CarryLayout(self.system.nx, self.system.nu, *lags)
         self.standard = Standard.of(dataset, mirror)
         self.centre, self.scale = self.standard.of_inputs(self.layout)
-        self.change = self.standard.change.astype(np.float32)
-        self.rates = (self.standard.change / self.system.dt).astype(np.float32)
-        self.layers = Layers([len(self.centre) + further, *hidden, self.system.nx], members)
+        self.rates = self.standard.change / self.system.dt
+        self.layers = Layers(
+            [len(self.centre) + further, *hidden, self.system.nx],
+            members,
+            centre=np.concatenate([self.centre, np.zeros(further)]),
+            scale=np.concatenate([self.scale, np.ones(further)]),
+            output_scale=self.rates,
+        )
         self.parameters = self.layers.flat(random_network(self.layers.sizes, members, rng))
         self.flag: Single = np.ones((1, 1, further), dtype=np.float32)
 
@@ -105,6 +110,9 @@ class StandardisedModel(ABC):
     def pulled_through(self, step: int, call: int, state: Single, gradient: Single) -> Single:
         """Return the gradient by the present state of a call, from that by what the network gave (M, B, nx)."""
         seen, lags = self._n_seen, self.layout.state_lags
+        if step == call == 0:  # the state is a measured one
+            self.layers.backward(0, gradient, 0)
+            return np.zeros_like(state)
         by_inputs = self.layers.backward(step * self.calls + call, gradient, seen * (1 + lags))
         for lag in range(1, min(lags, step) + 1):
             self.by_seen[step - lag] += by_inputs[..., seen * lag : seen * (lag + 1)]
@@ -151,14 +159,12 @@ class StandardisedModel(ABC):
         return len(self.standard.seen_centre)
 
     def _fill_controls(self, controls: Single) -> None:
-        """Write the standardised controls (L + H, M, B, nu), and the flag, into the inputs of all steps."""
+        """Write the controls (L + H, M, B, nu), and the flag, into the inputs of all steps."""
         history, horizon, nu = self.layout.history, len(self.inputs), self.system.nu
-        centre, scale = self.standard.control_centre, self.standard.control_scale
-        standard = (controls - centre.astype(np.float32)) / scale.astype(np.float32)
         place = self._n_seen * (1 + self.layout.state_lags)
         for lag in (*range(1, self.layout.control_lags + 1), 0):
             begin = history - lag
-            self.inputs[..., place : place + nu] = standard[begin : begin + horizon, None]
+            self.inputs[..., place : place + nu] = controls[begin : begin + horizon, None]
             place += nu
         self.inputs[..., place:] = self.flag
 
@@ -171,16 +177,13 @@ class StandardisedModel(ABC):
             self.inputs[step, ..., seen * lag : seen * (lag + 1)] = earlier
 
     def _seen(self, states: Single) -> Single:
-        """Return what is seen of states (..., nx), standardised."""
-        seen = self.system.regressors(states) if self.system.periods else states
-        centre, scale = self.standard.seen_centre, self.standard.seen_scale
-        return np.asarray((seen - centre.astype(np.float32)) / scale.astype(np.float32))
+        """Return what is seen of states (..., nx)."""
+        return self.system.regressors(states) if self.system.periods else states
 
     def _pulled_to_state(self, state: Single, gradient: Single) -> Single:
         """Return the gradient by states (..., nx) from that by what is seen of them."""
-        gradient = gradient / self.standard.seen_scale.astype(np.float32)
         if not self.system.periods:
-            return np.asarray(gradient)
+            return gradient
         columns, place = [], 0
         for i in range(self.system.nx):
             if i in self.system.periods:

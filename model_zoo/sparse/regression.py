@@ -51,7 +51,7 @@ class Library:
         unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
         count = len(exponents)
         if len(terms) > count + targets.shape[1]:
-            factor = np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r")
+            factor: Array = np.asarray(np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r"))
             terms, targets = factor[:count, :count], factor[:count, count:]
         return cls(terms, targets, exponents, unit)
 

@@ -46,13 +46,15 @@ def ensemble(recording: Dataset) -> MlpEnsemble:
 
 
 def test_layers_and_plain_networks_agree() -> None:
-    network = random_network([4, 7, 5, 2], 3, np.random.default_rng(0))
-    inputs = np.random.default_rng(1).standard_normal((6, 4))
-    layers = Layers([4, 7, 5, 2], 3)
+    rng = np.random.default_rng(0)
+    network = random_network([4, 7, 5, 2], 3, rng)
+    inputs, centre, scale, output = rng.standard_normal((6, 4)), np.ones(4), rng.uniform(1, 2, 4), np.array([2.0, 3.0])
+    layers = Layers([4, 7, 5, 2], 3, centre=centre, scale=scale, output_scale=output)
     parameters = layers.flat(network)
     layers.take(parameters)
     layers.reserve(2, 6)[1] = inputs
-    np.testing.assert_allclose(layers.forward(1), network(inputs), atol=1e-5)
+    folded = network.folded(centre, scale, output)
+    np.testing.assert_allclose(layers.forward(1), folded(inputs), atol=1e-5)
     np.testing.assert_allclose(layers.network(parameters)(inputs), network(inputs), atol=1e-5)
 
 
