@@ -104,8 +104,8 @@ CHANGES = (
     ),
     Change(
         "what was assessed without a cell is never assessed again",
-        EXECUTION,
-        "if self.store.done(cell) and not self._without(cell)]",
+        "sysid_evo/plan/ledger.py",
+        "if self.store.done(cell) and not self.without(cell)]",
         "if self.store.done(cell)]",
         TEST_EXECUTION,
     ),
