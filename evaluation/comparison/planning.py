@@ -333,7 +333,7 @@ def _matrix(
             column,
             delay=evolution.estimator_delay,
             trials=experiment.transfer_trials,
-            traces=kept_traces(experiment.traces, own=column == robot or column in champion.members),
+            traces=kept_traces(experiment.traces, own=column == robot or any(map(column.is_same, champion.members))),
             seed=experiment.seed,
         )
         for champion in champions

@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from evaluation.comparison import Experiment, compare, comparison_again, plan_comparison
+from evaluation.comparison import Experiment, GivenData, compare, comparison_again, plan_comparison
 from evaluation.report import Report, to_json
-from sysid_evo.plan import Silent
+from sysid_evo.plan import Record, Silent, StoredCell
+from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
 
 ROOT = Path(__file__).parents[2]
@@ -70,6 +71,19 @@ def test_another_process_plans_the_same_cells_of_the_run_folder(tmp_path: Path) 
     assert first.plan.again is not None
     again = first.plan.again.plan(tmp_path)
     assert [cell.digest for cell in again] == [cell.digest for cell in first.plan]
+
+
+def test_the_yardstick_of_a_recorded_run_is_planned_again(tmp_path: Path) -> None:
+    first = plan_comparison(Experiment.of({"models": ("linear",), "robot": "emulated_car", "minutes": 0.5}))
+    data = first.data
+    record = Record(
+        digest=data.digest, kind=data.kind, title=data.title, name=data.name, status="done", inputs=data.inputs(),
+        needs=[], artefact="data/there", versions={}, timings={},
+    )  # fmt: skip
+    system = make_robot("emulated_car").system
+    again = plan_comparison(first.experiment, stored=(StoredCell(record, GivenData), system))
+    assert "evolve emulated_car" in [cell.title for cell in again.plan]
+    assert [cell.digest for cell in again.plan] == [cell.digest for cell in first.plan]
 
 
 @pytest.mark.slow
