@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from evaluation.transfer import (
+    Cell,
+    TransferMatrix,
+    load_cell,
+    run_cell,
+    save_cell,
+    summarise,
+    transfer,
+    transfer_seeds,
+)
 from sysid_evo.arrays import Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.controllers import SELECTION
 from sysid_evo.randomness import trial_seeds
@@ -202,3 +212,17 @@ def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last() -> None:
     assert matrix.cell("c", "a").reason == "not run"
     with pytest.raises(InvalidArgument, match="robot 'bus'"):
         TransferMatrix.of([champion("c", ("a",))], ("a",), [], robot="bus")
+
+
+@pytest.mark.parametrize("traces", [0, 2])
+def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path: Path, traces: int) -> None:
+    driver, runner = champion("c", ("boxed",), seed=3), DynamicsRunner(fitted(Boxed()))
+    cell = run_cell(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
+    files = save_cell(cell, tmp_path / "here" / "c@boxed")
+    assert all(file.is_file() for file in files)
+    again = load_cell(tmp_path / "here" / "c@boxed")
+    assert again.to_dict() == cell.to_dict()
+    assert len(again.traces) == traces
+    files[0].write_bytes(b"damaged")
+    with pytest.raises(ArtefactError, match="not a cell of a transfer matrix"):
+        load_cell(tmp_path / "here" / "c@boxed")
