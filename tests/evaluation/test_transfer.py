@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
 from evaluation.transfer import (
     Cell,
@@ -18,6 +19,7 @@ from evaluation.transfer import (
     transfer,
     transfer_seeds,
 )
+from evaluation.transfer.summary import mean_ranks
 from sysid_evo.arrays import Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
@@ -226,3 +228,12 @@ def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path: Path, traces: in
     files[0].write_bytes(b"damaged")
     with pytest.raises(ArtefactError, match="not a cell of a transfer matrix"):
         load_cell(tmp_path / "here" / "c@boxed")
+
+
+def test_the_correlation_of_mean_ranks_is_that_of_scipy_with_ties_too() -> None:
+    rng = np.random.default_rng(5)
+    for size in (3, 4, 12):
+        first, second = rng.integers(0, size, (2, size)).astype(float)
+        first[:2], second[1:3] = (0.5, 1.5), (1.5, 0.5)
+        expected = float(spearmanr(first, second).statistic)
+        np.testing.assert_allclose(np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1], expected, atol=1e-14)
