@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.channels.features import Features
-from model_zoo.flows.runge_kutta import rk4
+from model_zoo.flows.stepping import flow_predictor, flow_step
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, trials
 from sysid_evo.arrays import Array
@@ -111,29 +110,7 @@ class NetworkRate(DynamicsModel):
         return None
 
     def predictor(self) -> Predictor | None:
-        from sysid_evo.engine.kernels import (
-            added,
-            network_predictor,
-            runge_kutta_predictor,
-            turning_frame,
-            with_angles,
-        )
-
-        seen = Features(self.system, self.lags).n_carry
-        network = network_predictor(self.network.members()[:1], seen, self.system.nu)
-        learned = with_angles(network, self.system, self.lags)
-        known = self.known_predictor()
-        rate = turning_frame(learned if known is None else added(learned, known, self.system.nx), self.system)
-        return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
+        return flow_predictor(self.network, self.system, self.lags, self.known_predictor())
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        system, network, features = self.system, self.network, Features(self.system, self.lags)
-        held = carry[:, system.nx :]
-
-        def rate(state: Array) -> Array:
-            seen = features(np.concatenate([state, held], axis=1), control)
-            learned = network(seen)[0] + system.turning(state)
-            known = self.known_rate(state, control)
-            return learned if known is None else learned + known
-
-        return rk4(rate, carry[:, : system.nx], system.dt)
+        return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)

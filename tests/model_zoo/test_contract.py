@@ -18,13 +18,14 @@ SMALL: dict[str, dict[str, Any]] = {
     "neural_ode": SMALL_NETWORK,
     "neural_ode_history": SMALL_NETWORK,
     "hybrid_ode": SMALL_NETWORK,
+    "torch_ode": {"hidden": [8], "updates": 20, "horizon": 3, "control_lags": 1},
     "gaussian_process": {"inducing": 40},
     "evolved3": {"generations": 30},
     "parametrised": {"generations": 60},
     "backprop27": {"epochs": 100},
 }
 """The contract does not ask for accuracy."""
-TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history")
+TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
 """Families whose every fit takes seconds; on a second system they are tried with --slow."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
 SLOW_TO_LEARN = [name for name in TRAINED if name != "neural_ode"]

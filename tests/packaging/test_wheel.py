@@ -17,7 +17,7 @@ from tests.packaging.conftest import ROOT, Environment, build
 pytestmark = pytest.mark.slow
 
 PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
-OPTIONAL = ("torch", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax")
+OPTIONAL = ("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax")
 LEFT_OUT = {"sindy": "sindy"}
 """Families of a comparison with no options that cannot run without extras, and the extra of each."""
 

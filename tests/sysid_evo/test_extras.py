@@ -19,6 +19,7 @@ from sysid_evo.extras import extra_of, missing_extra
         ("motioncapture", "motioncapture"),
         ("starlette.applications", "drive"),
         ("uvicorn", "drive"),
+        ("torch", "neural"),
         ("pysindy", "sindy"),
         ("ribs.archives", "evolution"),
         ("pymoo", "evolution"),
