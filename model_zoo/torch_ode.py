@@ -38,10 +38,10 @@ class TorchOde(DynamicsModel):
     from this class and returns another. It sees standardised inputs (`Features`; of a periodic state sine and
     cosine) and gives the rates in units of each state's usual change in one step, per second, in float64.
 
-    ``updates`` of Adam on free runs from measured states (multiple shooting), which grow to ``horizon`` steps; the
-    weights that simulate held-out blocks of time best over one second are kept (early stopping). Gradients go through
-    the steps of the ``solver``, or with ``adjoint`` through its adjoint equation, which takes less memory (only
-    without ``state_lags``). Controls and earlier samples are held over a step.
+    Two thirds of the ``updates`` of Adam are on single steps, the others on free runs of ``horizon`` steps from
+    measured states (multiple shooting); the weights that simulate held-out blocks of time best over one second are
+    kept (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint`` through its adjoint
+    equation, which takes less memory (only without ``state_lags``). Controls and earlier samples are held over a step.
 
     The network with tanh under ``rk4`` is stepped in NumPy and has a compiled form: the classical method, where
     torchdiffeq takes the 3/8 rule of the same order. Everything else is stepped by torch. A fit that is stopped
@@ -56,8 +56,8 @@ class TorchOde(DynamicsModel):
         "learning_rate": above(0),
     }
     presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"hidden": [24], "updates": 300, "horizon": 10},
-        "paper": {"updates": 2000},
+        "quick": {"hidden": [24], "updates": 700, "horizon": 10},
+        "paper": {"updates": 4500},
     }
 
     hidden: list[int] | None = None
@@ -66,7 +66,7 @@ class TorchOde(DynamicsModel):
     adjoint: bool = False
     state_lags: int = 0
     control_lags: int = 0
-    updates: int = 800
+    updates: int = 1500
     horizon: int = 20
     learning_rate: float = 6e-3
     rest_hold: bool = False
@@ -111,7 +111,7 @@ class TorchOde(DynamicsModel):
             )
         weights = equation.module.state_dict()
         self.weight_names_ = list(weights)
-        self.weights_ = [np.array(weight) for weight in weights.values()]
+        self.weights_ = [weight.numpy().copy() for weight in weights.values()]
         return self
 
     @property

@@ -172,7 +172,7 @@ def _trained(
     if first:
         trainings.report(first)
     for update in range(first, plan.total):
-        horizon, size, rate = _schedule(plan, update, longest)
+        horizon, size, rate = schedule(plan, update, longest)
         batch = batches.of([rng.integers(0, len(shot), size) for shot in shots], horizon)
         batch = model.augmented(batch, rng)
         truth = batch[layout.history + 1 :, ..., : layout.nx].copy()
@@ -224,7 +224,7 @@ def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def _schedule(plan: Plan, update: int, longest: int) -> tuple[int, int, float]:
+def schedule(plan: Plan, update: int, longest: int) -> tuple[int, int, float]:
     """Return the horizon, the number of windows and the learning rate of one update."""
     if update < plan.one_step_updates:
         share = update / plan.one_step_updates

@@ -9,10 +9,11 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 
 from model_zoo.channels.standard import Standard
-from model_zoo.networks.multistep import Batches, Shots, step_weights
+from model_zoo.networks.multistep import Batches, Plan, Shots, schedule, step_weights
+from model_zoo.networks.trainings import MOMENTUM, SPREAD
 from model_zoo.torch_flows.equation import SOLVER_FAILED, Equation
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.data import Dataset, Windows
@@ -20,11 +21,8 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.free_run import judging_windows, relative_error
 
 FOLDS = 5
-BATCH = 96
-INPUT_NOISE = 0.05
-"""Noise on the measured states, in units of their usual change in a step."""
-WEIGHT_DECAY = 1e-5
-AVERAGING = 0.99
+ON_SINGLE_STEPS = 2 / 3
+"""Share of the updates, which take little time each."""
 CHECKS = 12
 """Times that the running mean of the weights is judged."""
 
@@ -42,31 +40,33 @@ def train(
 ) -> float:
     """Train the module of ``equation`` in place on all but the held-out blocks of time; return the error on these.
 
-    Every window is a shot of its own from a measured state (multiple shooting). The windows grow from one step to
-    ``horizon`` steps over the first half of the updates. What stays are, of the running means of the weights, those
-    that simulate the held-out blocks best over one second. ``told`` is called after each update.
+    Every window is a shot of its own from a measured state (multiple shooting), as `Plan` says: first of one step, then
+    of ``horizon`` steps. What stays are, of the running means of the weights, those that simulate the held-out blocks
+    best over one second. ``told`` is called after each update.
     """
     learned, held = time_blocks(dataset, 0, FOLDS)
     history, module = equation.layout.history, equation.module
     shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
     batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
-    averaged = get_ema_multi_avg_fn(AVERAGING)  # type: ignore[no-untyped-call]  # torch's own
-    mean = AveragedModel(module, multi_avg_fn=averaged)
-    optimiser = torch.optim.Adam(module.parameters(), lr=learning_rate, weight_decay=WEIGHT_DECAY)
+    single = round(ON_SINGLE_STEPS * updates)
+    plan = Plan(single, updates - single, horizon, learning_rate=learning_rate)
+
+    def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
+        return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))
+
+    mean = AveragedModel(module, avg_fn=running)
+    optimiser = torch.optim.Adam(module.parameters(), betas=(MOMENTUM, SPREAD), weight_decay=2.0 * plan.weight_decay)
     best, lowest = copy.deepcopy(module.state_dict()), math.inf
     for update in range(updates):
-        share = update / updates
-        steps = max(1, round(shots.horizon * min(1.0, 2.0 * share)))
-        samples = batches.of([rng.integers(0, len(shots), BATCH)], steps)[:, 0]
-        windows_now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
-        noise = INPUT_NOISE * standard.change * rng.standard_normal((BATCH, history + 1, equation.layout.nx))
+        steps, size, rate = schedule(plan, update, shots.horizon)
+        samples = batches.of([rng.integers(0, len(shots), size)], steps)[:, 0]
+        now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
+        noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, equation.layout.nx))
         for group in optimiser.param_groups:
-            group["lr"] = (
-                learning_rate * (0.02 + 0.49 * (1.0 + math.cos(math.pi * share))) * min(1.0, (update + 1) / 20)
-            )
+            group["lr"] = rate
         optimiser.zero_grad()
         module.train()
-        if _pulled_back(equation, windows_now, torch.from_numpy(noise), scale):
+        if _pulled_back(equation, now, torch.from_numpy(noise), scale):
             optimiser.step()
         mean.update_parameters(module)
         if update + 1 == updates or (update + 1) % max(1, updates // CHECKS) == 0:

@@ -1,0 +1,273 @@
+"""A torch module as right-hand side: learned, stored and stepped; and torch as the judge of gradients by hand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model_zoo.channels.features import Features
+from model_zoo.flows.training import Flow
+from model_zoo.networks.layers import Layers
+from model_zoo.networks.multistep import Batches, Shots
+from model_zoo.networks.network import random_network
+from model_zoo.torch_ode import TorchOde
+from sysid_evo.data import Dataset
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.errors import InvalidArgument, ShapeError
+from sysid_evo.registry import make_model, models
+from sysid_evo.store import load_model, save_model
+from sysid_evo.testing import check_model, example_dataset
+from tests.docs.blocks import blocks
+from tests.model_zoo.small_systems import DRIVEN
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("torchdiffeq")
+
+from torch import Tensor, nn  # noqa: E402  # after the skip
+from torchdiffeq import odeint  # noqa: E402
+
+from model_zoo.torch_flows.equation import Equation, Turning, seen  # noqa: E402
+
+SMALL: dict[str, Any] = {"hidden": [6], "updates": 12, "horizon": 3}
+
+
+@pytest.fixture(scope="module")
+def recording() -> Dataset:
+    return example_dataset(episodes=2, steps=120)
+
+
+@pytest.fixture(scope="module")
+def plugin() -> type[TorchOde]:
+    """The family of the page about models, which brings a module of its own."""
+    text = next(block.text for block in blocks("models.md", "python") if "TorchOde" in block.text)
+    space: dict[str, Any] = {"__name__": __name__}
+    if "gated_ode" not in models.loaded:
+        exec(text, space)
+    family: type[TorchOde] = models.loaded["gated_ode"]
+    return family
+
+
+def fitted(dataset: Dataset, **parameters: Any) -> TorchOde:
+    return TorchOde(**{**SMALL, **parameters}).fit(dataset, rng=np.random.default_rng(0))
+
+
+def carries(model: TorchOde, dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    some = dataset.transitions(state_lags=model.lags[0], control_lags=model.lags[1])
+    return some.carry[::9], some.control[::9]
+
+
+def test_the_rates_of_a_linear_system_are_learned_to_five_per_cent() -> None:
+    """Of the usual rate, the root mean square over states that it did not learn from."""
+    learned, fresh = DRIVEN.recording(seed=1, episodes=4), DRIVEN.recording(seed=2)
+    model = fitted(learned, hidden=[16], updates=400, horizon=5, learning_rate=1e-2)
+    data = fresh.transitions()
+    change = data.after - data.state
+    error = model.step(data.carry, data.control) - data.after
+    inside = ((data.state > -1.0) & (data.state < 1.0)).all(axis=1)
+    assert np.sqrt(np.mean(error[inside] ** 2)) < 0.05 * np.sqrt(np.mean(change[inside] ** 2))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"activation": "silu", "state_lags": 1, "control_lags": 2},
+        {"solver": "dopri5", "adjoint": True, "updates": 2, "hidden": [4], "horizon": 2},
+        {"solver": "implicit_adams", "updates": 2},
+    ],
+)
+def test_every_kind_of_solver_keeps_the_contract(options: dict[str, Any], recording: Dataset) -> None:
+    check_model("torch_ode", recording[[0]], **{**SMALL, **options})
+
+
+def test_a_module_of_ones_own_comes_as_a_plugin(plugin: type[TorchOde], recording: Dataset, tmp_path: Path) -> None:
+    """It keeps the contract; stored and loaded it steps as before; nothing but arrays is stored."""
+    check_model("gated_ode", recording, updates=12, horizon=3)
+    model = plugin(updates=12, horizon=3).fit(recording, rng=np.random.default_rng(0))
+    carry, control = carries(model, recording)
+    loaded = load_model(save_model(model, tmp_path / "model"))
+    np.testing.assert_array_equal(loaded.step(carry, control), model.step(carry, control))
+    assert all(isinstance(weight, np.ndarray) for weight in model.weights_)
+    assert model.kernel() is None
+    assert sorted(file.suffix for file in tmp_path.iterdir()) == [".json", ".safetensors"]
+
+
+def test_a_stored_default_model_steps_without_torch(recording: Dataset, tmp_path: Path) -> None:
+    save_model(fitted(recording), tmp_path / "model")
+    script = (
+        "import sys, numpy as np\n"
+        "from sysid_evo.store import load_model\n"
+        f"model = load_model({str(tmp_path / 'model')!r})\n"
+        "model.step(np.zeros((1, model.n_carry)), np.zeros((1, 2)))\n"
+        "assert 'torch' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_numpy_torch_compiled_and_adaptive_steps_agree(recording: Dataset) -> None:
+    """The first and the third are the same method, the others the same equation to the order of the methods."""
+    model = fitted(recording, state_lags=1, control_lags=1)
+    carry, control = carries(model, recording)
+    stepped, kernel = model.next_state(carry, control), model.kernel()
+    assert kernel is not None
+    compiled = kernel_step(kernel, carry, control, precision="float64")
+    np.testing.assert_allclose(compiled[:, :3], stepped, atol=1e-9)
+    adaptive = model.variant(solver="dopri5").next_state(carry, control)
+    np.testing.assert_allclose(stepped, adaptive, atol=1e-5)
+    np.testing.assert_allclose(model._by_torch(carry, control), adaptive, atol=1e-5)
+    assert np.abs(stepped - carry[:, :3]).max() > 0.05
+
+
+def test_the_adjoint_equation_gives_the_gradients_of_the_steps(recording: Dataset) -> None:
+    model = fitted(recording)
+    shots = Shots.of(recording, 4, 0)
+    samples = np.moveaxis(Batches([shots], 0).of([np.arange(9)], 4)[:, 0], 0, 1).astype(np.float64)
+    states, controls = torch.from_numpy(samples[..., :3]), torch.from_numpy(samples[..., 3:])
+    found = []
+    for adjoint in (False, True):
+        equation = model.variant(adjoint=adjoint).equation
+        (equation.run(states[:, :1], controls[:, :0], controls[:, :-1]) ** 2).sum().backward()
+        found.append(torch.cat([one.grad.flatten() for one in equation.module.parameters()]))
+    torch.testing.assert_close(found[0], found[1], rtol=1e-3, atol=1e-3 * float(found[0].abs().max()))
+    assert not torch.equal(found[0], found[1])
+
+
+def test_the_turning_frame_has_the_derivative_of_its_motion(recording: Dataset) -> None:
+    state = torch.tensor([[1.0, 0.2, 3.0], [0.5, -0.3, -1.0]], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: Turning.apply(x, recording.system), (state,))
+
+
+def test_what_cannot_be_done_is_refused_where_it_is_said(recording: Dataset) -> None:
+    with pytest.raises(InvalidArgument, match="adjoint: expected state_lags=0, got 1"):
+        make_model("torch_ode", adjoint=True, state_lags=1)
+    with pytest.raises(InvalidArgument, match="solver: expected one of 'rk4'"):
+        make_model("torch_ode", solver="leapfrog")
+
+    class Narrow(TorchOde):
+        def module(self, n_inputs: int, n_outputs: int) -> nn.Module:
+            return nn.Linear(n_inputs, 1)
+
+    with pytest.raises(ShapeError, match=r"expected a module that turns \(2, 5\) into \(2, 3\), got \(2, 1\)"):
+        Narrow(**SMALL).fit(recording)
+
+
+def test_torch_is_left_as_it_was(recording: Dataset) -> None:
+    """Its threads, and the random numbers of whoever uses it beside."""
+    threads = torch.get_num_threads()
+    torch.manual_seed(3)
+    expected = torch.rand(2)
+    torch.manual_seed(3)
+    fitted(recording, updates=2, activation="silu").next_state(np.zeros((1, 3)), np.zeros((1, 2)))
+    assert torch.equal(torch.rand(2), expected)
+    assert torch.get_num_threads() == threads
+
+
+def test_a_row_that_a_solver_cannot_follow_is_alone_in_that(recording: Dataset) -> None:
+    model = fitted(recording, solver="dopri5", updates=1, horizon=1)
+    carry, control = carries(model, recording)
+    expected = model.next_state(carry[:3], control[:3])
+    broken = carry[:3].copy()
+    broken[1, 0] = np.nan
+    found = model.next_state(broken, control[:3])
+    assert np.isnan(found[1]).all()
+    np.testing.assert_allclose(found[[0, 2]], expected[[0, 2]])
+
+
+def test_the_gradient_of_a_flow_by_hand_is_that_of_torch_through_torchdiffeq(recording: Dataset) -> None:
+    """Through free runs of five steps. torchdiffeq's rk4 is the 3/8 rule, so dt is short."""
+    system = recording.system.with_dt(0.01)
+    dataset = Dataset.from_arrays(system, [e.states for e in recording], [e.controls for e in recording])
+    flow = Flow(dataset, (0, 1), hidden=[5, 4], rng=np.random.default_rng(0))
+    shots = Shots.of(dataset, 5, 1)
+    samples = Batches([shots], 1).of([np.arange(0, 70, 7)], 5)
+    weights = np.random.default_rng(1).standard_normal((5, 1, 10, 3)).astype(np.float32)
+    states = flow.run(samples)
+    found = flow.gradient(weights)[0]
+
+    module = sequential([7, 5, 4, 3], flow.parameters[0])
+    equation = Equation(
+        module,
+        system,
+        flow.layout,
+        torch.from_numpy(flow.centre),
+        torch.from_numpy(flow.scale),
+        torch.from_numpy(flow.rates),
+        solver="rk4",
+        adjoint=False,
+        tolerance=0.0,
+    )
+    batch = torch.from_numpy(np.moveaxis(samples[:, 0], 0, 1).astype(np.float64))
+    expected = equation.run(batch[:, :2, :3], batch[:, :1, 3:], batch[:, 1:-1, 3:])
+    np.testing.assert_allclose(np.moveaxis(states[:, 0], 0, 1), expected.detach().numpy(), atol=1e-5)
+    (expected * torch.from_numpy(np.moveaxis(weights[:, 0], 0, 1))).sum().backward()
+    by_torch = flat_gradient(module)
+    np.testing.assert_allclose(found, by_torch, atol=1e-4 * np.abs(by_torch).max())
+
+
+def test_the_gradient_of_layers_by_hand_is_that_of_torch() -> None:
+    """Of two calls of two members, whose inputs and outputs are scaled."""
+    rng = np.random.default_rng(0)
+    sizes, centre, scale, output = [4, 7, 5, 2], rng.standard_normal(4), rng.uniform(1, 2, 4), np.array([2.0, 3.0])
+    layers = Layers(sizes, 2, centre=centre, scale=scale, output_scale=output)
+    parameters = layers.flat(random_network(sizes, 2, rng))
+    layers.take(parameters)
+    inputs, slopes = rng.standard_normal((2, 2, 6, 4)), rng.standard_normal((2, 2, 6, 2)).astype(np.float32)
+    layers.reserve(2, 6)[...] = inputs
+    for call in range(2):
+        layers.forward(call)
+        layers.backward(call, slopes[call], 4)
+    found = layers.gradient()
+    for member in range(2):
+        module = sequential(sizes, parameters[member])
+        seen_inputs = torch.from_numpy((inputs[:, member] - centre) / scale)
+        (module(seen_inputs) * torch.from_numpy(output) * torch.from_numpy(slopes[:, member])).sum().backward()
+        by_torch = flat_gradient(module)
+        np.testing.assert_allclose(found[member], by_torch, atol=1e-5 * np.abs(by_torch).max())
+
+
+def sequential(sizes: list[int], parameters: np.ndarray) -> nn.Sequential:
+    """Return the network in torch whose weights (n_in, n_out) and biases stand one after the other."""
+    layers: list[nn.Module] = []
+    at = 0
+    for n_in, n_out in pairwise(sizes):
+        linear = nn.Linear(n_in, n_out).double()
+        with torch.no_grad():
+            weight = torch.tensor(parameters[at : at + n_in * n_out], dtype=torch.float64)
+            linear.weight.copy_(weight.reshape(n_in, n_out).T)
+            at += n_in * n_out
+            linear.bias.copy_(torch.tensor(parameters[at : at + n_out], dtype=torch.float64))
+            at += n_out
+        layers += [linear, nn.Tanh()]
+    return nn.Sequential(*layers[:-1])
+
+
+def flat_gradient(module: nn.Sequential) -> np.ndarray:
+    """Return the gradient (P,) by the parameters in the order of `sequential`."""
+    parts: list[Tensor] = []
+    for layer in module:
+        if isinstance(layer, nn.Linear):
+            parts += [layer.weight.grad.T.flatten(), layer.bias.grad]
+    return torch.cat(parts).numpy()
+
+
+def test_torch_sees_what_numpy_sees_of_a_periodic_state() -> None:
+    from tests.model_zoo.test_networks import swinging
+
+    system = swinging().system
+    states = np.array([[0.3, 1.0], [7.0, -1.0]])
+    expected = Features(system, (0, 0))(states, np.empty((2, 0)))
+    np.testing.assert_allclose(seen(system, torch.from_numpy(states)).numpy(), expected)
+
+
+def test_the_solvers_on_offer_are_those_of_torchdiffeq() -> None:
+    from typing import get_args, get_type_hints
+
+    for solver in get_args(get_type_hints(TorchOde.__init__)["solver"]):
+        after = odeint(lambda _, x: -x, torch.ones(1, dtype=torch.float64), torch.tensor([0.0, 0.1]), method=solver)
+        assert abs(float(after[-1]) - np.exp(-0.1)) < (6e-3 if solver == "euler" else 1e-3)
