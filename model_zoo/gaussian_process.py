@@ -56,6 +56,7 @@ class GaussianProcess(DynamicsModel):
     control_lags: int | None = None
     stochastic: bool = False
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     @property
     def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters

@@ -79,6 +79,7 @@ class MlpEnsemble(DynamicsModel):
     turning: list[str] | None = None
     stochastic: bool = False
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.networks.members import train_members

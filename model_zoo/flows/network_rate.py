@@ -59,6 +59,7 @@ class NetworkRate(DynamicsModel):
     horizon: int = 20
     learning_rate: float = 6e-3
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.flows.training import FittedFlow, train_flow

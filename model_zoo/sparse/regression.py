@@ -100,6 +100,7 @@ class SparsePolynomial(PolynomialFamily):
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:
         self.features_of(system, (0, 0))
