@@ -60,7 +60,6 @@ class MlpEnsemble(DynamicsModel):
         },
         "paper": {"members": 10, "one_step_updates": 8000, "updates": 2000},
     }
-    requires = ("torch",)
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("members", "hidden", "one_step_updates", "updates", "horizon")},
         "input_noise": at_least(0),

@@ -23,7 +23,7 @@ MOST_WINDOWS = 10_000
 
 
 def chained(step: Callable[[Any, Any], Any], carry: Any, controls: Any) -> Iterator[Any]:
-    """Yield the carry after each step under ``controls`` (..., H, nu); arrays and tensors alike."""
+    """Yield the carry after each step under ``controls`` (..., H, nu)."""
     for k in range(controls.shape[-2]):
         carry = step(carry, controls[..., k, :])
         yield carry

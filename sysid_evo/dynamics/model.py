@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics.stepping import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
+from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, declare
@@ -37,7 +37,7 @@ REST_BAND = 0.005
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
-class DynamicsModel(Dynamics, BaseEstimator):
+class DynamicsModel(Dynamics, Estimator):
     """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
     A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
@@ -108,7 +108,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
         cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
         cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
-            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign, assignment]  # wraps the family's own
         declare(cls)
         if "__init__" in cls.__dict__:
             cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
@@ -127,7 +127,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
 
     def variant(self, **parameters: Any) -> Self:
         """Return a copy with everything that was learned, and other hyper-parameters."""
-        other: Self = clone(self).set_params(**parameters)
+        other: Self = self.unfitted().set_params(**parameters)
         other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
         return other
 

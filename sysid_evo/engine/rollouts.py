@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeAlias
 
@@ -14,6 +13,7 @@ from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import reference
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.processors import available_processors as available_processors
 from sysid_evo.tasks.task import Task, TaskState
 
 Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
@@ -151,8 +151,3 @@ def rollout(
         f"rollout: engine {engine!r} cannot run this: "
         + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
     )
-
-
-def available_processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

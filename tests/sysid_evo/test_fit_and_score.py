@@ -163,9 +163,9 @@ def test_whole_numbers_and_numbers_of_numpy_are_numbers() -> None:
 
 
 def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = make_model("neural_ode", updates=5)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtra, match=r"NeuralOde needs the package 'torch'.*pip install \"sysid-evo\[neural\]\""):
+    model = make_model("sindy", degree=2)
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    with pytest.raises(MissingExtra, match=r"Sindy needs the package 'pysindy'.*pip install \"sysid-evo\[sindy\]\""):
         model.fit(DATA)
     with pytest.raises(MissingExtra):
         type(model).check_installed()
