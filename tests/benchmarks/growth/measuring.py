@@ -98,10 +98,12 @@ def measured(growth: Growth, *, rounds: int, most_seconds: float, memory: bool) 
         warnings.simplefilter("ignore", DataWarning)
         for size in growth.sizes:
             program = growth.make(size)
+            if not programs:
+                program()  # compiles
             programs.append(program)
             curve.sizes.append(size)
             began = time.process_time()
-            program()  # the first run may compile
+            program()
             curve.seconds.append(time.process_time() - began)
             if curve.seconds[-1] > most_seconds:
                 break
