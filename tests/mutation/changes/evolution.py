@@ -103,8 +103,8 @@ CHANGES = (
     Change(
         "a model that denies a candidate may forbid everything",
         "sysid_evo/evolution/aggregates.py",
-        "np.maximum(means.min(axis=0), median",
-        "np.minimum(means.min(axis=0), median",
+        "np.maximum(means.min(axis=0), self._floor(",
+        "np.minimum(means.min(axis=0), self._floor(",
         ("tests/sysid_evo/test_aggregates.py",),
     ),
     Change(
@@ -124,8 +124,8 @@ CHANGES = (
     Change(
         "evolution climbs the claim, not what the aggregate says of a population",
         "sysid_evo/evolution/ensemble.py",
-        "Scores(self._rule.in_population(fitness)",
-        "Scores(self._rule(fitness)",
+        "needed, self._rule.in_population)",
+        "needed, self._rule)",
         ("tests/sysid_evo/test_controller_evolution.py",),
     ),
     Change(
