@@ -60,6 +60,9 @@ class DynamicsModel(Dynamics, Estimator):
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
     exact enough. A family is ``periodic`` if equal angles are equal to it, however many turns apart.
 
+    A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
+    blocks of time at random places (`sysid_evo.data.thinning`), which a `DataWarning` and `fit_note` say.
+
     A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
     there, to the same model.
 
@@ -78,7 +81,11 @@ class DynamicsModel(Dynamics, Estimator):
     knowledge: ClassVar[str] = "black"
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
+    limits: ClassVar[Mapping[str, Limit]] = {
+        "state_lags": at_least(0),
+        "control_lags": at_least(0),
+        "most_steps": at_least(1),
+    }
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
@@ -86,6 +93,8 @@ class DynamicsModel(Dynamics, Estimator):
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
+    most_steps: int | None = None
+    kept_steps_: list[int]
     fit_seconds: float | None = None
     checkpoint: Checkpoint | None = None
     system_: System
@@ -199,6 +208,17 @@ class DynamicsModel(Dynamics, Estimator):
             self.envelope_[:, i] = -np.inf, np.inf
         self.pairs_ = recorded_pairs(dataset)
 
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, in a sentence; empty if it was all of them."""
+        kept, given = getattr(self, "kept_steps_", (0, 0))
+        if kept == given:
+            return ""
+        return (
+            f"learned from {kept:,} of {given:,} steps, blocks of time at random places, as many as "
+            f"most_steps={self.most_steps} allows"
+        )
+
     def alternatives(self) -> tuple[Dynamics, ...]:
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
@@ -206,9 +226,9 @@ class DynamicsModel(Dynamics, Estimator):
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.
 
-        The model runs free from every fourth moving sample for one second, at least ten steps. The
-        error is the root mean square divided by the standard deviation of the recording, the mean over
-        steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
+        The model runs free from every fourth moving sample (of long data fewer, 10,000 in all) for one second, at
+        least ten steps. The error is the root mean square divided by the standard deviation of the recording, the
+        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
         passes ``y``, which is unused.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score")

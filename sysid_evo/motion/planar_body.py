@@ -16,7 +16,7 @@ from sysid_evo.registry import register_motion
 
 if TYPE_CHECKING:
     from sysid_evo.motion.compiled_form import MotionKernel
-    from sysid_evo.motion.torch_form import TorchMotion
+    from sysid_evo.motion.gradient_form import MotionGradient
 
 
 @final
@@ -131,10 +131,10 @@ class PlanarBody(Motion):
 
         return planar_body_kernel(*self.indices(names))
 
-    def torch_form(self, names: Sequence[str]) -> TorchMotion:
-        from sysid_evo.motion.planar_body_torch import TorchPlanarBody
+    def gradient_form(self, names: Sequence[str]) -> MotionGradient:
+        from sysid_evo.motion.planar_body_gradient import PlanarBodyGradient
 
-        return TorchPlanarBody(*self.indices(names))
+        return PlanarBodyGradient(*self.indices(names))
 
 
 def rotate(x: Any, y: Any, angle: Any) -> tuple[Any, Any]:
