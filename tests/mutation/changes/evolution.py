@@ -104,8 +104,8 @@ CHANGES = (
     Change(
         "a model that denies a candidate may forbid everything",
         "sysid_evo/evolution/aggregates.py",
-        "return np.maximum(means.min(axis=0), self._floor",
-        "return np.minimum(means.min(axis=0), self._floor",
+        "np.maximum(means.min(axis=0), self._floor(",
+        "np.minimum(means.min(axis=0), self._floor(",
         ("tests/sysid_evo/test_aggregates.py",),
     ),
     Change(
@@ -125,8 +125,8 @@ CHANGES = (
     Change(
         "evolution climbs the claim, not what the aggregate says of a population",
         "sysid_evo/evolution/ensemble.py",
-        "return self._score(chosen, population, seeds, needed, self._rule.in_population)",
-        "return self._score(chosen, population, seeds, needed, self._rule)",
+        "needed, self._rule.in_population)",
+        "needed, self._rule)",
         ("tests/sysid_evo/test_controller_evolution.py",),
     ),
     Change(
