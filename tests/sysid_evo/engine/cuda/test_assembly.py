@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any
 
 import pytest
 
 from .assembly import assembly, compiler_is_missing
-from .cases import CASES
+from .cases import CASES, seldom
 
-ALWAYS = ("parametrised",)
+ALWAYS = {"parametrised"}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -22,12 +21,7 @@ def _with_a_compiler() -> None:
         pytest.skip(why)
 
 
-def always_or_slow(name: str) -> Any:
-    """Return ``name``, to be left out without --slow where a kernel takes seconds to compile."""
-    return name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow)
-
-
-@pytest.mark.parametrize("name", [always_or_slow(name) for name in CASES])
+@pytest.mark.parametrize("name", [seldom(name, CASES.keys() - ALWAYS) for name in CASES])
 def test_a_case_becomes_one_function_of_the_device_without_doubles(name: str) -> None:
     text = assembly(CASES[name](), "float32")
     assert ".target sm_90" in text

@@ -22,7 +22,8 @@ from sysid_evo.testing.examples import ExampleDynamics, switched_car
 from .cases import CASES
 
 pytestmark = pytest.mark.skipif(os.environ.get("NUMBA_ENABLE_CUDASIM") == "1", reason="the simulator is a device")
-GIVEN = (ExampleDynamics(switched_car()), RecurrentNetwork(), np.zeros((2, 78)), PointToPoint(horizon=5), trial_seeds(0, 2))
+CAR, TASK = ExampleDynamics(switched_car()), PointToPoint(horizon=5)
+GIVEN = (CAR, RecurrentNetwork(), np.zeros((2, 78)), TASK, trial_seeds(0, 2))
 
 
 def test_without_a_driver_cuda_is_refused_before_any_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,13 +32,13 @@ def test_without_a_driver_cuda_is_refused_before_any_work(monkeypatch: pytest.Mo
     with pytest.raises(NoDevice, match="driver was not found"):
         rollout(*GIVEN, engine="cuda")
     with pytest.raises(NoDevice, match="driver was not found"):
-        DynamicsRunner(GIVEN[0], engine="cuda")
+        DynamicsRunner(CAR, engine="cuda")
 
 
 def test_without_its_package_cuda_is_refused_with_the_command_that_installs_it(monkeypatch: Any) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r"pip install 'sysid-evo\[cuda\]'"):
-        DynamicsRunner(GIVEN[0], engine="cuda")
+        DynamicsRunner(CAR, engine="cuda")
 
 
 def test_auto_takes_the_processor_where_there_is_no_device(monkeypatch: pytest.MonkeyPatch) -> None:

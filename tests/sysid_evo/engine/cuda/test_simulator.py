@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 
-def test_rollouts_on_a_simulated_device_are_those_of_the_processor() -> None:
+def test_rollouts_on_a_simulated_device_are_those_of_the_processor(request: pytest.FixtureRequest) -> None:
     pytest.importorskip("numba_cuda", reason="needs numba-cuda: pip install 'sysid-evo[dev]'")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(Path(__file__).parent / "simulated")]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(Path(__file__).parent / "simulated")],
+        [*command, *(["--slow"] if request.config.getoption("--slow") else [])],
         env={**os.environ, "NUMBA_ENABLE_CUDASIM": "1"},
         capture_output=True,
         text=True,
