@@ -12,6 +12,8 @@ from llvmlite import ir
 from numba import config, cuda, types
 from numba.cuda.extending import intrinsic
 
+from sysid_evo.engine.cuda import one_lane
+
 SIMULATED = bool(config.ENABLE_CUDASIM)
 
 FUNCTIONS = (
@@ -25,6 +27,16 @@ def device(function: Any) -> Any:
     """Return ``function`` for other functions of the device to call; the simulator calls it as it is."""
     return function if SIMULATED else cuda.jit(function, device=True, forceinline=True)
 
+
+load, store, splat, pick = (device(f) for f in (one_lane.load, one_lane.store, one_lane.splat, one_lane.pick))
+load_quarter, splat_quarter, lowest = load, splat, splat
+first_lane, lane_of_lowest = device(one_lane.first_lane), device(one_lane.lane_of_lowest)
+where_less, where_at_most, where_bits = (
+    device(f) for f in (one_lane.where_less, one_lane.where_at_most, one_lane.where_bits)
+)
+lanes_less, lanes_at_most, lanes_differ = (
+    device(f) for f in (one_lane.lanes_less, one_lane.lanes_at_most, one_lane.lanes_differ)
+)
 
 if SIMULATED:
     float32, float64 = np.float32, np.float64
@@ -62,78 +74,3 @@ else:
             return builder.bitcast(bits, context.get_value_type(exponent))
 
         return exponent(exponent), generate
-
-
-@device
-def load(array, offset):
-    """Return the number at ``offset``."""
-    return array[offset]
-
-
-@device
-def store(array, offset, row):
-    """Write a number to ``offset``."""
-    array[offset] = row
-
-
-@device
-def splat(number):
-    """Return the number."""
-    return number
-
-
-@device
-def where_less(a, b, x, y):
-    """Return x if a < b, else y."""
-    return x if a < b else y
-
-
-@device
-def where_at_most(a, b, x, y):
-    """Return x if a <= b, else y."""
-    return x if a <= b else y
-
-
-@device
-def where_bits(bits, x, y):
-    """Return x if the only bit is set, else y."""
-    return x if bits & 1 else y
-
-
-@device
-def lanes_less(a, b):
-    """Return 1 if a < b, else 0."""
-    return 1 if a < b else 0
-
-
-@device
-def lanes_at_most(a, b):
-    """Return 1 if a <= b, else 0."""
-    return 1 if a <= b else 0
-
-
-@device
-def lanes_differ(a, b):
-    """Return 1 if two numbers differ, else 0; what is no number differs from all."""
-    return 1 if a != b else 0
-
-
-@device
-def first_lane(bits):
-    """Return the only lane."""
-    return 0
-
-
-@device
-def lane_of_lowest(row):
-    """Return the only lane."""
-    return 0
-
-
-@device
-def pick(row, lane):
-    """Return the number."""
-    return row
-
-
-load_quarter, splat_quarter, lowest = load, splat, splat
