@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache, partial
@@ -18,6 +19,7 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.registry import make_controller, make_model, make_robot, make_task, models
 from sysid_evo.rivals import Race, TwoBodies, TwoDrivers
 from sysid_evo.tasks import Duel, PointToPoint, Task
+from sysid_evo.tasks.registered_reward import NamedReward
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, pendulum, switched_car
 from sysid_evo.wrappers import (
@@ -97,6 +99,29 @@ def wrapped(around: Callable[[Dynamics], Dynamics]) -> Case:
     return driven(around(family("linear")))
 
 
+def swung(torque, angle, weight=0.5):  # type: ignore[no-untyped-def]  # read by Numba
+    """The angle up, with little torque."""
+    return -math.cos(angle) - weight * torque**2
+
+
+def fast(angular_speed):  # type: ignore[no-untyped-def]  # read by Numba
+    """It turns too fast."""
+    return angular_speed > 1.0
+
+
+def reward() -> Case:
+    """A reward that somebody registers, whose trials may be over before their time."""
+    given: Any = {"lowest": -2.0, "start": {"angle": (-1.0, 1.0), "angular_speed": (0.0, 1.2)}}
+    task = NamedReward("swung", swung, constants={"weight": 0.5}, ended=fast, horizon=HORIZON, **given)
+    return Case(ExampleDynamics(pendulum()), RecurrentNetwork(hidden=3), task)
+
+
+def environment() -> Case:
+    """A classic environment whose reward is compiled."""
+    system = make_robot("gymnasium").system
+    return Case(ExampleDynamics(system), RecurrentNetwork(hidden=3), make_task("environment", horizon=HORIZON))
+
+
 def race() -> Case:
     """Two networks in two linear cars."""
     task = Duel(horizon=HORIZON)
@@ -144,6 +169,8 @@ TASKS: dict[str, Callable[[], Case]] = {
     "walled_track": lambda: at_task("walled_track"),
     "duel": lambda: at_task("duel"),
     "race": race,
+    "reward": reward,
+    "environment": environment,
 }
 CASES = MODELS | ROBOTS | WRAPPERS | CONTROLLERS | TASKS
 HEAVY = {"evolved3", "hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history"}
