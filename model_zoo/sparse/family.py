@@ -90,7 +90,11 @@ class PolynomialFamily(DynamicsModel):
         if self.features.functions:
             return None
         seen = len(self.features.names) - self.system.nu
-        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
+        levels = [
+            None if channel.levels is None else np.clip(channel.levels, low, high)
+            for channel, low, high in zip(self.system.controls, self.low_[seen:], self.high_[seen:], strict=True)
+        ]
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu, levels=levels)
         clipped = within(sums, self.low_, self.high_, seen)
         return with_angles(clipped, self.system, self.lags)
 

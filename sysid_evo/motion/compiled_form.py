@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.motion.straight_kernel import integrate_straight, move_nothing, turn_nothing
 
 if TYPE_CHECKING:
     from sysid_evo.system import System
@@ -55,22 +55,6 @@ def motion_kernel(system: System) -> MotionKernel | None:
 @cache
 def _remark(kind: str) -> None:
     LOG.warning("motion %s has no compiled form: what needs it runs in NumPy, some ten times slower", kind)
-
-
-def integrate_straight(state: Any, after: Any, nx: Any, dt: Any, p: Any) -> None:
-    """Write state + dt acceleration."""
-    for i in range(nx * LANES):
-        after[i] = state[i] + dt * after[i]
-
-
-def turn_nothing(state: Any, rate: Any, p: Any) -> None:
-    """Leave the rate as it is."""
-    return
-
-
-def move_nothing(pose: Any, before: Any, after: Any, dt: Any, p: Any) -> None:
-    """Leave the pose as it is."""
-    return
 
 
 STRAIGHT = MotionKernel(integrate_straight, turn_nothing, move_nothing)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from sysid_evo.engine.compiled.elementary import nearest
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load, load_quarter, store, view, where_at_most
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.motion import planar_body
-from sysid_evo.motion.compiled_form import MotionKernel, integrate_straight
+from sysid_evo.motion.compiled_form import MotionKernel
+from sysid_evo.motion.straight_kernel import integrate_straight
 
 ROLES = Layout("forward", "lateral", "yaw_rate")
 TURN = 2.0 * math.pi
@@ -28,11 +29,12 @@ def integrate(state, after, nx, dt, p):
     if lateral >= 0:
         along, across = view(after, int(p[ROLES.forward]) * LANES), view(after, lateral * LANES)
         yaw_rate = view(state, int(p[ROLES.yaw_rate]) * LANES)
-        for lane in range(LANES):
-            angle = yaw_rate[lane] * dt
-            forward, sideways = planar_body.turn(along[lane], across[lane], math.cos(angle), -math.sin(angle))
-            along[lane] = forward
-            across[lane] = sideways
+        for lane in range(0, LANES, QUARTER):
+            angle = load_quarter(yaw_rate, lane) * dt
+            ahead, aside = load_quarter(along, lane), load_quarter(across, lane)
+            forward, sideways = planar_body.turn(ahead, aside, math.cos(angle), -math.sin(angle))
+            store(along, lane, forward)
+            store(across, lane, sideways)
 
 
 def turn(state, rate, p):
@@ -43,10 +45,9 @@ def turn(state, rate, p):
         along, across = view(state, forward), view(state, lateral * LANES)
         yaw_rate = view(state, int(p[ROLES.yaw_rate]) * LANES)
         along_rate, across_rate = view(rate, forward), view(rate, lateral * LANES)
-        for lane in range(LANES):
-            forward_change, lateral_change = planar_body.frame_change(along[lane], across[lane], yaw_rate[lane])
-            along_rate[lane] += forward_change
-            across_rate[lane] += lateral_change
+        forward_change, lateral_change = planar_body.frame_change(load(along, 0), load(across, 0), load(yaw_rate, 0))
+        store(along_rate, 0, load(along_rate, 0) + forward_change)
+        store(across_rate, 0, load(across_rate, 0) + lateral_change)
 
 
 def move(pose, before, after, dt, p):
@@ -57,17 +58,18 @@ def move(pose, before, after, dt, p):
     u0, u1, r0, r1 = view(before, forward), view(after, forward), view(before, yaw_rate), view(after, yaw_rate)
     v0, v1 = view(before, max(lateral, 0)), view(after, max(lateral, 0))
     y, heading = view(pose, LANES), view(pose, 2 * LANES)
-    for lane in range(LANES):
-        turned = 0.5 * dt * (r0[lane] + r1[lane])
-        along, across = 0.5 * dt * (u0[lane] + u1[lane]), sideways * (v0[lane] + v1[lane])
-        middle = heading[lane] + 0.5 * turned
+    for lane in range(0, LANES, QUARTER):
+        turned = 0.5 * dt * (load_quarter(r0, lane) + load_quarter(r1, lane))
+        along = 0.5 * dt * (load_quarter(u0, lane) + load_quarter(u1, lane))
+        across = sideways * (load_quarter(v0, lane) + load_quarter(v1, lane))
+        middle = load_quarter(heading, lane) + 0.5 * turned
         dx, dy = planar_body.turn(along, across, math.cos(middle), math.sin(middle))
-        pose[lane] += dx
-        y[lane] += dy
-        heading[lane] = wrap(heading[lane] + turned)
+        store(pose, lane, load_quarter(pose, lane) + dx)
+        store(y, lane, load_quarter(y, lane) + dy)
+        store(heading, lane, wrap(load_quarter(heading, lane) + turned))
 
 
 def wrap(angle):
-    """Return any angle as the same one in (-pi, pi], as `sysid_evo.angles.wrap` does."""
+    """Return any angle, or a row of them, as the same one in (-pi, pi], as `sysid_evo.angles.wrap` does."""
     angle = angle - TURN * nearest(angle * PER_TURN)
-    return angle + TURN if angle <= -math.pi else angle
+    return where_at_most(angle, -math.pi, angle + TURN, angle)

@@ -15,7 +15,7 @@ from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.engine.compiled.dialect import Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned
+from sysid_evo.engine.compiled.memory import aligned
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_model

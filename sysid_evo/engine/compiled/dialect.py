@@ -31,7 +31,7 @@ from typing import Any, ClassVar, Literal, Protocol, TypeAlias
 import llvmlite
 import numba
 
-from sysid_evo.engine.compiled import elementary, lanes, rows
+from sysid_evo.engine.compiled import elementary, lanes, pointers, row_mathematics, rows
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
@@ -41,11 +41,12 @@ Precision: TypeAlias = Literal["float32", "float64"]
 
 LANE_FUNCTIONS = (
     "first_lane", "lane_of_lowest", "lanes_at_most", "lanes_differ", "lanes_less", "load", "load_quarter",
-    "look_up", "lowest", "pick", "power_of_two", "splat", "splat_quarter", "store", "view", "where_at_most",
+    "look_up", "lowest", "pick", "splat", "splat_quarter", "store", "view", "where_at_most",
     "where_bits", "where_less",
 )  # fmt: skip
 _IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
+PASSED_ON[row_mathematics.power_of_two] = "power_of_two"
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
@@ -65,6 +66,8 @@ from numba import cfunc, njit, types
 from numba import {precision} as _real
 
 from sysid_evo.engine.compiled.lanes import {functions}
+from sysid_evo.engine.compiled.pointers import address, array_at
+from sysid_evo.engine.compiled.row_mathematics import power_of_two
 
 LANES = {lanes}
 R = types.Array(_real, 1, "C")
@@ -179,26 +182,33 @@ Source: TypeAlias = KernelSource | Wrapped
 def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
     """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
 
-    With ``pointer`` the result can be passed to compiled code as a first-class function; without it,
-    it is called from Python and releases the interpreter lock.
+    With ``pointer`` the result can be passed to compiled code as a first-class function, whose arguments are the
+    addresses of arrays; without it, it is called from Python and releases the interpreter lock.
     """
     if isinstance(source, KernelSource):
         signature.check(_plain(source.function))
-    decorator = "@cfunc" if pointer else "@njit"
-    options = "" if pointer else ", nogil=True"
-    options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False{options}"
-    return imported(generate(source, f"{decorator}({signature}, {options})", precision)).entry
+    return imported(generate(source, signature, precision, pointer=pointer)).entry
 
 
-def generate(source: Source, decorator: str, precision: Precision, target: Target = PROCESSOR) -> str:
+def generate(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
+    options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False"
+    if not pointer:
+        return generate_for(PROCESSOR, source, f"@njit({signature}, {options}, nogil=True)", precision)
+    writer = _Writer(precision, PROCESSOR)
+    inner = writer.needs(source)
+    names = ", ".join(signature.arguments)
+    arrays = ", ".join(f"array_at({name})" for name in signature.arguments)
+    return writer.module(
+        source, f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
+    )
+
+
+def generate_for(target: Target, source: Source, decorator: str, precision: Precision) -> str:
+    """Return the text of the module that compiles ``source`` for ``target`` as ``entry``, with ``decorator``."""
     writer = _Writer(precision, target)
     writer.open.append(source)
-    body = writer.function(source, entry=decorator)
-    origin = f"{source.function.__module__}.{source.function.__qualname__}"
-    functions, lanes_there = ", ".join(target.functions), target.widths["LANES"]
-    header = target.header.format(origin=origin, precision=precision, lanes=lanes_there, functions=functions)
-    return "\n\n".join([header, *writer.done, body]) + "\n"
+    return writer.module(source, writer.function(source, entry=decorator))
 
 
 class _Writer:
@@ -210,6 +220,13 @@ class _Writer:
         self.names: dict[Source, str] = {}
         self.open: list[Source] = []
         self.count = 0
+
+    def module(self, source: Source, entry: str) -> str:
+        """Return the text of the file that ends with ``entry``, which was made of ``source``."""
+        origin = f"{source.function.__module__}.{source.function.__qualname__}"
+        functions, width = ", ".join(self.target.functions), self.target.widths["LANES"]
+        header = self.target.header.format(origin=origin, precision=self.precision, lanes=width, functions=functions)
+        return "\n\n".join([header, *self.done, entry]) + "\n"
 
     def function(self, source: Source, entry: str | None = None) -> str:
         before = self.target.inner if entry is None else entry
@@ -230,7 +247,8 @@ class _Writer:
         local = {argument.arg for argument in tree.args.args} | {
             node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         }
-        tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local, name).visit(tree))
+        given = {argument.arg for argument in tree.args.args} if entry else set()
+        tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local, given, name).visit(tree))
         return f"{before}\n{ast.unparse(tree)}"
 
     def needs(self, source: Source) -> str:
@@ -262,10 +280,11 @@ class _Specialise(ast.NodeTransformer):
         function: FunctionType,
         bindings: Mapping[str, Any],
         local: set[str],
+        given: set[str],
         name: str,
     ) -> None:
         self.writer, self.function, self.bindings, self.local = writer, function, bindings, local
-        self.own_name = name
+        self.given, self.own_name = given, name
         closure = inspect.getclosurevars(function)
         self.scope = {**function.__globals__, **closure.nonlocals}
 
@@ -276,6 +295,12 @@ class _Specialise(ast.NodeTransformer):
         if node.name != self.own_name:
             raise self._unusable(node.name, "write a function within a function beside this one")
         return self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:  # ast's own naming
+        called = self.generic_visit(node)
+        if isinstance(node.func, ast.Name) and node.func.id in self.given:  # a kernel that the loop is given
+            node.args = [ast.Call(ast.Name("address", ast.Load()), [argument], []) for argument in node.args]
+        return called
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:  # ast's own naming
         return _real(node.value) if isinstance(node.value, float) else node
@@ -309,7 +334,7 @@ class _Specialise(ast.NodeTransformer):
         if value.__hash__ is None:
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
         if value in PASSED_ON:
-            if PASSED_ON[value] not in self.writer.target.functions:
+            if PASSED_ON[value] in LANE_FUNCTIONS and PASSED_ON[value] not in self.writer.target.functions:
                 raise self._unusable(text, "it takes several lanes; give the source a form for one_lane")
             return ast.Name(PASSED_ON[value], ast.Load())
         if self.writer.precision == "float32" and value in elementary.FLOAT32:
@@ -358,7 +383,7 @@ def _parse(function: FunctionType) -> ast.FunctionDef:
 @cache
 def _fingerprint() -> str:
     """Return a digest of everything outside a generated file that its compiled form depends on."""
-    rooms = [inspect.getsource(module) for module in (rows, lanes)]
+    rooms = [inspect.getsource(module) for module in (rows, lanes, pointers, row_mathematics)]
     parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 

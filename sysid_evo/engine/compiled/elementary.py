@@ -1,4 +1,4 @@
-"""Elementary functions for float32 kernels: branch-free, so that LLVM vectorises them.
+"""Elementary functions for float32 kernels, of numbers or rows: branch-free, so that LLVM vectorises them.
 
 The polynomials are minimax fits (``python -m tests.benchmarks.elementary`` computes and checks
 them). Largest errors in float32: `tanh` 4e-7 relative; `sin` and `cos` 2e-7 absolute for |x| up to
@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from sysid_evo.engine.compiled.lanes import power_of_two
+from sysid_evo.engine.compiled.lanes import where_less
+from sysid_evo.engine.compiled.row_mathematics import power_of_two
 
 
 def tanh(x):
@@ -77,9 +78,9 @@ def atan2(y, x):
     p = p * s + 0.19993772819352648
     p = p * s - 0.33333152735467547
     angle = t + t * (s * p)
-    angle = 1.5707963267948966 - angle if b > a else angle
-    angle = 3.141592653589793 - angle if x < 0.0 else angle
-    return -angle if y < 0.0 else angle
+    angle = where_less(a, b, 1.5707963267948966 - angle, angle)
+    angle = where_less(x, 0.0, 3.141592653589793 - angle, angle)
+    return where_less(y, 0.0, -angle, angle)
 
 
 def exp(x):

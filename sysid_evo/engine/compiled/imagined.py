@@ -12,7 +12,8 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import ADVANCE, DYNAMICS, DynamicsKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned, compiled, empty_lines
+from sysid_evo.engine.compiled.memory import aligned, empty_lines
+from sysid_evo.engine.compiled.run import compiled, envelope_table
 from sysid_evo.tasks.task import TaskState
 
 
@@ -31,7 +32,7 @@ class CompiledTrials:
             "advance": compiled(task.advance, ADVANCE, precision),
             "dynamics_parameters": aligned(dynamics.parameters, precision),
             "task_parameters": aligned(task.parameters, precision),
-            "envelope": aligned(envelope, precision),
+            "envelope": aligned(envelope_table(envelope, envelope.shape[1], precision), precision),
         }
 
     def run(
@@ -57,7 +58,7 @@ class CompiledTrials:
         given = {"start": carry, "task_start": rows.T, "trial_data": data, "controls": controls}
         room = {
             "carry": n_carry, "control": nu, "noise": n_noise, "before": nx, "task": n_task, "kept": n_carry + n_task,
-            "marks": 1, "scratch": self.n_scratch,
+            "scratch": self.n_scratch,
         }  # fmt: skip
         lost = np.zeros(rollouts, np.int64)
         state, final = np.zeros(rollouts * nx, real), np.zeros(rollouts * n_task, real)

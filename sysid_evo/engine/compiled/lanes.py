@@ -15,7 +15,6 @@ would count references in the loop.
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from typing import Any
 
@@ -24,7 +23,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba import config as numba_settings
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic
 
 from sysid_evo.engine.compiled.rows import LanesType, broadcast, call_named
 
@@ -96,17 +95,18 @@ def store(typing_context, array, offset, row):
 
 
 def _choice(comparison: str) -> Any:
-    """Return a function of rows or numbers: the third in the lanes where the first two compare, else the fourth."""
+    """Return a function of rows, of numbers, or of both: the third where the first two compare, else the fourth."""
 
     @intrinsic
     def choice(typing_context, a, b, x, y):
-        row = next(kind for kind in (a, b, x, y) if isinstance(kind, LanesType))
-        kinds = [kind if isinstance(kind, LanesType) else row.dtype for kind in (a, b, x, y)]
+        row = next((kind for kind in (a, b, x, y) if isinstance(kind, LanesType)), a)
+        number = row.dtype if isinstance(row, LanesType) else row
+        kinds = [kind if isinstance(kind, LanesType) else number for kind in (a, b, x, y)]
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             vector = context.get_value_type(row)
             first, second, yes, no = (
-                value if isinstance(kind, LanesType) else broadcast(builder, value, vector)
+                value if kind == row else broadcast(builder, value, vector)
                 for kind, value in zip(kinds, arguments, strict=True)
             )
             return builder.select(builder.fcmp_ordered(comparison, first, second), yes, no)
@@ -124,10 +124,11 @@ where_at_most = _choice("<=")
 
 @intrinsic
 def where_bits(typing_context, bits, x, y):
-    """Return x in the lanes whose bit is set, else y; rows of 64 lanes."""
+    """Return x in the lanes whose bit is set, else y; of a quarter, the lowest sixteen bits count."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        chosen = builder.bitcast(arguments[0], ir.VectorType(ir.IntType(1), LANES))
+        bits = arguments[0] if x.count == LANES else builder.trunc(arguments[0], ir.IntType(x.count))
+        chosen = builder.bitcast(bits, ir.VectorType(ir.IntType(1), x.count))
         return builder.select(chosen, *arguments[1:])
 
     return x(types.int64, x, y), generate
@@ -141,30 +142,6 @@ def lanes_differ(typing_context, a, b):
         return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
 
     return types.int64(a, b), generate
-
-
-@intrinsic
-def _put(typing_context, row, lane, number):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector, place, value = arguments
-        return builder.insert_element(vector, value, place)
-
-    return row(row, types.int64, row.dtype), generate
-
-
-@overload(math.tanh)
-def _lanes_tanh(x):
-    """In float64, where the mathematics library stands behind it: lane by lane."""
-    if not isinstance(x, LanesType):
-        return None
-    count = x.count
-
-    def tanh(x):
-        for lane in range(count):
-            x = _put(x, lane, math.tanh(pick(x, lane)))
-        return x
-
-    return tanh
 
 
 def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -287,20 +264,6 @@ def _look_up_eights(builder: Any, numbers: Any, index: Any) -> Any:
 def _host_has(feature: str) -> bool:
     """Whether this processor has a feature by LLVM's name, and compiled code may use it."""
     return bool(get_host_cpu_features().get(feature)) and not numba_settings.CPU_NAME
-
-
-@intrinsic
-def power_of_two(typing_context, exponent):
-    """Return 2 to the power of a whole number given as a real one, by writing its exponent bits."""
-    whole, mantissa, bias = (32, 23, 127) if exponent == types.float32 else (64, 52, 1023)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        integer = ir.IntType(whole)
-        biased = builder.add(builder.fptosi(arguments[0], integer), ir.Constant(integer, bias))
-        bits = builder.shl(biased, ir.Constant(integer, mantissa))
-        return builder.bitcast(bits, context.get_value_type(exponent))
-
-    return exponent(exponent), generate
 
 
 @intrinsic

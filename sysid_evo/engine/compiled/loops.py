@@ -12,12 +12,12 @@ from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSE
 from sysid_evo.engine.compiled.lanes import (
     LANES,
     first_lane,
+    lanes_at_most,
     lanes_differ,
     load,
     splat,
     store,
     view,
-    where_at_most,
     where_bits,
     where_less,
 )
@@ -62,7 +62,6 @@ def closed_loop(
         clear(tally, 2 * (nx + nu))
         used = min(LANES, rollouts - block * LANES)
         in_order = (block * LANES) % n_trials  # from here on the trials of the lanes follow each other
-        marks = observation  # observed anew before it is read
         over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
         lost = 0  # and for each that diverged
         for k in range(horizon):
@@ -82,9 +81,9 @@ def closed_loop(
                 copy_rows(carry, kept, n_carry)
                 copy_rows(task, view(kept, n_carry * LANES), n_task)
             dynamics(carry, control, noise, dynamics_parameters, scratch)
-            marked = suspicious(carry, envelope, n_carry, nx, marks)
+            marked = suspicious(carry, envelope, n_carry, nx)
             if marked != 0:
-                diverging = lanes_differ(load(marks, 0), load(marks, 0)) & marked
+                diverging = not_finite(carry, envelope, n_carry, nx)
                 fresh, clipping = diverging & ~over, marked & ~diverging & ~over
                 over |= fresh
                 lost |= fresh
@@ -146,24 +145,27 @@ def count_sides(values, alive, centre, rows, tally):
         store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
 
 
-def suspicious(carry, envelope, n_carry, nx, marks):
-    """Return a bit for each lane that needs care; its mark is above 0 outside the envelope, nan if not finite."""
-    mark = splat(0.0)
+def suspicious(carry, envelope, n_carry, nx):
+    """Return a bit for each lane that needs care: a state outside the envelope, or a number that is not finite."""
+    fine = -1
     for row in range(nx):
         value = load(carry, row * LANES)
-        mark = mark + value * 0.0  # nan for a number that is not finite
-        mark = mark + where_less(value, envelope[row], 1.0, 0.0)
-        mark = mark + where_less(envelope[nx + row], value, 1.0, 0.0)
+        fine &= lanes_at_most(splat(envelope[row]), value) & lanes_at_most(value, splat(envelope[nx + row]))
     for row in range(nx, n_carry):
-        mark = mark + load(carry, row * LANES) * 0.0
-    marked = lanes_differ(mark, splat(0.0))
-    if marked != 0:
-        store(marks, 0, mark)
-    return marked
+        fine &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+    return ~fine
+
+
+def not_finite(carry, envelope, n_carry, nx):
+    """Return a bit for each lane with a number that is not finite."""
+    finite = -1
+    for row in range(n_carry):
+        finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+    return ~finite
 
 
 def clip(carry, envelope, nx):
-    """Clip every state to the envelope (low, then high of each state)."""
+    """Clip every state to the envelope: low, then high of each state, then the largest number there is."""
     for row in range(nx):
         store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))
 
@@ -182,10 +184,7 @@ def actuate(raw, control, actuation, nu):
             chosen = splat(actuation[at + 3])
             for i in range(1, count):
                 level, boundary = actuation[at + 2 + 2 * i], actuation[at + 3 + 2 * i]
-                if boundary < 0.0:  # a boundary belongs to the level nearer to zero
-                    chosen = where_at_most(boundary, value, level, chosen)
-                else:
-                    chosen = where_less(boundary, value, level, chosen)
+                chosen = where_less(boundary, value, level, chosen)
             store(control, row * LANES, chosen)
 
 
@@ -254,7 +253,7 @@ def open_loop(
 def imagine(
     dynamics, advance, sizes, dynamics_parameters, task_parameters,
     start, task_start, trial_data, controls, envelope,
-    carry, control, noise, before, task, kept, marks, scratch, trials,
+    carry, control, noise, before, task, kept, scratch, trials,
     lost_of, final_state, final_task,
 ):  # fmt: skip
     """Run blocks of 64 rollouts each, sequence first, trial second, under ``controls`` (rollouts, steps, nu)."""
@@ -283,9 +282,9 @@ def imagine(
                 copy_rows(carry, kept, n_carry)
                 copy_rows(task, view(kept, n_carry * LANES), n_task)
             dynamics(carry, control, noise, dynamics_parameters, scratch)
-            marked = suspicious(carry, envelope, n_carry, nx, marks)
+            marked = suspicious(carry, envelope, n_carry, nx)
             if marked != 0:
-                diverging = lanes_differ(load(marks, 0), load(marks, 0)) & marked
+                diverging = not_finite(carry, envelope, n_carry, nx)
                 fresh = diverging & ~over
                 over |= fresh
                 lost |= fresh

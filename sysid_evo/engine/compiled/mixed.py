@@ -15,7 +15,8 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, OBSERVE, ControllerKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import actuation_table, aligned, compiled, empty_lines
+from sysid_evo.engine.compiled.memory import aligned, empty_lines
+from sysid_evo.engine.compiled.run import actuation_table, compiled
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 
@@ -81,7 +82,7 @@ def run(
         for array in (
             controller_kernel.parameters,
             task_kernel.parameters,
-            actuation_table(system, before_tanh=controller_kernel.before_tanh),
+            actuation_table(system, PRECISION, before_tanh=controller_kernel.before_tanh),
             task_kernel.trial_data(began),
         )
     )

@@ -12,7 +12,8 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import Work, aligned, compiled, empty_lines, spread
+from sysid_evo.engine.compiled.memory import aligned, empty_lines
+from sysid_evo.engine.compiled.run import Work, compiled, spread
 
 
 @cache

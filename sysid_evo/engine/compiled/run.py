@@ -28,13 +28,13 @@ from sysid_evo.engine.compiled.kernel import (
     TaskKernel,
 )
 from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.memory import aligned, together
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.switches import level_boundaries
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 
-CACHE_LINE = 64
 SHARES = 2  # parts of the work for each thread
 
 
@@ -106,27 +106,12 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
         other.result()
 
 
-def empty_lines(count: int, real: Any) -> Any:
-    """Return ``count`` zeros, at least one, that begin on a cache line: a load across two lines costs twice."""
-    count, itemsize = max(1, count), np.dtype(real).itemsize
-    room = np.zeros(count + CACHE_LINE // itemsize, real)
-    first = -room.__array_interface__["data"][0] % CACHE_LINE // itemsize
-    return room[first : first + count]
-
-
-def aligned(array: Any, real: Any = None) -> Any:
-    """Return a flat copy of ``array`` from a cache line on, in another precision if ``real`` is given."""
-    copied = empty_lines(array.size, real or array.dtype)
-    with np.errstate(over="ignore"):  # a number beyond float32 is infinite
-        copied[: array.size].reshape(array.shape)[...] = array
-    return copied
-
-
-def actuation_table(system: System, *, before_tanh: bool = False) -> Array:
+def actuation_table(system: System, precision: Precision, *, before_tanh: bool = False) -> Array:
     """Return `System.actuate` as numbers: the width of a row, then one row a control.
 
     ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous, -1 too,
-    but of an output that is still to be squashed (``before_tanh``); boundaries are then those before tanh.
+    but of an output that is still to be squashed (``before_tanh``); boundaries are then those before tanh. A boundary
+    belongs to the level nearer to zero, so that a negative one is the last number of ``precision`` below it.
     """
     most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
     system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
@@ -136,8 +121,17 @@ def actuation_table(system: System, *, before_tanh: bool = False) -> Array:
         if channel.levels is not None:
             row[0], row[3] = len(channel.levels), channel.levels[0]
             for i, boundary in enumerate(level_boundaries(len(channel.levels)), start=1):
-                row[2 + 2 * i], row[3 + 2 * i] = channel.levels[i], np.arctanh(boundary) if before_tanh else boundary
+                bound = np.array(np.arctanh(boundary) if before_tanh else boundary, precision)
+                row[2 + 2 * i] = channel.levels[i]
+                row[3 + 2 * i] = np.nextafter(bound, -np.inf, dtype=precision) if boundary < 0.0 else bound
     return np.concatenate([[table.shape[1]], table.ravel()])
+
+
+def envelope_table(envelope: Array | None, nx: int, precision: Precision) -> Array:
+    """Return the lowest and the highest value of each state, none infinite, and the largest number of ``precision``."""
+    most = np.finfo(precision).max
+    limits = np.full((2, nx), np.inf) * [[-1.0], [1.0]] if envelope is None else envelope
+    return np.append(np.clip(limits, -most, most), most)
 
 
 def run(
@@ -162,9 +156,6 @@ def run(
     carry = dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws))
     rows = kernels.task.rows(began)
     noise = np.empty((trials, task.horizon, dynamics.n_noise))
-    envelope = dynamics.envelope
-    if envelope is None:
-        envelope = np.stack([np.full(system.nx, -np.inf), np.full(system.nx, np.inf)])
 
     def draw(first: int, last: int) -> None:
         noise[first:last] = step_noise(seeds[first:last], task.horizon, dynamics.n_noise)
@@ -204,11 +195,11 @@ def run(
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
         "noise_of": noise.transpose(1, 2, 0).astype(real).take(in_order, axis=2),
-        "envelope": envelope,
-        "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
+        "envelope": envelope_table(dynamics.envelope, system.nx, precision),
+        "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
-    shared = {**functions, "sizes": sizes, **{name: aligned(array, real) for name, array in given.items()}}
+    shared = {name: aligned(array, real) for name, array in given.items()}
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
     counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
@@ -240,11 +231,12 @@ def run(
     loop = closed_loop(precision)
 
     def prepare() -> Work:
-        own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
-        own["trials"] = np.zeros(LANES, np.int64)
+        arrays = together({name: n * LANES for name, n in room.items()}, real, copies=shared)
+        trials_of = np.zeros(LANES, np.int64)
 
         def work(first: int, last: int) -> None:
-            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **shared, **own, **results))
+            arguments = {**functions, "sizes": sizes, "trials": trials_of, **arrays, **results}
+            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
 
         return work
 

@@ -59,9 +59,20 @@ class Signature:
     def __str__(self) -> str:
         """Return the type as the text of a generated file."""
         kinds = [
-            kind.value if isinstance(kind, Kind) else f"types.FunctionType({kind})" for kind in self.arguments.values()
+            kind.value if isinstance(kind, Kind) else f"types.FunctionType({kind.of_pointers()})"
+            for kind in self.arguments.values()
         ]
         return f"types.void({', '.join(kinds)})"
+
+    def of_pointers(self) -> str:
+        """Return the type as the text of a generated file, of a function that is passed: addresses of its arrays."""
+        return f"types.void({', '.join(f'types.CPointer({kind}.dtype)' for kind in self._arrays())})"
+
+    def _arrays(self) -> list[str]:
+        others = [name for name, kind in self.arguments.items() if kind not in (Kind.REALS, Kind.WHOLES)]
+        if others:
+            raise InvalidArgument(f"a kernel that is passed takes arrays alone, got {', '.join(others)}")
+        return [kind.value for kind in self.arguments.values() if isinstance(kind, Kind)]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Signature) and list(self.arguments.items()) == list(other.arguments.items())

@@ -16,7 +16,7 @@ from typing import Any
 
 import numba_cuda
 
-from sysid_evo.engine.compiled.dialect import Precision, Target, generate, imported
+from sysid_evo.engine.compiled.dialect import Precision, Target, generate_for, imported
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import lanes, loop, one_lane
 from sysid_evo.errors import InvalidArgument
@@ -111,7 +111,7 @@ def odd(count: int) -> int:
 
 def text(threads: Threads, decorator: str, precision: Precision) -> str:
     """Return the module of a program."""
-    return generate(threads, decorator, precision, DEVICE)
+    return generate_for(DEVICE, threads, decorator, precision)
 
 
 @cache
@@ -128,7 +128,7 @@ def can_run(kernels: Kernels) -> bool:
     """Return whether all that the kernels use has a form for one lane."""
     try:
         for source in kernels.sources.values():
-            generate(source, "", "float32", DEVICE)
+            generate_for(DEVICE, source, "", "float32")
     except InvalidArgument:
         return False
     return True

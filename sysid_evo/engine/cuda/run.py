@@ -65,7 +65,7 @@ def run(
     precision: Precision = "float32",
 ) -> dict[str, Any]:
     """Run bound ``controller`` and ``task`` on the device; return the fields of `Rollouts`."""
-    given, real = prepare(kernels, dynamics, controller, task, seeds, record=record), np.dtype(precision)
+    given, real = prepare(kernels, dynamics, controller, task, seeds, precision, record=record), np.dtype(precision)
     launch = launch_of(kernels, given, precision)
     entry = program.compiled(launch.threads, precision)
     shared = {name: on_device(array, real) for name, array in given.arrays.items()}

@@ -10,6 +10,7 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import behaviour
+from sysid_evo.engine.compiled.dialect import Precision
 from sysid_evo.engine.compiled.run import Kernels, actuation_table
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task, TaskState
@@ -35,7 +36,14 @@ class Given:
 
 
 def prepare(
-    kernels: Kernels, dynamics: Dynamics, controller: Controller, task: Task, seeds: Seeds, *, record: bool
+    kernels: Kernels,
+    dynamics: Dynamics,
+    controller: Controller,
+    task: Task,
+    seeds: Seeds,
+    precision: Precision,
+    *,
+    record: bool,
 ) -> Given:
     """Return what rollouts of bound ``controller`` and ``task`` in these trials are given."""
     system, trials = dynamics.system, len(seeds)
@@ -56,7 +64,7 @@ def prepare(
         "trial_data": kernels.task.trial_data(began),
         "noise_of": step_noise(seeds, task.horizon, dynamics.n_noise).transpose(1, 2, 0),
         "envelope": envelope,
-        "actuation": actuation_table(system, before_tanh=kernels.controller.before_tanh),
+        "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
     sizes = {

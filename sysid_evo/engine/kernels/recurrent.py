@@ -6,7 +6,7 @@ import math
 
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, splat_quarter, store, view
+from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load, load_quarter, splat, splat_quarter, store, view
 
 
 def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:
@@ -18,28 +18,29 @@ def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKe
 def recurrent(theta, memory, observation, raw, parameters, scratch):
     """h = tanh(W_in o + W_h h) and W_out h, see `RecurrentNetwork`."""
     for first in range(0, LANES, QUARTER):
-        weights, seen, before, after = (
+        own, seen, before, after = (
             view(theta, first),
             view(observation, first),
             view(memory, first),
             view(scratch, first),
         )
-        sums(weights, seen, before, after, N_INPUTS, HIDDEN)
-        for j in range(HIDDEN):
-            store(before, j * LANES, math.tanh(load_quarter(after, j * LANES)))
-        outward = view(weights, (N_INPUTS + HIDDEN) * HIDDEN * LANES)
-        for j in range(N_OUTPUTS):
-            total = splat_quarter(0.0)
-            for i in range(HIDDEN):
-                total = total + load_quarter(outward, (i * N_OUTPUTS + j) * LANES) * load_quarter(before, i * LANES)
-            store(raw, first + j * LANES, total)
+        sums(own, seen, before, after, N_INPUTS, HIDDEN)
+    for j in range(HIDDEN):
+        store(memory, j * LANES, math.tanh(load(scratch, j * LANES)))
+    outward = view(theta, (N_INPUTS + HIDDEN) * HIDDEN * LANES)
+    for j in range(N_OUTPUTS):
+        total = splat(0.0)
+        for i in range(HIDDEN):
+            total = total + load(outward, (i * N_OUTPUTS + j) * LANES) * load(memory, i * LANES)
+        store(raw, j * LANES, total)
 
 
 def sums(weights, seen, before, after, n_inputs, hidden):
-    """W_in o + W_h h in sixteen lanes, four units at a time so that a row is read once for all."""
+    """W_in o + W_h h in sixteen lanes, six units at a time, then two, so that a row is read once for all."""
     j = 0
-    while j + 4 <= hidden:
-        a, b, c, d = splat_quarter(0.0), splat_quarter(0.0), splat_quarter(0.0), splat_quarter(0.0)
+    while j + 6 <= hidden:
+        a, b, c = splat_quarter(0.0), splat_quarter(0.0), splat_quarter(0.0)
+        d, e, f = splat_quarter(0.0), splat_quarter(0.0), splat_quarter(0.0)
         for i in range(n_inputs + hidden):
             row = load_quarter(seen, i * LANES) if i < n_inputs else load_quarter(before, (i - n_inputs) * LANES)
             own = view(weights, (i * hidden + j) * LANES)
@@ -47,15 +48,28 @@ def sums(weights, seen, before, after, n_inputs, hidden):
             b = b + load_quarter(own, LANES) * row
             c = c + load_quarter(own, 2 * LANES) * row
             d = d + load_quarter(own, 3 * LANES) * row
+            e = e + load_quarter(own, 4 * LANES) * row
+            f = f + load_quarter(own, 5 * LANES) * row
         store(after, j * LANES, a)
         store(after, (j + 1) * LANES, b)
         store(after, (j + 2) * LANES, c)
         store(after, (j + 3) * LANES, d)
-        j += 4
-    while j < hidden:
+        store(after, (j + 4) * LANES, e)
+        store(after, (j + 5) * LANES, f)
+        j += 6
+    while j + 2 <= hidden:
+        a, b = splat_quarter(0.0), splat_quarter(0.0)
+        for i in range(n_inputs + hidden):
+            row = load_quarter(seen, i * LANES) if i < n_inputs else load_quarter(before, (i - n_inputs) * LANES)
+            own = view(weights, (i * hidden + j) * LANES)
+            a = a + load_quarter(own, 0) * row
+            b = b + load_quarter(own, LANES) * row
+        store(after, j * LANES, a)
+        store(after, (j + 1) * LANES, b)
+        j += 2
+    if j < hidden:
         a = splat_quarter(0.0)
         for i in range(n_inputs + hidden):
             row = load_quarter(seen, i * LANES) if i < n_inputs else load_quarter(before, (i - n_inputs) * LANES)
             a = a + load_quarter(weights, (i * hidden + j) * LANES) * row
         store(after, j * LANES, a)
-        j += 1

@@ -21,7 +21,7 @@ def runge_kutta_predictor(
     """
     rows = n_carry or system.nx
     return Predictor(
-        KernelSource(runge_kutta, derivative.bindings),
+        KernelSource(runge_kutta, {**derivative.bindings, "NX": system.nx, "N_CARRY": rows}),
         HEAD.pack(derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps),
         n_scratch=rows + 2 * system.nx + derivative.n_scratch,
     )
@@ -29,27 +29,27 @@ def runge_kutta_predictor(
 
 def runge_kutta(x, u, p, y, scratch):
     """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
-    nx, h, own_parameters = int(p[HEAD.nx]), p[HEAD.h], view(p, HEAD.size)
-    trial, n_carry = scratch, int(p[HEAD.n_carry])
-    slope = view(scratch, n_carry * LANES)
-    total = view(slope, nx * LANES)
-    room = view(total, nx * LANES)
+    h, own_parameters = p[HEAD.h], view(p, HEAD.size)
+    trial = scratch
+    slope = view(scratch, N_CARRY * LANES)
+    total = view(slope, NX * LANES)
+    room = view(total, NX * LANES)
     prepare(u, own_parameters, room)
-    copy_rows(x, trial, n_carry)
-    copy_rows(x, y, nx)
+    copy_rows(x, trial, N_CARRY)
+    copy_rows(x, y, NX)
     for _ in range(int(p[HEAD.substeps])):
         for stage in range(4):
             predict(trial, u, own_parameters, slope, room)
             if stage == 0:
-                copy_rows(slope, total, nx)
-                move_rows(y, slope, 0.5 * h, trial, nx)
+                copy_rows(slope, total, NX)
+                move_rows(y, slope, 0.5 * h, trial, NX)
             elif stage < 3:
-                move_rows(total, slope, 2.0, total, nx)
-                move_rows(y, slope, 0.5 * h if stage == 1 else h, trial, nx)
+                move_rows(total, slope, 2.0, total, NX)
+                move_rows(y, slope, 0.5 * h if stage == 1 else h, trial, NX)
             else:
-                move_rows(total, slope, 1.0, total, nx)
-                move_rows(y, total, h / 6.0, y, nx)
-                copy_rows(y, trial, nx)
+                move_rows(total, slope, 1.0, total, NX)
+                move_rows(y, total, h / 6.0, y, NX)
+                copy_rows(y, trial, NX)
 
 
 def move_rows(start, slope, time, target, count):

@@ -6,7 +6,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, load, store, view
 from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.motion.compiled_form import motion_kernel
@@ -40,7 +40,7 @@ def turning_frame(
         own=places[2],
     )
     return Predictor(
-        KernelSource(turned, {**rate.bindings, "turn": motion.turn}),
+        KernelSource(turned, {**rate.bindings, "turn": motion.turn, "NX": system.nx}),
         parameters,
         rate.n_scratch,
         prepare=KernelSource(prepare_turned, rate.bindings),
@@ -57,12 +57,11 @@ def turned(x, u, p, y, scratch):
     predict(x, u, view(p, int(p[FRAME.own])), y, scratch)
     turn(x, y, view(p, int(p[FRAME.frame])))
     if p[FRAME.contained] > 0.0:
-        nx, limits, back = int(p[FRAME.nx]), view(p, int(p[FRAME.limits])), p[FRAME.per_dt]
-        for row in range(nx):
-            low, high = limits[row], limits[nx + row]
-            here, rate = view(x, row * LANES), view(y, row * LANES)
-            for lane in range(LANES):
-                rate[lane] -= back * (here[lane] - min(max(here[lane], low), high))
+        limits, back = view(p, int(p[FRAME.limits])), p[FRAME.per_dt]
+        for row in range(NX):
+            low, high = limits[row], limits[NX + row]
+            here = load(x, row * LANES)
+            store(y, row * LANES, load(y, row * LANES) - back * (here - min(max(here, low), high)))
 
 
 CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
@@ -81,7 +80,7 @@ def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor
         own=CLIP.size + len(limits),
     )
     return Predictor(
-        KernelSource(clipped, inner.bindings),
+        KernelSource(clipped, {**inner.bindings, "N_CARRY": n_carry, "N_CONTROL": inputs - n_carry}),
         parameters,
         inputs + inner.n_scratch,
         prepare=KernelSource(prepare_clipped, inner.bindings),
@@ -98,18 +97,15 @@ def prepare_clipped(u, p, scratch):
 
 def clipped(x, u, p, y, scratch):
     """Clip the carry, and predict from it and the clipped control."""
-    n_carry, n_control = int(p[CLIP.n_carry]), int(p[CLIP.n_control])
-    carry = view(scratch, n_control * LANES)
-    clip_rows(x, view(p, int(p[CLIP.low])), view(p, int(p[CLIP.high])), n_carry, carry)
-    predict(carry, scratch, view(p, int(p[CLIP.own])), y, view(scratch, (n_carry + n_control) * LANES))
+    carry = view(scratch, N_CONTROL * LANES)
+    clip_rows(x, view(p, int(p[CLIP.low])), view(p, int(p[CLIP.high])), N_CARRY, carry)
+    predict(carry, scratch, view(p, int(p[CLIP.own])), y, view(scratch, (N_CARRY + N_CONTROL) * LANES))
 
 
 def clip_rows(x, low, high, count, y):
     """y = x clipped, row by row."""
     for row in range(count):
-        here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
-        for lane in range(LANES):
-            there[lane] = min(max(here[lane], least), most)
+        store(y, row * LANES, min(max(load(x, row * LANES), low[row]), high[row]))
 
 
 ON_TOP = Layout("nx", "added", "low", "high", "own", align=CACHE_LINE)
@@ -143,9 +139,8 @@ def put_on_top(x, u, p, y, scratch):
     added, low, high = view(p, int(p[ON_TOP.added])), view(p, int(p[ON_TOP.low])), view(p, int(p[ON_TOP.high]))
     for row in range(int(p[ON_TOP.nx])):
         if added[row] > 0.0:
-            here, there, least, most = view(x, row * LANES), view(y, row * LANES), low[row], high[row]
-            for lane in range(LANES):
-                there[lane] += min(max(here[lane], least), most)
+            inside = min(max(load(x, row * LANES), low[row]), high[row])
+            store(y, row * LANES, load(y, row * LANES) + inside)
 
 
 SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
@@ -184,5 +179,5 @@ def add(x, u, p, y, scratch):
     more = view(scratch, int(p[SUM.sum_room]) * LANES)
     one(x, u, view(p, int(p[SUM.first])), y, scratch)
     other(x, u, view(p, int(p[SUM.second])), more, view(scratch, int(p[SUM.second_room]) * LANES))
-    for i in range(int(p[SUM.nx]) * LANES):
-        y[i] += more[i]
+    for row in range(int(p[SUM.nx])):
+        store(y, row * LANES, load(y, row * LANES) + load(more, row * LANES))

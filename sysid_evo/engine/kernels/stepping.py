@@ -16,9 +16,10 @@ import numpy as np
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
 from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.motion.compiled_form import MotionKernel, motion_kernel, move_nothing, turn_nothing
+from sysid_evo.motion.compiled_form import MotionKernel, motion_kernel
+from sysid_evo.motion.straight_kernel import move_nothing, turn_nothing
 from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
@@ -117,15 +118,14 @@ def stepping_kernel(
         own=places[3],
     )
     bindings = {**predictor.bindings, "integrate": motion.integrate}
-    return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + 1 + predictor.n_scratch)
+    return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + predictor.n_scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
     """Predict, integrate, keep within limits, and shift the lags."""
     nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
     rows = nx * LANES
-    moving = view(scratch, rows)
-    own, room = view(parameters, int(parameters[HEAD.own])), view(moving, LANES)
+    own, room = view(parameters, int(parameters[HEAD.own])), view(scratch, rows)
     prepare(control, own, room)
     predict(carry, control, own, scratch, room)
     integrate(carry, scratch, nx, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.frame])))
@@ -134,11 +134,10 @@ def step(carry, control, noise, parameters, scratch):
     if parameters[HEAD.limited] > 0.0:
         limits = view(parameters, int(parameters[HEAD.limits]))
         for row in range(nx):
-            there, low, high = view(scratch, row * LANES), limits[row], limits[nx + row]
-            for lane in range(LANES):
-                there[lane] = min(max(there[lane], low), high)
+            there = load(scratch, row * LANES)
+            store(scratch, row * LANES, min(max(there, limits[row]), limits[nx + row]))
     if parameters[HEAD.held] > 0.0:
-        hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, moving, scratch)
+        hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
     size = nu * LANES
@@ -158,30 +157,22 @@ REACHED = MotionKernel(reached, turn_nothing, move_nothing)
 """Of a model that predicts the next state itself: there is nothing to integrate."""
 
 
-def hold(carry, control, past, control_lags, p, nx, nu, moving, after):
+def hold(carry, control, past, control_lags, p, nx, nu, after):
     """Put the lanes that rest under neutral control back to neutral; p: band, neutral state, neutral control."""
-    for lane in range(LANES):
-        moving[lane] = 0.0
+    moves = splat(0.0)
     for row in range(nu):
-        here, neutral = view(control, row * LANES), p[2 * nx + row]
-        for lane in range(LANES):
-            moving[lane] = moving[lane] if here[lane] == neutral else 1.0
+        moves = moves + abs(load(control, row * LANES) - p[2 * nx + row])
     for lag in range(control_lags):
         for row in range(nu):
-            here, neutral = view(past, (lag * nu + row) * LANES), p[2 * nx + row]
-            for lane in range(LANES):
-                moving[lane] = moving[lane] if here[lane] == neutral else 1.0
+            moves = moves + abs(load(past, (lag * nu + row) * LANES) - p[2 * nx + row])
     for row in range(nx):
-        here, neutral, band = view(carry, row * LANES), p[nx + row], p[row]
-        for lane in range(LANES):
-            moving[lane] = moving[lane] if abs(here[lane] - neutral) <= band else 1.0
+        off = abs(load(carry, row * LANES) - p[nx + row])
+        moves = where_at_most(off, p[row], moves, 1.0)
     for row in range(nx):
-        there, neutral = view(after, row * LANES), p[nx + row]
-        for lane in range(LANES):
-            there[lane] = there[lane] if moving[lane] > 0.0 else neutral
+        store(after, row * LANES, where_at_most(moves, 0.0, p[nx + row], load(after, row * LANES)))
 
 
 def copy(source, target, count):
-    """Copy ``count`` numbers."""
-    for i in range(count):
-        target[i] = source[i]
+    """Copy ``count`` numbers, whole rows."""
+    for first in range(0, count, LANES):
+        store(target, first, load(source, first))

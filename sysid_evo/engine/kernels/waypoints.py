@@ -12,7 +12,19 @@ from sysid_evo import angles
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES, first_lane, lanes_at_most, load, splat, view
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    QUARTER,
+    first_lane,
+    lanes_at_most,
+    load,
+    load_quarter,
+    splat,
+    splat_quarter,
+    store,
+    view,
+    where_bits,
+)
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.motion.compiled_form import motion_kernel
 from sysid_evo.motion.planar_body_kernel import wrap
@@ -77,14 +89,15 @@ def observe(task, state, observation, parameters):
     """Bias, forward speed, yaw rate, angle and distance to the waypoint."""
     forward = view(state, int(parameters[HEAD.forward]) * LANES)
     yaw_rate = view(state, int(parameters[HEAD.yaw_rate]) * LANES)
-    for lane in range(LANES):
-        dx = task[ROWS.next_x * LANES + lane] - task[ROWS.x * LANES + lane]
-        dy = task[ROWS.next_y * LANES + lane] - task[ROWS.y * LANES + lane]
-        observation[lane] = 1.0
-        observation[LANES + lane] = forward[lane]
-        observation[2 * LANES + lane] = yaw_rate[lane]
-        observation[3 * LANES + lane] = wrap(math.atan2(dy, dx) - task[ROWS.heading * LANES + lane])
-        observation[4 * LANES + lane] = math.sqrt(dx * dx + dy * dy)
+    store(observation, 0, splat(1.0))
+    store(observation, LANES, load(forward, 0))
+    store(observation, 2 * LANES, load(yaw_rate, 0))
+    for lane in range(0, LANES, QUARTER):
+        here, seen = view(task, lane), view(observation, lane)
+        dx = load_quarter(here, ROWS.next_x * LANES) - load_quarter(here, ROWS.x * LANES)
+        dy = load_quarter(here, ROWS.next_y * LANES) - load_quarter(here, ROWS.y * LANES)
+        store(seen, 3 * LANES, wrap(math.atan2(dy, dx) - load_quarter(here, ROWS.heading * LANES)))
+        store(seen, 4 * LANES, math.sqrt(dx * dx + dy * dy))
 
 
 def advance(task, before, after, control, trials, trial_data, parameters):
@@ -97,8 +110,14 @@ def advance(task, before, after, control, trials, trial_data, parameters):
     while passing != 0:
         lane = first_lane(passing)
         passing &= passing - 1
-        task[ROWS.passed * LANES + lane] += 1.0
-        number = int(task[ROWS.passed * LANES + lane])
-        place = trials[lane] * int(parameters[HEAD.n_data]) + 2 * number
-        task[ROWS.next_x * LANES + lane] = trial_data[place]
-        task[ROWS.next_y * LANES + lane] = trial_data[place + 1]
+        number = task[ROWS.passed * LANES + lane] + 1.0
+        place = trials[lane] * int(parameters[HEAD.n_data]) + 2 * int(number)
+        put(view(task, ROWS.passed * LANES), lane, number)
+        put(view(task, ROWS.next_x * LANES), lane, trial_data[place])
+        put(view(task, ROWS.next_y * LANES), lane, trial_data[place + 1])
+
+
+def put(row, lane, number):
+    """Write one lane of a row by way of its quarter: a row read soon after a single number was written waits for it."""
+    first = lane - lane % QUARTER
+    store(row, first, where_bits(1 << (lane % QUARTER), splat_quarter(number), load_quarter(row, first)))

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_evo.arrays import Array
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine.compiled.dialect import KernelSource, Target, generate, imported
+from sysid_evo.engine.compiled.dialect import KernelSource, Target, generate_for, imported
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import lanes, loop, program
 from sysid_evo.engine.cuda.trials import prepare
@@ -107,9 +107,9 @@ def per_step(dynamics: Dynamics, controller: Controller, theta: Array, task: Tas
     assert of_controller is not None
     assert of_task is not None
     kernels = Kernels(of_dynamics, of_controller, of_task)
-    given = prepare(kernels, dynamics, controller, task, trial_seeds(0, 1), record=False)
+    given = prepare(kernels, dynamics, controller, task, trial_seeds(0, 1), "float32", record=False)
     source = KernelSource(loop.one_rollout, {**kernels.sources, **given.sizes})
-    entry = imported(generate(source, "", "float32", COUNTING)).entry
+    entry = imported(generate_for(COUNTING, source, "", "float32")).entry
     shared = {name: Numbers.of(array) for name, array in given.arrays.items()}
     own = {name: Numbers.of(np.zeros(count)) for name, count in given.room.items()}
     results = {name: Numbers.of(np.zeros(count)) for name, count in given.results.items()}

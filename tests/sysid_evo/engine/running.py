@@ -12,7 +12,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned
+from sysid_evo.engine.compiled.memory import aligned
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.engine.kernels import Predictor
 

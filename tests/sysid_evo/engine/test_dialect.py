@@ -39,7 +39,7 @@ def call(function: Callable[..., Any], x: list[float], precision: Precision = "f
 
 
 def text(function: Callable[..., Any], precision: Precision = "float32") -> str:
-    return generate(KernelSource(function), "@njit", precision)
+    return generate(KernelSource(function), SIGNATURE, precision, pointer=False)
 
 
 def with_numbers(x, y):

@@ -177,7 +177,8 @@ def compile_kernel_anew(function: Callable[..., Any], precision: Precision) -> A
 
     from sysid_evo.engine.compiled.dialect import generate
 
-    text = generate(KernelSource(function), f"@njit({Signature(a=REALS, b=REALS, y=REALS)})", precision)
+    signature = Signature(a=REALS, b=REALS, y=REALS)
+    text = generate(KernelSource(function), signature, precision, pointer=False).replace("cache=True, ", "")
     space: dict[str, Any] = {"numba": numba}
     exec(compile(text, "anew", "exec"), space)
     return space["entry"]

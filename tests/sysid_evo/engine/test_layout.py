@@ -50,9 +50,14 @@ def test_what_is_padded_ends_on_a_whole_line() -> None:
 
 def test_a_signature_is_the_type_and_the_order_of_a_call() -> None:
     signature = Signature.of(loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER)
-    inner = "types.FunctionType(types.void(R, R, R, R, R))"
+    inner = f"types.FunctionType(types.void({', '.join(['types.CPointer(R.dtype)'] * 5)}))"
     assert str(signature) == f"types.void({inner}, I, types.int64, R)"
     assert signature.ordered(x="d", first="c", sizes="b", dynamics="a") == ("a", "b", "c", "d")
+
+
+def test_a_kernel_that_is_passed_takes_arrays_alone() -> None:
+    with pytest.raises(InvalidArgument, match="takes arrays alone, got first"):
+        str(Signature(kernel=Signature(x=REALS, first=NUMBER)))
 
 
 def test_a_call_with_other_names_is_refused() -> None:

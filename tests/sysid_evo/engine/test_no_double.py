@@ -54,11 +54,10 @@ def promotes(x, y):
     y[0] = x[0] * 3 + x[1] * 5
 
 
-def llvm(source: Source, signature: Signature, folder: Path, decorator: str = "@cfunc") -> str:
+def llvm(source: Source, signature: Signature, folder: Path, *, pointer: bool = True) -> str:
     """Compile without the cache, whose code cannot be looked at; return its LLVM text."""
-    options = "fastmath={'contract', 'arcp', 'nsz'}, error_model='numpy'"
     path = folder / "looked_at.py"
-    path.write_text(generate(source, f"{decorator}({signature}, {options})", "float32"))
+    path.write_text(generate(source, signature, "float32", pointer=pointer).replace("cache=True, ", ""))
     spec = importlib.util.spec_from_file_location("looked_at", path)
     assert spec is not None
     assert spec.loader is not None
@@ -75,7 +74,7 @@ def llvm(source: Source, signature: Signature, folder: Path, decorator: str = "@
 )
 def test_a_float32_kernel_computes_no_double(name: str, car: System, tmp_path: Path) -> None:
     source, signature = library(car)[name]
-    text = llvm(source, signature, tmp_path, "@njit" if name == "open loop" else "@cfunc")
+    text = llvm(source, signature, tmp_path, pointer=name != "open loop")
     assert " double" not in text
     assert "float" in text
 

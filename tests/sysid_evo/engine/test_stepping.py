@@ -15,7 +15,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import Lifted, Precision, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.run import aligned
+from sysid_evo.engine.compiled.memory import aligned
 from sysid_evo.engine.kernels import (
     Predictor,
     network_predictor,

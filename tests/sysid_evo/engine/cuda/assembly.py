@@ -27,7 +27,7 @@ def assembly(case: Case, precision: Precision, *, trials: int = 10) -> str:
     task = case.task.bind(case.dynamics.system)
     controller = case.controller.bind_to(task)
     kernels = Kernels(case.dynamics.kernel(), controller.kernel(), task.kernel())  # type: ignore[arg-type]  # all there
-    given = prepare(kernels, case.dynamics, controller, task, trial_seeds(0, trials), record=False)
+    given = prepare(kernels, case.dynamics, controller, task, trial_seeds(0, trials), precision, record=False)
     launch = launch_of(kernels, given, precision)
     entry = imported(program.text(launch.threads, "", precision)).entry
     reals, wholes = (types.Array(kind, 1, "C") for kind in (getattr(types, precision), types.int64))

@@ -11,7 +11,7 @@ import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.dialect import KernelSource, generate
+from sysid_evo.engine.compiled.dialect import KernelSource, generate_for
 from sysid_evo.engine.compiled.lanes import LANES, look_up, store
 from sysid_evo.engine.cuda import device
 from sysid_evo.errors import InvalidArgument, MissingExtra, NoDevice
@@ -65,8 +65,8 @@ def test_what_needs_several_lanes_is_refused_and_named() -> None:
     from sysid_evo.engine.cuda.program import DEVICE
 
     with pytest.raises(InvalidArgument, match=r"looks_up uses 'look_up': it takes several lanes"):
-        generate(KernelSource(looks_up), "", "float32", DEVICE)
-    assert "LANES = 1" in generate(KernelSource(looks_up, one_lane=copies), "", "float32", DEVICE)
+        generate_for(DEVICE, KernelSource(looks_up), "", "float32")
+    assert "LANES = 1" in generate_for(DEVICE, KernelSource(looks_up, one_lane=copies), "", "float32")
 
 
 def copies(x, y):
