@@ -156,7 +156,8 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
         panels.append(Panel(svg, title=champion.name))
     return Picture(
         "Fitness over generations",
-        "Best, mean and worst of each generation on the models evolved against, in the trials of that generation.",
+        "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
+        "in the trials of that generation.",
         tuple(panels),
         legend,
         columns=3,

@@ -92,7 +92,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
     envelope_: Array
     pairs_: Array
 
-    _derived: ClassVar[frozenset[str]] = frozenset()
+    _derived: ClassVar[frozenset[str]] = frozenset({"_stepping_kernel"})
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -219,6 +219,10 @@ class DynamicsModel(Dynamics, BaseEstimator):
         return None
 
     def kernel(self) -> DynamicsKernel | None:
+        return self._stepping_kernel
+
+    @functools.cached_property
+    def _stepping_kernel(self) -> DynamicsKernel | None:
         predictor = self.predictor()
         return None if predictor is None else self.stepping(predictor)
 

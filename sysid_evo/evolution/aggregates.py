@@ -31,6 +31,15 @@ class Aggregate(ABC):
         """Return which of ``count`` models are run in ``generation``, in rising order; by default all."""
         return np.arange(count)
 
+    def at_most(self, fitness: Array, count: int) -> Array:  # nothing is known by default
+        """Return the most (candidates,) that `in_population` can become once all of ``count`` models are run.
+
+        ``fitness`` (models, candidates, trials) is that on those that were run already, one or more. Where nothing
+        can be said it is infinite, by default always. Who says more spares dear models those candidates that
+        cannot become good enough; `in_population` then judges every candidate for itself.
+        """
+        return np.full(fitness.shape[1], np.inf)
+
 
 @register_aggregate("min")
 class Lowest(Aggregate):
@@ -38,6 +47,9 @@ class Lowest(Aggregate):
 
     def __call__(self, fitness: Array) -> Array:
         return np.min(fitness.mean(axis=2), axis=0)
+
+    def at_most(self, fitness: Array, count: int) -> Array:  # however many follow
+        return self(fitness)
 
 
 @register_aggregate("mean")
@@ -54,6 +66,9 @@ class Median(Aggregate):
 
     def __call__(self, fitness: Array) -> Array:
         return np.median(fitness.mean(axis=2), axis=0)
+
+    def at_most(self, fitness: Array, count: int) -> Array:
+        return highest_median(fitness.mean(axis=2), count)
 
 
 @register_aggregate("cvar")
@@ -95,6 +110,9 @@ class LowerConfidence(Aggregate):
         error = fitness.std(axis=2, ddof=min(1, trials - 1)) / np.sqrt(trials)
         return np.min(fitness.mean(axis=2) - self.weight * error, axis=0)
 
+    def at_most(self, fitness: Array, count: int) -> Array:  # however many follow
+        return self(fitness)
+
 
 @register_aggregate("credible")
 class Credible(Aggregate):
@@ -112,8 +130,17 @@ class Credible(Aggregate):
 
     def __call__(self, fitness: Array) -> Array:
         means = fitness.mean(axis=2)
-        median = np.median(means, axis=0)
-        return np.maximum(means.min(axis=0), median - (1.0 - self.share) * np.abs(median))
+        return np.maximum(means.min(axis=0), self._floor(np.median(means, axis=0)))
+
+    def at_most(self, fitness: Array, count: int) -> Array:
+        means = fitness.mean(axis=2)
+        median = highest_median(means, count)
+        known = np.isfinite(median)
+        floor = np.where(known, self._floor(np.where(known, median, 0.0)), np.inf)
+        return np.maximum(means.min(axis=0), floor)
+
+    def _floor(self, median: Array) -> Array:
+        return median - (1.0 - self.share) * np.abs(median)
 
 
 @register_aggregate("rank_mean")
@@ -161,3 +188,12 @@ class RandomSubset(Aggregate):
     def models(self, count: int, generation: int) -> IntArray:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(generation,)))
         return np.sort(rng.permutation(count)[: self.size])
+
+    def at_most(self, fitness: Array, count: int) -> Array:
+        return self._rule.at_most(fitness, count)
+
+
+def highest_median(means: Array, count: int) -> Array:
+    """Return the most (candidates,) that the median over ``count`` models can be; ``means`` (models, candidates)."""
+    others = np.full((count - len(means), means.shape[1]), np.inf)
+    return np.median(np.concatenate([means, others]), axis=0)

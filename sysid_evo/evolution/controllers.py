@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import chain
 
 import numpy as np
@@ -146,6 +147,7 @@ def evolve_controller(
     models = tuple(late)
     stages = settings.stages(task, models)
 
+    @cache
     def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
         disturbed = tuple(late[label] for label in on)
         return EnsembleObjective(
@@ -208,7 +210,7 @@ def run_seed(seed: int, run: int) -> int:
 def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
     """Yield the best of every niche on the trials of ``seeds``."""
     for niche, candidates in strategy.finals.items():
-        fitness = objective.on_trials(candidates, seeds).fitness
+        fitness = objective.on_trials(candidates, seeds, needed=1).fitness
         winner = int(np.argmax(fitness))
         yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -62,6 +63,7 @@ def polish(
     used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
     believed = tuple(met({label: runners[label] for label in used}, settings).values())
 
+    @cache
     def objective(run: int) -> EnsembleObjective:
         return EnsembleObjective(believed, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
 
@@ -76,7 +78,7 @@ def polish(
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
-        fitness = objective(run).on_trials(candidates, seeds).fitness
+        fitness = objective(run).on_trials(candidates, seeds, needed=1).fitness
         winner = int(np.argmax(fitness))
         label = f"{POLISHED} {chosen[run].niche}".strip()
         return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)

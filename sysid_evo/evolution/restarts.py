@@ -100,6 +100,12 @@ class Restarts(EvolutionStrategy):
         return {f"start {start.number + 1}": start.best for start in self._starts()}
 
     @property
+    def needed(self) -> int | None:
+        """What the strategy needs, and those that are remembered."""
+        inner = self._search.needed
+        return None if inner is None else max(inner, KEPT)
+
+    @property
     def status(self) -> str:
         """What goes on, in a few words."""
         return f"start {self._now.number + 1}, best {self._starts()[0].number + 1}"

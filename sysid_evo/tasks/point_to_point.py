@@ -11,7 +11,7 @@ import numpy as np
 from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.randomness import TASK_STREAM, generator
+from sysid_evo.randomness import TASK_STREAM, drawn
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.scene import Scene
@@ -201,10 +201,8 @@ def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
 
     Read-only, and remembered: all models of an ensemble meet the same trials.
     """
-    drawn = np.empty((len(seeds), count, 2))
-    for trial, seed in zip(drawn, seeds, strict=True):
-        generator(seed, TASK_STREAM).random(out=trial)
-    radius, angle = arena_radius * np.sqrt(drawn[..., 0]), 2.0 * np.pi * drawn[..., 1]
-    drawn[..., 0], drawn[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
-    drawn.flags.writeable = False
-    return drawn
+    found = drawn(np.array(seeds, dtype=np.uint64), TASK_STREAM, (count, 2), "random")
+    radius, angle = arena_radius * np.sqrt(found[..., 0]), 2.0 * np.pi * found[..., 1]
+    found[..., 0], found[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    found.flags.writeable = False
+    return found

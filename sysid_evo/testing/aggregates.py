@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.arrays import Array
+from sysid_evo.errors import ContractViolation
 from sysid_evo.evolution.aggregates import Aggregate
 from sysid_evo.registry import make_aggregate
 from sysid_evo.testing.arrays import expect_numbers, twice
@@ -102,6 +103,22 @@ def the_generation_decides_the_models(aggregate: Aggregate) -> None:
             expect(run == aggregate.models(count, generation).tolist(), "asked again it chooses other models")
 
 
+def a_part_bounds_the_whole(aggregate: Aggregate) -> None:
+    """at_most, from some of the models, is never below what becomes of a candidate once all are run"""
+    for seed in range(20):
+        fitness = _fitness(seed).round() - 5.0
+        reached = np.maximum(aggregate(fitness), aggregate.in_population(fitness))
+        for part in ([0], [2], [0, 1], [0, 2]):
+            bound = aggregate.at_most(fitness[part], MODELS)
+            expect(
+                np.shape(bound) == (CANDIDATES,) and not np.isnan(bound).any(),
+                f"expected {CANDIDATES} numbers, infinite where nothing is known, got {bound}",
+            )
+            for low in np.flatnonzero(bound < reached):
+                numbers = f"it is {bound[low]}, and with all of them {reached[low]}"
+                raise ContractViolation(f"from {len(part)} of {MODELS} models {numbers}")
+
+
 CHECKS: tuple[Check[Aggregate], ...] = (
     it_gives_one_number_for_each_candidate,
     one_model_and_one_trial_are_enough,
@@ -113,8 +130,9 @@ CHECKS: tuple[Check[Aggregate], ...] = (
     bad_luck_everywhere_counts,
     a_population_is_ranked_fairly,
     the_generation_decides_the_models,
+    a_part_bounds_the_whole,
 )
 
 
-def _fitness() -> Array:
-    return np.random.default_rng(5).uniform(0.0, 10.0, (MODELS, CANDIDATES, TRIALS))
+def _fitness(seed: int = 5) -> Array:
+    return np.random.default_rng(seed).uniform(0.0, 10.0, (MODELS, CANDIDATES, TRIALS))

@@ -11,7 +11,7 @@ from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model
 from sysid_evo.testing import example_dataset
 
-FAMILIES = ("nearest_neighbour", "k_neighbours")
+FAMILIES = ("nearest_neighbour", "k_neighbours", "linear")
 
 
 def fitted(family: str, dataset: Dataset) -> DynamicsModel:

@@ -13,7 +13,8 @@ from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_k
 from sysid_evo.engine.compiled.kernel import ADVANCE, DYNAMICS, DynamicsKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.memory import aligned, empty_lines
-from sysid_evo.engine.compiled.run import compiled, envelope_table
+from sysid_evo.engine.compiled.run import compiled
+from sysid_evo.engine.compiled.tables import envelope_table
 from sysid_evo.tasks.task import TaskState
 
 

@@ -11,10 +11,13 @@ from sysid_evo.engine.behaviour import EVERY
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
 from sysid_evo.engine.compiled.lanes import (
     LANES,
+    QUARTER,
     first_lane,
     lanes_at_most,
     lanes_differ,
     load,
+    load_quarter,
+    look_up,
     splat,
     store,
     view,
@@ -38,7 +41,7 @@ def closed_loop(
     dynamics_parameters, controller_parameters, task_parameters,
     theta_of, start, task_start, trial_data, noise_of, envelope, actuation, centre, first, last,
     carry, control, noise, memory, observation, raw, before, task, theta, kept, tally, scratch, controller_scratch,
-    trials,
+    turn, trials,
     fitness, survived, clipped, diverged, final_task, counts, doubts, states, controls, poses,
 ):  # fmt: skip
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
@@ -52,6 +55,7 @@ def closed_loop(
             trial = rollout % n_trials
             candidate = rollout // n_trials
             trials[lane] = trial
+            turn[lane] = float(trial)
             for row in range(n_carry):
                 carry[row * LANES + lane] = start[trial * n_carry + row]
             for row in range(n_task):
@@ -73,9 +77,7 @@ def closed_loop(
             if k % EVERY == 0:
                 count_sides(carry, view(task, LANES), view(centre, 0), nx, tally)
                 count_sides(control, view(task, LANES), view(centre, nx), nu, view(tally, 2 * nx * LANES))
-            drawn = view(noise_of, k * n_noise * (n_trials + LANES) + in_order)
-            for row in range(n_noise):
-                store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
+            draw(noise_of, k * n_noise, n_noise, n_trials, in_order, turn, noise)
             copy_rows(carry, before, nx)
             if over != 0:
                 copy_rows(carry, kept, n_carry)
@@ -134,6 +136,20 @@ def closed_loop(
                 doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
             if (over >> lane) & 1 == 0:
                 survived[rollout] = horizon
+
+
+def draw(noise_of, first, n_noise, n_trials, in_order, turn, noise):
+    """Write the noise of a step for every lane, by the number of its trial in ``turn``; see `noise_table`."""
+    if n_trials <= QUARTER:
+        drawn = view(noise_of, first * QUARTER)
+        for lane in range(0, LANES, QUARTER):
+            trial, here = load_quarter(turn, lane), view(noise, lane)
+            for row in range(n_noise):
+                store(here, row * LANES, look_up(load_quarter(drawn, row * QUARTER), trial))
+    else:
+        drawn = view(noise_of, first * (n_trials + LANES) + in_order)
+        for row in range(n_noise):
+            store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
 
 
 def count_sides(values, alive, centre, rows, tally):

@@ -16,7 +16,8 @@ from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_k
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, OBSERVE, ControllerKernel, TaskKernel
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.memory import aligned, empty_lines
-from sysid_evo.engine.compiled.run import actuation_table, compiled
+from sysid_evo.engine.compiled.run import compiled
+from sysid_evo.engine.compiled.tables import actuation_table
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 

@@ -30,8 +30,8 @@ from sysid_evo.engine.compiled.kernel import (
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.memory import aligned, together
 from sysid_evo.engine.compiled.signature import Signature
+from sysid_evo.engine.compiled.tables import actuation_table, envelope_table, noise_table
 from sysid_evo.randomness import step_noise, trial_draws
-from sysid_evo.switches import level_boundaries
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
 
@@ -106,34 +106,6 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
         other.result()
 
 
-def actuation_table(system: System, precision: Precision, *, before_tanh: bool = False) -> Array:
-    """Return `System.actuate` as numbers: the width of a row, then one row a control.
-
-    ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous, -1 too,
-    but of an output that is still to be squashed (``before_tanh``); boundaries are then those before tanh. A boundary
-    belongs to the level nearer to zero, so that a negative one is the last number of ``precision`` below it.
-    """
-    most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
-    system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
-    table = np.zeros((system.nu, 4 + 2 * most))
-    for row, channel in zip(table, system.controls, strict=True):
-        row[0], row[1], row[2] = -1.0 if before_tanh else 0.0, channel.low, channel.high
-        if channel.levels is not None:
-            row[0], row[3] = len(channel.levels), channel.levels[0]
-            for i, boundary in enumerate(level_boundaries(len(channel.levels)), start=1):
-                bound = np.array(np.arctanh(boundary) if before_tanh else boundary, precision)
-                row[2 + 2 * i] = channel.levels[i]
-                row[3 + 2 * i] = np.nextafter(bound, -np.inf, dtype=precision) if boundary < 0.0 else bound
-    return np.concatenate([[table.shape[1]], table.ravel()])
-
-
-def envelope_table(envelope: Array | None, nx: int, precision: Precision) -> Array:
-    """Return the lowest and the highest value of each state, none infinite, and the largest number of ``precision``."""
-    most = np.finfo(precision).max
-    limits = np.full((2, nx), np.inf) * [[-1.0], [1.0]] if envelope is None else envelope
-    return np.append(np.clip(limits, -most, most), most)
-
-
 def run(
     kernels: Kernels,
     dynamics: Dynamics,
@@ -162,7 +134,6 @@ def run(
 
     if dynamics.n_noise:
         spread(lambda: draw, trials, threads)
-    in_order = np.arange(trials + LANES) % trials  # the trials of any 64 rollouts that follow each other
     sizes = loops.CLOSED.integers(
         trials=trials,
         horizon=task.horizon,
@@ -194,12 +165,14 @@ def run(
         "start": carry,
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
-        "noise_of": noise.transpose(1, 2, 0).astype(real).take(in_order, axis=2),
         "envelope": envelope_table(dynamics.envelope, system.nx, precision),
         "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
-    shared = {name: aligned(array, real) for name, array in given.items()}
+    shared = {
+        "noise_of": noise_table(noise, precision),
+        **{name: aligned(array, real) for name, array in given.items()},
+    }
     fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
     survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
     counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
@@ -225,6 +198,7 @@ def run(
         "theta": parameters.shape[1],
         "kept": carry.shape[1] + len(rows),
         "tally": 2 * (system.nx + system.nu),
+        "turn": 1,
         "scratch": kernels.dynamics.n_scratch,
         "controller_scratch": kernels.controller.n_scratch,
     }

@@ -108,9 +108,9 @@ def forward(p, weights, inputs, room, y):
 
 
 def squash(x, count):
-    """Replace ``count`` numbers by their tanh."""
-    for i in range(count):
-        x[i] = math.tanh(x[i])
+    """Replace ``count`` numbers, whole rows, by their tanh."""
+    for first in range(0, count, LANES):
+        store(x, first, math.tanh(load(x, first)))
 
 
 def dense(x, n_in, p, y, n_out):

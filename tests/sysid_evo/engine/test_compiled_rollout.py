@@ -138,11 +138,12 @@ def test_a_wall_alters_the_state_that_goes_on(climb: System, engine: Engine) -> 
 
 
 @pytest.mark.parametrize("engine", FAST)
-def test_every_candidate_meets_the_noise_of_its_trial(climb: System, engine: Engine) -> None:
+@pytest.mark.parametrize("trials", [11, 16, 17, 30])
+def test_every_candidate_meets_the_noise_of_its_trial(climb: System, engine: Engine, trials: int) -> None:
     """Fitness is when the random walk crosses the top: the same for equal candidates, another in each trial."""
     task = CompiledLadder(horizon=60, top=9.5)
     fast, _ = compare(
-        engine, CompiledClimber(climb), CompiledConstant(), np.zeros((9, 1)), task, np.arange(30, dtype=np.uint64)
+        engine, CompiledClimber(climb), CompiledConstant(), np.zeros((9, 1)), task, np.arange(trials, dtype=np.uint64)
     )
     assert (fast.survived == fast.survived[0]).all()
     assert len(np.unique(fast.survived)) > 2
