@@ -16,7 +16,7 @@ from typing import Any
 
 import numba_cuda
 
-from sysid_evo.engine.compiled.dialect import Precision, Target, generate_for, imported
+from sysid_evo.engine.compiled.dialect import Precision, Source, Target, generate_for, imported
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import lanes, loop, one_lane
 from sysid_evo.errors import InvalidArgument
@@ -53,7 +53,7 @@ NUMBERS = ("rollouts", "trials_in_all", "horizon", *(f"n_{name}" for name in GIV
 ARGUMENTS = (*NUMBERS, *GIVEN, "theta_of", *ARRAYS, *RESULTS)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Threads:
     """The program of a thread, around the loop of one rollout.
 
@@ -65,6 +65,9 @@ class Threads:
     room: Mapping[str, int]
     shared: frozenset[str]
     function: Callable[..., Any] = loop.one_rollout
+
+    def __hash__(self) -> int:
+        return hash((frozenset(self.bindings.items()), frozenset(self.room.items()), self.shared))
 
     def write(self, inner: str, name: str) -> str:
         """Return the text of the program around the loop called ``inner``."""
@@ -115,20 +118,20 @@ def text(threads: Threads, decorator: str, precision: Precision) -> str:
 
 
 @cache
-def _imported(module: str) -> Any:
-    return imported(module).entry
-
-
 def compiled(threads: Threads, precision: Precision) -> Any:
     """Return the program, compiled for the device when it is first run and kept on disk."""
-    return _imported(text(threads, "@cuda.jit(cache=True)", precision))
+    return imported(text(threads, "@cuda.jit(cache=True)", precision)).entry
 
 
 def can_run(kernels: Kernels) -> bool:
     """Return whether all that the kernels use has a form for one lane."""
+    return all(_has_one_lane(source) for source in kernels.sources.values())
+
+
+@cache
+def _has_one_lane(source: Source) -> bool:
     try:
-        for source in kernels.sources.values():
-            generate_for(DEVICE, source, "", "float32")
+        generate_for(DEVICE, source, "", "float32")
     except InvalidArgument:
         return False
     return True

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numba import cuda
+from numba.cuda.core.errors import NumbaPerformanceWarning
 
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller
@@ -86,7 +88,9 @@ def run(
             **results,
         }
         ordered = [arguments[name] for name in program.ARGUMENTS]
-        entry[-(-rollouts // launch.width), launch.width, 0, launch.shared_bytes](*ordered)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NumbaPerformanceWarning)  # few rollouts leave much of a device idle
+            entry[-(-rollouts // launch.width), launch.width, 0, launch.shared_bytes](*ordered)
         found.append({name: array.copy_to_host() for name, array in results.items() if given.results[name]})
     return _read(found, kernels, dynamics, task, given, f"cuda {precision}")
 

@@ -11,7 +11,8 @@ from sysid_evo.controllers.controller import Controller
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled.dialect import Precision
-from sysid_evo.engine.compiled.run import Kernels, actuation_table
+from sysid_evo.engine.compiled.run import Kernels
+from sysid_evo.engine.compiled.tables import actuation_table, envelope_table
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task, TaskState
 
@@ -52,9 +53,6 @@ def prepare(
     past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
     carry = dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws))
     rows = kernels.task.rows(began)
-    envelope = dynamics.envelope
-    if envelope is None:
-        envelope = np.stack([np.full(system.nx, -np.inf), np.full(system.nx, np.inf)])
     arrays = {
         "dynamics_parameters": kernels.dynamics.parameters,
         "controller_parameters": kernels.controller.parameters,
@@ -63,7 +61,7 @@ def prepare(
         "task_start": rows.T,
         "trial_data": kernels.task.trial_data(began),
         "noise_of": step_noise(seeds, task.horizon, dynamics.n_noise).transpose(1, 2, 0),
-        "envelope": envelope,
+        "envelope": envelope_table(dynamics.envelope, system.nx, precision),
         "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
         "centre": behaviour.neutral(system),
     }
