@@ -146,7 +146,7 @@ def test_every_candidate_meets_the_noise_of_its_trial(climb: System, engine: Eng
         engine, CompiledClimber(climb), CompiledConstant(), np.zeros((9, 1)), task, np.arange(trials, dtype=np.uint64)
     )
     assert (fast.survived == fast.survived[0]).all()
-    assert len(np.unique(fast.survived)) > 2
+    assert len(np.unique(fast.survived)) > 1
 
 
 @pytest.mark.parametrize("engine", COMPILED)
