@@ -21,7 +21,9 @@ from sysid_evo.engine.cuda.trials import WHOLE, Given, prepare
 from sysid_evo.tasks.task import Task
 
 WIDTHS = (4, 2, 1) if lanes.SIMULATED else (128, 64, 32)
-"""Threads of a block; the widest is taken whose candidates fit into shared memory."""
+"""Threads of a block; the widest is taken whose candidates fit into shared memory, and that leaves none idle."""
+MULTIPROCESSORS = 132
+"""Of a large device: with fewer blocks some of them have nothing to do."""
 SHARED_BYTES = 48 * 1024
 """What a block may have without asking for more."""
 PART = 0.5
@@ -37,11 +39,12 @@ class Launch:
     shared_bytes: int
 
 
-def launch_of(kernels: Kernels, given: Given, precision: Precision) -> Launch:
+def launch_of(kernels: Kernels, given: Given, rollouts: int, precision: Precision) -> Launch:
     """Return the program of ``kernels``, with as much in shared memory as fits: candidates first, small arrays next."""
+    widths = [width for width in WIDTHS if rollouts >= width * MULTIPROCESSORS] or list(WIDTHS[-1:])
     itemsize, stride = np.dtype(precision).itemsize, program.odd(given.sizes["N_THETA"])
-    left, shared, width = SHARED_BYTES, set(), WIDTHS[0]
-    for threads in WIDTHS:
+    left, shared, width = SHARED_BYTES, set(), widths[0]
+    for threads in widths:
         of_theta = ((threads - 1) // given.trials + 2) * stride * itemsize
         if of_theta <= SHARED_BYTES // 2:
             shared, width, left = {"theta"}, threads, SHARED_BYTES - of_theta
@@ -68,7 +71,7 @@ def run(
 ) -> dict[str, Any]:
     """Run bound ``controller`` and ``task`` on the device; return the fields of `Rollouts`."""
     given, real = prepare(kernels, dynamics, controller, task, seeds, precision, record=record), np.dtype(precision)
-    launch = launch_of(kernels, given, precision)
+    launch = launch_of(kernels, given, len(parameters) * given.trials, precision)
     entry = program.compiled(launch.threads, precision)
     shared = {name: on_device(array, real) for name, array in given.arrays.items()}
     found = []

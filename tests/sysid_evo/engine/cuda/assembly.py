@@ -14,6 +14,7 @@ from sysid_evo.randomness import trial_seeds
 from .cases import Case
 
 HOPPER = (9, 0)
+MANY = 10**6
 
 
 def assembly(case: Case, precision: Precision, *, trials: int = 10) -> str:
@@ -28,7 +29,7 @@ def assembly(case: Case, precision: Precision, *, trials: int = 10) -> str:
     controller = case.controller.bind_to(task)
     kernels = Kernels(case.dynamics.kernel(), controller.kernel(), task.kernel())  # type: ignore[arg-type]  # all there
     given = prepare(kernels, case.dynamics, controller, task, trial_seeds(0, trials), precision, record=False)
-    launch = launch_of(kernels, given, precision)
+    launch = launch_of(kernels, given, MANY, precision)
     entry = imported(program.text(launch.threads, "", precision)).entry
     reals, wholes = (types.Array(kind, 1, "C") for kind in (getattr(types, precision), types.int64))
     kinds = [

@@ -11,6 +11,7 @@ from sysid_evo.engine import rollout
 from sysid_evo.engine.compiled.dialect import Precision
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import run
+from sysid_evo.engine.cuda.trials import prepare
 from sysid_evo.engine.rollouts import Rollouts
 from sysid_evo.randomness import trial_seeds
 
@@ -88,6 +89,16 @@ def test_candidates_too_large_for_shared_memory_are_read_where_they_are(monkeypa
     whole = on_device(case, "float64")
     monkeypatch.setattr(run, "SHARED_BYTES", 0)
     expect_equal(on_device(case, "float64"), whole, 0.0)
+
+
+@pytest.mark.parametrize("rollouts, width", [(1, 1), (2, 2), (3, 2), (4, 4), (1_000, 4)])
+def test_few_rollouts_are_spread_over_the_device_in_narrow_blocks(rollouts: int, width: int) -> None:
+    case = CASES["feed_forward"]()
+    task = case.task.bind(case.dynamics.system)
+    controller = case.controller.bind_to(task)
+    kernels: Any = Kernels(case.dynamics.kernel(), controller.kernel(), task.kernel())  # type: ignore[arg-type]
+    given = prepare(kernels, case.dynamics, controller, task, SEEDS, "float32", record=False)
+    assert run.launch_of(kernels, given, rollouts, "float32").width == width
 
 
 def test_a_rollout_is_run_with_the_precision_of_its_kernel() -> None:
