@@ -58,6 +58,7 @@ class Backprop27(DynamicsModel):
     state_lags: int = 0
     control_lags: int = 0
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:
         CommandCells.of(system, self.levels)

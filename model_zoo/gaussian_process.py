@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
-from scipy.optimize import Bounds, minimize
+from scipy.linalg import cho_solve
 
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, positive
+from model_zoo.processes.likelihood import factor, most_likely, quadratic_form, squared_exponential
 from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
 from sysid_evo import Dataset, DynamicsModel, register_model
@@ -26,8 +24,6 @@ if TYPE_CHECKING:
 JITTER = 1e-6
 LINEAR_RIDGE = 1e-3
 TRIAL_INDUCING = 120
-Objective: TypeAlias = Callable[[Array], tuple[float, Array]]
-"""Logarithms of hyper-parameters -> the negative marginal likelihood and its gradient."""
 
 
 @register_model("gaussian_process")
@@ -59,6 +55,7 @@ class GaussianProcess(DynamicsModel):
     control_lags: int | None = None
     stochastic: bool = False
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     @property
     def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
@@ -108,16 +105,16 @@ class GaussianProcess(DynamicsModel):
             kernel = self._kernel(inputs, self.points_, channel)
             mean[:, channel] = kernel @ self.weights_[channel]
             if with_variance:
-                explained = np.sum((kernel @ self.reduction_[channel]) * kernel, axis=1)
+                explained = quadratic_form(kernel, self.reduction_[channel])
                 prior = self.amplitude_[channel] ** 2
                 variance[:, channel] = np.maximum(prior - explained, 0.0) + self.noise_[channel] ** 2
         return mean + inputs @ self.slope_ + self.intercept_, variance
 
     def _kernel(self, left: Array, right: Array, channel: int) -> Array:
         """Return the covariance (A, B) of inputs (A, n) and (B, n)."""
-        a, b = left / self.lengths_[channel], right / self.lengths_[channel]
-        square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
-        return self.amplitude_[channel] ** 2 * np.exp(-0.5 * np.maximum(square, 0.0))
+        found = squared_exponential(left / self.lengths_[channel], right / self.lengths_[channel])
+        found *= self.amplitude_[channel] ** 2
+        return found
 
     def _without(self, seen: Dataset) -> GaussianProcess:
         """Return this model with its hyper-parameters and inducing points, that learned from ``seen`` only."""
@@ -136,17 +133,6 @@ class GaussianProcess(DynamicsModel):
 
     def _learn(self, dataset: Dataset, rng: np.random.Generator, counter: Counter) -> None:
         """Choose inducing points and hyper-parameters, then learn from all data."""
-        from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-
-        def maximised(objective: Objective, start: Array, bounds: Array) -> tuple[Array, float]:
-            def told(theta: Array) -> tuple[float, Array]:
-                counter.advance(0)
-                return objective(theta)
-
-            found = minimize(told, start, method="L-BFGS-B", jac=True, bounds=Bounds(*bounds.T))
-            return found.x, found.fun
-
         inputs, targets = self._residuals(dataset)
         _, scale = Standard.of(dataset).of_inputs(self.layout)
         rows = np.sort(rng.choice(len(inputs), size=min(self.inducing, len(inputs)), replace=False))
@@ -155,15 +141,12 @@ class GaussianProcess(DynamicsModel):
         self.points_ = inputs[rows]
         self.lengths_, self.amplitude_, self.noise_ = np.empty((nx, n)), np.empty(nx), np.empty(nx)
         for channel in range(nx):
-            kernel = ConstantKernel(1.0, (1e-2, 1e2)) * RBF(np.full(n, 3.0), (0.3, 100.0))
-            search = GaussianProcessRegressor(kernel + WhiteKernel(0.1, (1e-4, 1.0)), optimizer=maximised)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a length at its bound says that the input does not matter
-                search.fit(inputs[rows] / scale, targets[rows, channel] / size[channel])
-            found = search.kernel_
-            self.amplitude_[channel] = np.sqrt(found.k1.k1.constant_value) * size[channel]
-            self.lengths_[channel] = found.k1.k2.length_scale * scale
-            self.noise_[channel] = np.sqrt(found.k2.noise_level) * size[channel]
+            found = most_likely(
+                inputs[rows] / scale, targets[rows, channel] / size[channel], told=lambda: counter.advance(0)
+            )
+            self.amplitude_[channel] = found.amplitude * size[channel]
+            self.lengths_[channel] = found.lengths * scale
+            self.noise_[channel] = found.noise * size[channel]
             counter.advance()
         self._condition(dataset)
 
@@ -193,18 +176,3 @@ class GaussianProcess(DynamicsModel):
             self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
             prior = cho_solve((factor(own), True), identity)
             self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
-
-
-def factor(matrix: Array) -> Array:
-    """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
-
-    Data without noise make the covariance singular in double precision: the diagonal then grows by
-    1e-12 of its mean, and tenfold until it is positive definite.
-    """
-    raised, jitter = matrix, 1e-13 * float(np.trace(matrix)) / len(matrix)
-    while True:
-        try:
-            return cholesky(raised, lower=True)
-        except np.linalg.LinAlgError:
-            jitter *= 10.0
-            raised = matrix + jitter * np.eye(len(matrix))

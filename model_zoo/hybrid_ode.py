@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from sysid_evo import register_model
 from sysid_evo.arrays import Array
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
+    from model_zoo.car.trained_physics import CarPhysics
     from sysid_evo.engine.kernels import Predictor
 
 
@@ -39,7 +38,18 @@ class HybridOde(NetworkRate, CarFamily):
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
     def known_rate(self, state: Array, control: Array) -> Array:
-        return np.stack(self._rates(state, control, self.physical_, np.zeros_like(state[..., 0])), axis=-1)
+        forward, lateral, yaw_rate, drive, steer = self.roles
+        found = np.zeros_like(state)
+        found[..., forward], found[..., yaw_rate] = accelerations(
+            state[..., forward],
+            state[..., yaw_rate],
+            control[..., drive],
+            control[..., steer],
+            list(self.physical_[:8]),
+        )
+        if lateral is not None:
+            found[..., lateral] = -state[..., lateral] * self.physical_[8]
+        return found
 
     def known_predictor(self) -> Predictor:
         from model_zoo.kernels.car import car_rate
@@ -48,18 +58,7 @@ class HybridOde(NetworkRate, CarFamily):
         parameters = np.concatenate([self.kernel_parameters(), self.physical_])
         return Predictor(car_rate, parameters, n_scratch=0)
 
-    def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
-        import torch
+    def physics(self) -> CarPhysics:
+        from model_zoo.car.trained_physics import CarPhysics
 
-        return torch.stack(self._rates(state, control, physical, torch.zeros_like(state[..., 0])), dim=-1)
-
-    def _rates(self, state: Any, control: Any, physical: Any, zero: Any) -> list[Any]:
-        """Return the known rate of each state, of arrays or tensors."""
-        forward, lateral, yaw_rate, drive, steer = self.roles
-        columns = [zero] * self.system.nx
-        columns[forward], columns[yaw_rate] = accelerations(
-            state[..., forward], state[..., yaw_rate], control[..., drive], control[..., steer], physical[:8]
-        )
-        if lateral is not None:
-            columns[lateral] = -state[..., lateral] * physical[8]
-        return columns
+        return CarPhysics(self.roles)

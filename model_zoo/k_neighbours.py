@@ -52,6 +52,7 @@ class KNeighbours(DynamicsModel):
     state_lags: int | None = None
     control_lags: int | None = None
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))

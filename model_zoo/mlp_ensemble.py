@@ -60,7 +60,6 @@ class MlpEnsemble(DynamicsModel):
         },
         "paper": {"members": 10, "one_step_updates": 8000, "updates": 2000},
     }
-    requires = ("torch",)
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("members", "hidden", "one_step_updates", "updates", "horizon")},
         "input_noise": at_least(0),
@@ -80,6 +79,7 @@ class MlpEnsemble(DynamicsModel):
     turning: list[str] | None = None
     stochastic: bool = False
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.networks.members import train_members

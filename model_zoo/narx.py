@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -18,6 +19,8 @@ from sysid_evo.progress import Counter, Progress
 COUNTS = (8, 12, 16, 24, 32, 48)
 OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
 INDEPENDENT = 1e-10
+ROWS = 8192
+"""Rows of monomials in memory at a time."""
 
 
 @register_model("narx")
@@ -48,14 +51,15 @@ class Narx(PolynomialFamily):
         counts = COUNTS if self.terms is None else (self.terms,)
         settings = [(count, lags, degree) for lags, degree in self._libraries(dataset, pairs) for count in counts]
         counter = Counter(progress, trials(settings) * FOLDS + 1)
-        blocks, orders = HeldOut.of(dataset), {}
+        blocks, chosen = HeldOut.of(dataset), {}
 
         def learned(part: Dataset, count: int, lags: tuple[int, int], degree: int) -> DynamicsModel:
             data, key = self.regression(part, lags), (lags, degree, part.names)
-            if key not in orders:  # the order of the terms does not depend on how many are taken
-                orders[key] = selection(data, degree, max(counts))
+            if key not in chosen:  # the order of the terms does not depend on how many are taken
+                compressed = Compressed.of(data, degree)
+                chosen[key] = compressed, compressed.selection(max(counts))
             trial = self.variant(terms=count, degree=degree, state_lags=lags[0], control_lags=lags[1])
-            trial._learn(data, degree, count, orders[key])
+            trial._learn(data, count, *chosen[key])
             return trial
 
         self.terms_, lags, self.degree_ = best(
@@ -63,7 +67,8 @@ class Narx(PolynomialFamily):
         )
         self.keep_lags(lags)
         data = self.regression(dataset, lags)
-        self._learn(data, self.degree_, self.terms_, selection(data, self.degree_, self.terms_))
+        compressed = Compressed.of(data, self.degree_)
+        self._learn(data, self.terms_, compressed, compressed.selection(self.terms_))
         counter.advance()
         return self
 
@@ -79,26 +84,44 @@ class Narx(PolynomialFamily):
             library for library, size in pairs_sizes if size <= MOST_TERMS[self.lag_search] or library[1] == smallest
         ]
 
-    def _learn(self, data: Regression, degree: int, count: int, order: list[IntArray]) -> None:
+    def _learn(self, data: Regression, count: int, compressed: Compressed, order: list[IntArray]) -> None:
         """Fit the first ``count`` terms of each state by least squares."""
-        library, exponents, sizes = library_of(data, degree)
-        coefficients = np.zeros((len(exponents), len(order)))
+        coefficients = np.zeros((len(compressed.exponents), len(order)))
         for i, terms in enumerate(order):
-            chosen = terms[:count]
-            coefficients[chosen, i], *_ = np.linalg.lstsq(library[:, chosen], data.targets[:, i], rcond=None)
-        self.adopt(data, coefficients / sizes[:, None], exponents)
+            chosen, target = terms[:count], compressed.targets[:, i]
+            coefficients[chosen, i], *_ = np.linalg.lstsq(compressed.library[:, chosen], target, rcond=None)
+        self.adopt(data, coefficients / compressed.sizes[:, None], compressed.exponents)
 
 
-def library_of(data: Regression, degree: int) -> tuple[Array, IntArray, Array]:
-    """Return the monomials (N, T) of inputs divided by their size, their exponents, and the sizes (T,)."""
-    size, exponents = root_mean_square(data.regressors), monomials(data.regressors.shape[1], degree)
-    return evaluate(data.regressors / size, exponents), exponents, np.prod(size**exponents, axis=1)
+@dataclass(frozen=True)
+class Compressed:
+    """A least-squares problem in few rows: what a QR decomposition leaves of N rows of monomials and targets.
 
+    Every inner product of the columns of ``library`` (n, T) and ``targets`` (n, nx) is that of all rows, and so are
+    all least-squares fits and their errors; n is at most T + nx. The library holds monomials with ``exponents``
+    (T, inputs) of inputs divided by their size; ``sizes`` (T,) are what that divides each monomial by.
+    """
 
-def selection(data: Regression, degree: int, count: int) -> list[IntArray]:
-    """Return, for each state, the terms in the order in which they enter."""
-    library, *_ = library_of(data, degree)
-    return [forward_selection(library, target, count) for target in data.targets.T]
+    library: Array
+    targets: Array
+    exponents: IntArray
+    sizes: Array
+
+    @classmethod
+    def of(cls, data: Regression, degree: int) -> Compressed:
+        """Compress ``data``, `ROWS` at a time."""
+        size, exponents = root_mean_square(data.regressors), monomials(data.regressors.shape[1], degree)
+        rest = np.empty((0, len(exponents) + data.targets.shape[1]))
+        for first in range(0, len(data.regressors), ROWS):
+            part = slice(first, first + ROWS)
+            library = evaluate(data.regressors[part] / size, exponents)
+            rows = np.concatenate([rest, np.column_stack([library, data.targets[part]])])
+            rest = np.asarray(np.linalg.qr(rows, mode="r"))
+        return cls(rest[:, : len(exponents)], rest[:, len(exponents) :], exponents, np.prod(size**exponents, axis=1))
+
+    def selection(self, count: int) -> list[IntArray]:
+        """Return, for each state, the terms in the order in which they enter."""
+        return [forward_selection(self.library, target, count) for target in self.targets.T]
 
 
 def forward_selection(library: Array, target: Array, count: int) -> IntArray:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from model_zoo.sparse.flow import ContinuousSparse
-from model_zoo.sparse.regression import sparse_coefficients
+from model_zoo.sparse.regression import Library
 from sysid_evo import Dataset, register_model
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least
@@ -46,13 +46,14 @@ class SindyBagged(ContinuousSparse):
         for _ in range(self.bags):
             counter.advance(0)
             rows = np.concatenate([blocks[block] for block in rng.integers(0, len(blocks), len(blocks))])
-            coefficients, exponents = sparse_coefficients(data[rows], degree, threshold, self.ridge)
-            self.adopt(data, coefficients, exponents)
+            library = Library.of(data[rows], degree)
+            coefficients = library.coefficients(threshold, self.ridge)
+            self.adopt(data, coefficients, library.exponents)
             fits.append(coefficients)
             errors.append(simulation_error(self, windows))
         best = np.argsort(errors, kind="stable")[: max(1, round(self.kept * self.bags))]
         kept = np.stack([fits[index] for index in best])
-        self.adopt(data, kept.mean(axis=0), exponents)
+        self.adopt(data, kept.mean(axis=0), library.exponents)
         used = np.flatnonzero(np.any(kept.mean(axis=0) != 0, axis=1))
         self.bags_ = kept[:, used if len(used) else [0]]
 

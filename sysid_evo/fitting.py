@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from importlib.metadata import entry_points
@@ -12,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.data import Dataset
+from sysid_evo.data.thinning import thinned
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.progress import Progress, shown
 
@@ -62,7 +64,7 @@ def _kept(
     try:
         report(0, 1)
         self.record(dataset)
-        fitted: object = fit(self, dataset, rng=rng, progress=report)
+        fitted: object = fit(self, _few_enough(self, dataset, rng), rng=rng, progress=report)
         if fitted is not self:
             raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
         if told[0] != told[1]:
@@ -73,6 +75,16 @@ def _kept(
         raise
     self.fit_seconds = time.perf_counter() - began
     return self
+
+
+def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:
+    """Return what there is to learn from; where that is not all of it, warn and record how much it is."""
+    few = dataset if self.most_steps is None else thinned(dataset, self.most_steps, rng)
+    self.__dict__.pop("kept_steps_", None)
+    if few is not dataset:
+        self.kept_steps_ = [few.n_steps, dataset.n_steps]
+        warnings.warn(f"{type(self).__name__} {self.fit_note}", DataWarning, stacklevel=4)
+    return few
 
 
 def as_dataset(given: object, asked_by: str) -> Dataset:

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 
 SECOND, FEWEST_STEPS = 1.0, 10
 STRIDE = 4
+MOST_WINDOWS = 10_000
+"""Windows that judge a model: more of them take longer and say the same."""
 
 
 def chained(step: Callable[[Any, Any], Any], carry: Any, controls: Any) -> Iterator[Any]:
-    """Yield the carry after each step under ``controls`` (..., H, nu); arrays and tensors alike."""
+    """Yield the carry after each step under ``controls`` (..., H, nu)."""
     for k in range(controls.shape[-2]):
         carry = step(carry, controls[..., k, :])
         yield carry
@@ -65,13 +67,17 @@ def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
 def judging_windows(
     dataset: Dataset, history: int, *, stride: int = STRIDE, seconds: float = SECOND, fewest: int = FEWEST_STEPS
 ) -> Windows:
-    """Return windows of one second and at least ten steps, or the longest the data have, wherever the body moves."""
+    """Return windows of one second and at least ten steps, or the longest the data have, wherever the body moves.
+
+    One starts every ``stride`` samples, of long data at larger strides, so that there are `MOST_WINDOWS` or fewer.
+    """
     longest = max(len(episode) for episode in dataset.episodes) - history
     horizon = min(max(fewest, round(seconds / dataset.system.dt)), longest)
     if horizon < 1:
         raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
-    windows = dataset.windows(horizon, stride=stride, history=history, moving=True)
-    return windows if len(windows) else dataset.windows(horizon, stride=1, history=history)
+    least = -(-dataset.n_steps // MOST_WINDOWS)
+    windows = dataset.windows(horizon, stride=max(stride, least), history=history, moving=True)
+    return windows if len(windows) else dataset.windows(horizon, stride=least, history=history)
 
 
 def simulation_error(model: DynamicsModel, windows: Windows) -> float:

@@ -1,7 +1,6 @@
 """Where states and controls stand in a carry with lags: the only place that lays them out in Python.
 
-The functions only cut and list parts, so that NumPy arrays and torch tensors are laid out alike; whoever
-calls joins the parts along the last axis with its own library.
+The functions only cut and list parts; whoever calls joins them along the last axis, with its own library.
 """
 
 from __future__ import annotations

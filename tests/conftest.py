@@ -23,8 +23,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Libraries work on one thread; compiled kernels stay in a folder of this session, which its workers share."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    """One thread and one job, unless a test asks for more; compiled kernels stay in a folder of this session."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "SYSID_EVO_JOBS"):
         os.environ.setdefault(name, "1")
     if "SYSID_EVO_CACHE" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")

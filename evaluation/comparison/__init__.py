@@ -1,5 +1,6 @@
 """Comparisons: an experiment, the plan of its cells, and the report that is made of them."""
 
+from evaluation.comparison.again import comparison_again
 from evaluation.comparison.champion_cells import EvolveCell, ensemble_name
 from evaluation.comparison.columns import Column, emulated, runner_of
 from evaluation.comparison.comparing import check_run_folder, compare, finished, is_run
@@ -31,6 +32,7 @@ __all__ = [
     "check_experiment",
     "check_run_folder",
     "compare",
+    "comparison_again",
     "controller_cell",
     "emulated",
     "ensemble_name",

@@ -40,6 +40,18 @@ class ControllerFiles(Cell):
         return load_champion(path)
 
 
+def conditions(settings: ControllerEvolution) -> dict[str, Any]:
+    """Return under what conditions candidates are judged, as strict JSON."""
+    return {
+        "aggregate": aggregates.identity(settings.aggregate),
+        "trials": settings.trials,
+        "selection_trials": settings.selection_trials,
+        "estimator_delay": settings.estimator_delay,
+        "noise": noises.identity(settings.noise) if settings.noise else None,
+        "caution": cautions.identity(settings.caution) if settings.caution else None,
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class EvolveCell(ControllerFiles):
     """Evolves one controller against all of ``members`` at once."""
@@ -70,14 +82,9 @@ class EvolveCell(ControllerFiles):
             "controller": controllers.identity(settings.controller),
             "task": tasks.identity(settings.task),
             "strategy": strategies.identity(settings.strategy),
-            "aggregate": aggregates.identity(settings.aggregate),
+            **conditions(settings),
             "generations": settings.generations,
-            "trials": settings.trials,
             "runs": settings.runs,
-            "selection_trials": settings.selection_trials,
-            "estimator_delay": settings.estimator_delay,
-            "noise": noises.identity(settings.noise) if settings.noise else None,
-            "caution": cautions.identity(settings.caution) if settings.caution else None,
             "schedule": [self._stage(stage) for stage in settings.schedule],
             "seed": self.seed,
         }
@@ -228,16 +235,10 @@ class PolishCell(ControllerFiles):
         return member.believing if self.sift else member.needs
 
     def inputs(self) -> dict[str, Any]:
-        settings = self.settings
         return {
             "members": [member.inputs() for member in self.members],
             "believed": BELIEVED if self.sift else None,
-            "aggregate": aggregates.identity(settings.aggregate),
-            "trials": settings.trials,
-            "selection_trials": settings.selection_trials,
-            "estimator_delay": settings.estimator_delay,
-            "noise": noises.identity(settings.noise) if settings.noise else None,
-            "caution": cautions.identity(settings.caution) if settings.caution else None,
+            **conditions(self.settings),
             "generations": self.generations,
             "starts": self.starts,
             "seed": self.seed,

@@ -47,6 +47,10 @@ class Column:
         """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
         return {"robot": None if self.robot is None else robots.identity(self.robot)}
 
+    def is_same(self, other: Column) -> bool:
+        """Whether the same model or robot stands behind both, whatever their labels."""
+        return self.model == other.model and self.inputs() == other.inputs()
+
     def system(self, work: Work) -> System:
         """Return the system of the model or of the robot."""
         if self.model is not None:

@@ -23,13 +23,15 @@ def compare(
     *,
     out: str | Path | None = None,
     observer: Observer | None = None,
+    jobs: int | None = None,
     **settings: Any,
 ) -> Report:
     """Fit models, evolve controllers in them, and compare both; return the report.
 
     ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
     run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
-    written there too. ``settings`` are those of `Experiment`::
+    written there too. Up to ``jobs`` cells are computed side by side, see `execute`. ``settings`` are those of
+    `Experiment`::
 
         from evaluation import compare
 
@@ -60,7 +62,7 @@ def compare(
     comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
     comparison.experiment.write(folder / FILE)
     store = Store(folder)
-    execute(comparison.plan, store, observer=observer)
+    execute(comparison.plan, store, observer=observer, jobs=jobs)
     return finished(comparison, store)
 
 

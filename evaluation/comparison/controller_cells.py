@@ -17,7 +17,15 @@ from evaluation.exploitability import (
     exploitability_to_json,
 )
 from evaluation.transfer import Cell as MatrixCell
-from evaluation.transfer import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
+from evaluation.transfer import (
+    Measured,
+    TransferMatrix,
+    load_cell,
+    run_on,
+    save_cell,
+    transfer_seeds,
+    with_measured,
+)
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
 from sysid_evo.plan import Cell, Outcome, Work
@@ -75,10 +83,10 @@ class RunCell(Cell):
         return cell
 
     def save(self, value: MatrixCell, path: Path) -> list[Path]:
-        return write_json(value.to_dict(), path)
+        return save_cell(value, path)
 
     def load(self, path: Path) -> MatrixCell:
-        return MatrixCell.from_dict(read_json(path))
+        return load_cell(path)
 
     def named(self, value: MatrixCell) -> MatrixCell:
         return replace(value, champion=self.champion.name, column=self.column.label)

@@ -70,12 +70,14 @@ def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
 
 
 def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Return the members of each ensemble; those that are asked for in two orders are one."""
     if experiment.only is not None:
         return ()
     if experiment.ensembles is None:
         chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
         return chosen or ((labels,) if len(labels) > 1 else ())
-    return tuple(_ensemble(text, labels) for text in dict.fromkeys(experiment.ensembles))
+    asked = [_ensemble(text, labels) for text in experiment.ensembles]
+    return tuple({frozenset(members): members for members in reversed(asked)}.values())[::-1]
 
 
 def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from sysid_evo.errors import (
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
-from sysid_evo.plan import Cell, Plan
+from sysid_evo.plan import Again, Cell, Plan
 from sysid_evo.registry import (
     Spec,
     aggregates,
@@ -39,6 +39,9 @@ from sysid_evo.registry import (
     tasks,
 )
 from sysid_evo.system import System
+
+AGAIN = "evaluation.comparison.again:plan_again"
+"""What makes the plan of a comparison again in another process."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +130,14 @@ def plan_comparison(
             ensembles,
             tuple(measured),
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
-            recorded=isinstance(data, RecordedData),
+            recorded=_is_recorded(data),
         )
         exploitability = ExploitCell(matrix, data)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
-    plan = Plan.of(wanted, remarks=remarks)
+    again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
+    plan = Plan.of(wanted, remarks=remarks, again=again)
     return Comparison(settled, plan, data, fits, predictions, matrix, exploitability)
 
 
@@ -242,6 +246,11 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
     return GivenData(dataset, split)
 
 
+def _is_recorded(data: Cell) -> bool:
+    """Whether the data are recorded here on a robot, or were when the run was made."""
+    return isinstance(data, RecordedData) or "robot" in data.inputs()
+
+
 def _check_predictable(training: Dataset, test: Dataset) -> None:
     """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
     cases = measured_cases(training, test, PredictionProtocol())
@@ -324,7 +333,7 @@ def _matrix(
             column,
             delay=evolution.estimator_delay,
             trials=experiment.transfer_trials,
-            traces=kept_traces(experiment.traces, own=column == robot or column in champion.members),
+            traces=kept_traces(experiment.traces, own=column == robot or any(map(column.is_same, champion.members))),
             seed=experiment.seed,
         )
         for champion in champions

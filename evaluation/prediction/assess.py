@@ -63,7 +63,7 @@ def assess_model(
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
     forecasts = forecast(model, cases)
-    notes = []
+    notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     if model.n_lags > cases.protocol.history:
         notes.append(
             f"{name} wants {model.n_lags} earlier samples and got {cases.protocol.history}: "

@@ -10,6 +10,9 @@ import numpy as np
 from evaluation.prediction.metrics import mean_over_channels
 from sysid_evo.arrays import Array, IntArray
 
+PICKS = 2**20
+"""Blocks that are looked up at a time, of all draws together."""
+
 
 class Interval(NamedTuple):
     """A confidence interval."""
@@ -39,8 +42,10 @@ class BlockErrors:
 
     def rmse(self, picks: IntArray) -> Array:
         """Return the RMSE (R, nx) of each of R draws of blocks, (R, K); nan for a draw without rows."""
-        count = self.counts[picks].sum(axis=1)[:, None]
-        total = self.squares[picks].sum(axis=1)
+        few = max(1, PICKS // max(1, picks.shape[1]))
+        parts = [picks[begin : begin + few] for begin in range(0, len(picks), few)]
+        count = np.concatenate([self.counts[part].sum(axis=1) for part in parts])[:, None]
+        total = np.concatenate([self.squares[part].sum(axis=1) for part in parts])
         mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
         return np.asarray(np.sqrt(mean))
 

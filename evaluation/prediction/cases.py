@@ -64,10 +64,8 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     notes = []
     windows, horizons = _windows(test, protocol)
     ahead = windows.start[:, None] + 1 + np.arange(windows.states.shape[1])
-    moving = np.zeros(ahead.shape, dtype=bool)
-    for number, rows in enumerate(test.moving):
-        chosen = windows.episode == number
-        moving[chosen] = rows[ahead[chosen]]
+    begins = np.cumsum([0, *(len(rows) for rows in test.moving)])
+    moving = np.concatenate(test.moving)[begins[windows.episode][:, None] + ahead]
     horizons = tuple(horizon for horizon in horizons if moving[:, horizon - 1].any())
     left_out = [horizon for horizon in protocol.horizons if horizon not in horizons]
     if left_out:
@@ -118,13 +116,9 @@ def _windows(test: Dataset, protocol: PredictionProtocol) -> tuple[Windows, tupl
 
 def _window_blocks(windows: Windows, size: int) -> IntArray:
     """Number blocks of ``size`` consecutive windows; no block crosses an episode."""
-    blocks = np.zeros(len(windows), dtype=np.int64)
-    offset = 0
-    for number in np.unique(windows.episode):
-        rows = np.flatnonzero(windows.episode == number)
-        blocks[rows] = offset + np.arange(len(rows)) // size
-        offset = int(blocks[rows[-1]]) + 1
-    return blocks
+    _, first, count = np.unique(windows.episode, return_index=True, return_counts=True)
+    begins = np.cumsum([0, *-(-count // size)])[:-1]
+    return np.repeat(begins, count) + (np.arange(len(windows)) - np.repeat(first, count)) // size
 
 
 def _free_runs(test: Dataset, protocol: PredictionProtocol) -> tuple[FreeRun, ...]:

@@ -63,20 +63,23 @@ class CarPhysics(Dynamics):
         return carry
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        if len(carry) == 1:
+            return np.array([self._step_one(carry[0].tolist(), control[0].tolist(), noise)])
         before = carry.T
         after = np.empty((self.n_carry, len(carry)))
-        if len(carry) == 1:
-            lanes: list[Lane] = before[:, 0].tolist()
-            draws: list[Lane] = [0.0, 0.0] if noise is None else noise[0].tolist()
-        else:
-            lanes = list(before)
-            draws = [0.0, 0.0] if noise is None else list(noise.T)
+        lanes: list[Lane] = list(before)
+        draws: list[Lane] = [0.0, 0.0] if noise is None else list(noise.T)
         results = fine_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
         after[3 : BODY - 2] = before[5:BODY]
         after[BODY - 2 : BODY] = control.T
         for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
             after[row] = result
         return after.T
+
+    def _step_one(self, before: list[float], control: list[float], noise: Array | None) -> list[float]:
+        draws = [0.0, 0.0] if noise is None else noise[0].tolist()
+        after = fine_step(before[:3], before[BODY:], before[3], before[4], draws[0], draws[1], self.coefficients)
+        return [*after[:3], *before[5:BODY], *control, *after[3:]]
 
     def kernel(self) -> DynamicsKernel:
         return self.held_kernel(1)

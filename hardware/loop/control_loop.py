@@ -73,7 +73,7 @@ class ControlLoop:
         self._listeners = tuple(listeners)
         self._estimator: Estimator = PoseEstimator(system) if estimator is None else estimator
         self._gate = gate
-        self._control = system.neutral_control
+        self._driving = False
         self._status: RobotStatus | None = None
         self._rejected: Counter[str] = Counter()
         self._ticks: list[tuple[float, float]] = []
@@ -196,14 +196,10 @@ class ControlLoop:
 
     def _send(self, control: Array, due: float) -> None:
         self.connection.send(control, valid_for=TIME_TO_LIVE)
-        self._control = control
+        self._driving = not np.array_equal(control, self.system.neutral_control)
         command = Command(self._tick, due, self.connection.time, control.copy())
         for listener in self._listeners:
             listener.commanded(command)
-
-    @property
-    def _driving(self) -> bool:
-        return not np.array_equal(self._control, self.system.neutral_control)
 
     def _tripped(self) -> bool:
         """Tell the listeners of a new status; return whether the robot stopped itself in this run."""

@@ -1,4 +1,4 @@
-"""The equation of a car on a plane (paper, Equation 1, without its thresholds): arrays and tensors alike."""
+"""The equation of a car on a plane (paper, Equation 1, without its thresholds)."""
 
 from __future__ import annotations
 

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -70,11 +69,8 @@ class Features:
                 parts.append(FUNCTIONS[name](present[..., place : place + 1]))
         return np.concatenate(parts, axis=-1)
 
-    def parts(self, carry: Any, control: Any, sin: Any = np.sin, cos: Any = np.cos) -> list[Any]:
-        """Return the features without functions as parts, to be joined along the last axis.
-
-        Of arrays, or of tensors with torch's ``sin`` and ``cos``.
-        """
+    def parts(self, carry: Array, control: Array) -> list[Array]:
+        """Return the features without functions as parts, to be joined along the last axis."""
         periods, nx, past = self.system.periods, self.system.nx, self._layout.earlier_controls.start
         if not periods:
             return [carry, control]
@@ -83,7 +79,7 @@ class Features:
             column = carry[..., place : place + 1]
             if place % nx in periods:
                 angle = TURN / periods[place % nx] * column
-                columns += [sin(angle), cos(angle)]
+                columns += [np.sin(angle), np.cos(angle)]
             else:
                 columns.append(column)
         return [*columns, carry[..., past:], control]

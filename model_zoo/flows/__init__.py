@@ -1,1 +1,1 @@
-"""Differential equations with a network in them: stepped in NumPy, trained with torch."""
+"""Differential equations with a network in them: stepped in NumPy, trained on free runs."""

@@ -18,8 +18,7 @@ from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
+    from model_zoo.flows.training import Physics
     from sysid_evo.engine.kernels import Predictor
 
 SEARCH_SHARE = 0.15
@@ -41,7 +40,6 @@ class NetworkRate(DynamicsModel):
     knowledge = "dark grey"
     periodic = True
     resumable = True
-    requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),
@@ -61,6 +59,7 @@ class NetworkRate(DynamicsModel):
     horizon: int = 20
     learning_rate: float = 6e-3
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         from model_zoo.flows.training import FittedFlow, train_flow
@@ -81,7 +80,7 @@ class NetworkRate(DynamicsModel):
                 hidden=self.hidden or HIDDEN,
                 plan=plan,
                 trainings=trainings,
-                physics=self.torch_rate if len(self.initial) else None,
+                physics=self.physics(),
                 physical=self.initial,
             )
 
@@ -98,9 +97,9 @@ class NetworkRate(DynamicsModel):
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
         return None
 
-    def torch_rate(self, state: Tensor, control: Tensor, physical: Tensor) -> Tensor:
-        """Return `known_rate` for physical parameters (n,), in a family with ``initial`` ones."""
-        raise NotImplementedError
+    def physics(self) -> Physics | None:
+        """Return `known_rate` as it is trained, in a family with ``initial`` physical parameters."""
+        return None
 
     @property
     def network(self) -> Network:

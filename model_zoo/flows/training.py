@@ -1,16 +1,15 @@
-"""Training of differential equations whose right-hand side holds a network: torchdiffeq's RK4 at the data's dt."""
+"""Training of differential equations whose right-hand side holds a network: Runge-Kutta of order 4 at the data's dt."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
-import torch
-from torch import Tensor
-from torchdiffeq import odeint
 
-from model_zoo.networks.multistep import Plan, as_network, forward_pass, single
+from model_zoo.networks.layers import Single
+from model_zoo.networks.multistep import Plan
 from model_zoo.networks.network import Network
 from model_zoo.networks.standardised import StandardisedModel
 from model_zoo.networks.trainings import Trainings
@@ -19,8 +18,26 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 
 FOLDS = 5
-Physics = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""(state (..., nx), control (..., nu), positive parameters (n,)) -> rate (..., nx)."""
+NODES = 0.0, 0.5, 0.5, 1.0
+"""Share of dt at which each rate of a step is asked for."""
+SHARES = 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0
+"""Share of each of them in the step."""
+
+
+class Physics(Protocol):
+    """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
+
+    def hold(self, controls: Single, parameters: Single) -> None:
+        """Expect these ``controls`` (H, ..., nu) in the steps to come."""
+
+    def rate(self, step: int, state: Single) -> Single:
+        """Return the known part (..., nx) in one of the steps."""
+
+    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+        """Return the gradient by the state, from that by the rate (..., nx)."""
+
+    def by_parameters(self, states: Single, gradients: Single) -> Single:
+        """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""
 
 
 class Flow(StandardisedModel):
@@ -29,28 +46,62 @@ class Flow(StandardisedModel):
     Of the ``physical`` parameters (n,), all positive, the logarithms are trained, beside the network's.
     """
 
+    calls: ClassVar[int] = len(NODES)
     physics: Physics | None = None
 
     def know(self, physics: Physics, physical: Array) -> None:
         """Add ``physics``, with parameters that begin at ``physical``."""
         self.physics = physics
-        self.parameters.append(single(np.log(physical)[None, None]).requires_grad_(True))
+        logarithms = np.log(physical).astype(np.float32)
+        self.parameters = np.concatenate([self.parameters, logarithms[None]], axis=1)
 
-    def step(self, carry: Tensor, control: Tensor) -> Tensor:
-        nx = self.system.nx
-        held = carry[..., nx:]
-        network = self.parameters if self.physics is None else self.parameters[:-1]
+    @property
+    def physical(self) -> Single:
+        """The physical parameters (n,) as they are now."""
+        return np.asarray(np.exp(self.parameters[0, self.layers.size :]))
 
-        def rate(_: Tensor, state: Tensor) -> Tensor:
-            seen = self.inputs(torch.cat([state, held], dim=2), control)
-            result = forward_pass(network, seen) * self.rates
+    def prepare(self, horizon: int) -> None:
+        shape = horizon, self.calls, *self.states.shape[1:]
+        self.visited: Single = np.empty(shape, dtype=np.float32)
+        self.by_rate: Single = np.empty(shape, dtype=np.float32)
+        if self.physics is not None:
+            self.physics.hold(self.controls, self.physical)
+
+    def advance(self, step: int, state: Single) -> Single:
+        dt, after, rate = self.system.dt, state, state
+        for call, (node, share) in enumerate(zip(NODES, SHARES, strict=True)):
+            here = state + (node * dt) * rate if node else state
+            self.visited[step, call] = here
+            rate = self.called(step, call, here)
+            if self.system.motion is not None:
+                rate += self.system.turning(here)
             if self.physics is not None:
-                result = result + self.physics(state, control, torch.exp(self.parameters[-1][0, 0]))
-            return self.motion.turned(state, result)
+                rate += self.physics.rate(step, here)
+            after = after + (share * dt) * rate
+        return after
 
-        times = torch.tensor([0.0, self.system.dt])
-        after = odeint(rate, carry[..., :nx], times, method="rk4", options={"perturb": False})[-1]
-        return self.moved(carry, control, after)
+    def pull_back(self, step: int, gradient: Single) -> Single:
+        dt, by_state, from_next = self.system.dt, gradient, None
+        for call in range(self.calls - 1, -1, -1):
+            by_rate = (SHARES[call] * dt) * gradient
+            if from_next is not None:
+                by_rate += (NODES[call + 1] * dt) * from_next
+            self.by_rate[step, call] = by_rate
+            here = self.visited[step, call]
+            from_next = self.pulled_through(step, call, here, by_rate)
+            if self.system.motion is not None:
+                from_next = from_next + self.motion.turned(here, by_rate)
+            if self.physics is not None:
+                from_next = from_next + self.physics.by_state(step, here, by_rate)
+            by_state = by_state + from_next
+        return by_state
+
+    def gradient(self, by_states: Single) -> Single:
+        by_network = super().gradient(by_states)
+        if self.physics is None:
+            return by_network
+        by_logarithms = self.physics.by_parameters(self.visited, self.by_rate) * self.physical
+        return np.concatenate([by_network, by_logarithms[None]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -74,10 +125,8 @@ def train_flow(
 ) -> FittedFlow:
     """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
     model = Flow(dataset, lags, hidden=hidden, rng=trainings.rng)
-    n_network = len(model.parameters)
     if physics is not None:
         model.know(physics, physical)
     best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
-    network = as_network(best[:n_network]).folded(model.centre, model.scale, model.standard.change / dataset.system.dt)
-    logarithms = [array.detach().numpy().astype(np.float64).ravel() for array in best[n_network:]]
-    return FittedFlow(network, np.exp(np.concatenate([np.empty(0), *logarithms])), float(errors[0]))
+    network = model.layers.network(best).folded(model.centre, model.scale, model.rates)
+    return FittedFlow(network, np.exp(best[0, model.layers.size :].astype(np.float64)), float(errors[0]))

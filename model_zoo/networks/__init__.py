@@ -1,1 +1,1 @@
-"""Networks as plain arrays, and their training on free runs with torch."""
+"""Networks as plain arrays, and their training on free runs."""

@@ -1,23 +1,20 @@
-"""Networks of lagged states and controls as one differentiable model, member beside member."""
+"""Networks of lagged states and controls as one model that runs free, member beside member."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from model_zoo.channels.mirror import Mirror
-from model_zoo.networks.multistep import Plan, as_network, forward_pass, single
+from model_zoo.networks.layers import Single
+from model_zoo.networks.multistep import Plan
 from model_zoo.networks.network import Network
 from model_zoo.networks.standardised import StandardisedModel
 from model_zoo.networks.trainings import Trainings
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-
-RECORDED = torch.ones(1, 1, 1)
 
 
 class LaggedMembers(StandardisedModel):
@@ -38,28 +35,33 @@ class LaggedMembers(StandardisedModel):
     ) -> None:
         super().__init__(dataset, lags, hidden=hidden, rng=rng, members=members, further=1, mirror=mirror)
         self.mirror = mirror
-        self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
-        self.generators = (self.noise,)
-        self.flag = RECORDED
+        self.recorded = self.flag
 
-    def step(self, carry: Tensor, control: Tensor) -> Tensor:
-        inputs = self.inputs(carry, control)
-        inputs = torch.cat([inputs, self.flag.expand(*inputs.shape[:2], 1)], dim=2)
-        change = forward_pass(self.parameters, inputs) * self.change
-        return self.moved(carry, control, self.motion.integrate(carry[..., : self.system.nx], change, self.system.dt))
+    def prepare(self, horizon: int) -> None:
+        self.accelerations: Single = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
 
-    def augmented(self, batch: list[Tensor]) -> list[Tensor]:
-        """Mirror half of the windows (past states, past controls, controls, states), if the body has a mirror."""
+    def advance(self, step: int, state: Single) -> Single:
+        acceleration: Single = self.called(step, 0, state)
+        self.accelerations[step] = acceleration
+        return self.system.integrate(state, acceleration)
+
+    def pull_back(self, step: int, gradient: Single) -> Single:
+        state = self.states[self.layout.history + step]
+        moved = self.motion.integrated(state, self.accelerations[step], self.system.dt, gradient)
+        by_state, by_acceleration = moved
+        return by_state + self.pulled_through(step, 0, state, by_acceleration)
+
+    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+        """Mirror half of the windows, if the body has a mirror."""
         if self.mirror is None:
-            return batch
-        states, controls = single(self.mirror.states), single(self.mirror.controls)
-        mirrored = (torch.rand(*batch[0].shape[:2], 1, 1, generator=self.noise) < 0.5).float()
-        self.flag = 1.0 - 2.0 * mirrored[:, :, 0]
-        signs = (states, controls, controls, states)
-        return [part * (1.0 - mirrored + mirrored * sign) for part, sign in zip(batch, signs, strict=True)]
+            return samples
+        mirrored = rng.random((*samples.shape[1:3], 1), dtype=np.float32) < 0.5
+        self.flag = np.where(mirrored, np.float32(-1.0), np.float32(1.0))
+        signs = np.concatenate([self.mirror.states, self.mirror.controls]).astype(np.float32)
+        return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
 
     def as_recorded(self) -> None:
-        self.flag = RECORDED
+        self.flag = self.recorded
 
 
 def train_members(
@@ -80,9 +82,8 @@ def train_members(
     model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=trainings.rng)
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
     parameters, errors = model.learn(splits, plan, trainings)
-    flagged = as_network(parameters)
+    flagged = model.layers.network(parameters)
     weights, biases = list(flagged.weights), list(flagged.biases)
     biases[0] = biases[0] + weights[0][:, -1]
     weights[0] = weights[0][:, :-1]
-    accelerations = model.standard.change / dataset.system.dt
-    return Network(weights, biases).folded(model.centre, model.scale, accelerations), errors
+    return Network(weights, biases).folded(model.centre, model.scale, model.rates), errors

@@ -1,4 +1,4 @@
-"""Training on free runs: members side by side, from measured states, over windows of growing length.
+"""Training on free runs: members side by side, from measured states.
 
 Every window is a shot of its own that starts at a measured state (multiple shooting with the
 measurements as nodes). The error of each step counts by the inverse of its present size to the
@@ -8,19 +8,17 @@ power 2.5, so that the first steps matter more than the last, which they decide.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-import torch
-from torch import Tensor
+from threadpoolctl import threadpool_limits
 
-from model_zoo.networks.network import Network
+from model_zoo.networks.layers import Single
 from model_zoo.networks.trainings import Standing, Trainings
-from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset, Windows
-from sysid_evo.free_run import chained
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.data import Dataset
 from sysid_evo.lags import CarryLayout
 
 SHARPNESS = 2.5
@@ -32,26 +30,78 @@ TOLD_EVERY = 10
 FLOOR = 0.002
 """Square of a relative error below which a step gains no more weight (the noise of the measurement)."""
 
+PIECE = 256
+"""Windows that are judged at once."""
 
-class TorchModel(ABC):
-    """M models with differentiable steps; the carry is (M, B, n), laid out as ``layout`` says."""
+
+@dataclass(frozen=True)
+class Shots:
+    """Windows of ``horizon`` steps: where each one's present stands (N,) among samples of state and control (T, n).
+
+    The samples are those of all episodes, one after the other. Batches of them have the time first.
+    """
+
+    samples: Single
+    starts: IntArray
+    horizon: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, horizon: int, history: int) -> Shots:
+        """Cut windows at every moving sample, as long as ``horizon`` or as the data allow."""
+        horizon = min(horizon, max(len(episode) for episode in dataset.episodes) - history)
+        windows = dataset.windows(1, history=history, moving=True)
+        lengths = np.array([len(episode) for episode in dataset.episodes])
+        fits = windows.start + horizon <= lengths[windows.episode]
+        return cls.at(dataset, windows.episode[fits], windows.start[fits], horizon)
+
+    @classmethod
+    def at(cls, dataset: Dataset, episode: IntArray, start: IntArray, horizon: int) -> Shots:
+        """Return the windows that begin at these samples of these episodes, (N,) each."""
+        parts = []
+        for one in dataset.episodes:
+            ended = np.concatenate([one.controls, np.zeros((1, one.controls.shape[1]))])
+            parts.append(np.concatenate([one.states, ended], axis=1))
+        first = np.cumsum([0, *(len(part) for part in parts)])
+        return cls(np.concatenate(parts).astype(np.float32), first[episode] + start, horizon)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+
+class Batches:
+    """What batches of every member's windows are made of: all samples in one array."""
+
+    def __init__(self, shots: Sequence[Shots], history: int) -> None:
+        first = np.cumsum([0, *(len(one.samples) for one in shots)])
+        self.samples = np.concatenate([one.samples for one in shots])
+        self.starts = [one.starts + begin for one, begin in zip(shots, first, strict=False)]
+        self.history = history
+
+    def of(self, rows: Sequence[IntArray], horizon: int) -> Single:
+        """Return the samples (L + 1 + H, M, B, n) of one choice of windows (B,) for each member."""
+        starts = np.stack([start[row] for start, row in zip(self.starts, rows, strict=True)])
+        steps = np.arange(-self.history, horizon + 1)
+        found: Single = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
+        return found
+
+
+class FreeRunning(Protocol):
+    """M models with parameters (M, P) that run free and say how what they simulate depends on the parameters."""
 
     layout: CarryLayout
-    parameters: list[Tensor]
-    generators: tuple[torch.Generator, ...] = ()
-    """What `augmented` draws from."""
+    parameters: Single
 
-    @abstractmethod
-    def step(self, carry: Tensor, control: Tensor) -> Tensor:
-        """Return the next carry under ``control`` (M, B, nu)."""
+    def run(self, samples: Single) -> Single:
+        """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
 
-    def augmented(self, batch: list[Tensor]) -> list[Tensor]:
-        """Return what is learned from a batch (past states, past controls, controls, states)."""
-        return batch
+    def gradient(self, by_states: Single) -> Single:
+        """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
+
+    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+        """Return what is learned from a batch."""
 
     def as_recorded(self) -> None:
         """Expect data as recorded from here on, to be judged by them."""
-        return
 
 
 @dataclass(frozen=True)
@@ -79,159 +129,99 @@ class Plan:
         return self.one_step_updates + self.updates
 
 
-@dataclass(frozen=True)
-class Shots:
-    """The windows of one member as tensors, and the scales of its errors and noise, (nx,) each."""
-
-    past_states: Tensor
-    past_controls: Tensor
-    controls: Tensor
-    states: Tensor
-
-    @classmethod
-    def of(cls, dataset: Dataset, horizon: int, history: int) -> Shots:
-        """Cut windows at every moving sample, as long as ``horizon`` or as the data allow."""
-        longest = max(len(episode) for episode in dataset.episodes) - history
-        windows = dataset.windows(min(horizon, longest), history=history, moving=True)
-        return cls.from_windows(windows)
-
-    @classmethod
-    def from_windows(cls, windows: Windows) -> Shots:
-        """Turn windows into single-precision tensors."""
-        arrays = (windows.past_states, windows.past_controls, windows.controls, windows.states)
-        return cls(*(single(array) for array in arrays))
-
-    def __len__(self) -> int:
-        return len(self.states)
-
-
 def train(
-    model: TorchModel,
+    model: FreeRunning,
     shots: Sequence[Shots],
     plan: Plan,
     *,
-    state_scale: Tensor,
-    change_scale: Tensor,
+    state_scale: Array,
+    change_scale: Array,
     trainings: Trainings,
-    judge: Callable[[list[Tensor]], Array] | None = None,
-) -> list[Tensor]:
-    """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters.
+    judge: Callable[[Single], Array] | None = None,
+) -> Single:
+    """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters (M, P).
 
     ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
     had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. It is the next of ``trainings``: done
-    already, stopped before its end, or not begun.
+    already, stopped before its end, or not begun. Matrices are multiplied on one thread: they are small, and the
+    result is the same for any number of threads.
     """
     done = trainings.ended()
     if done is not None:
         trainings.report(plan.total)
         return done
-    members, rng = len(shots), trainings.rng
-    noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
-    optimiser = torch.optim.Adam(model.parameters, lr=plan.learning_rate, betas=(0.9, 0.99))
-    mean = [parameter.detach().clone() for parameter in model.parameters]
-    best = [parameter.clone() for parameter in mean]
-    lowest = np.full(members, np.inf)
-    longest = min(shot.states.shape[1] for shot in shots)
-    standing = Standing(model.parameters, optimiser, mean, best, lowest, (noise, *model.generators))
+    with threadpool_limits(1, user_api="blas"):
+        return _trained(model, shots, plan, state_scale, change_scale, trainings, judge)
+
+
+def _trained(
+    model: FreeRunning,
+    shots: Sequence[Shots],
+    plan: Plan,
+    state_scale: Array,
+    change_scale: Array,
+    trainings: Trainings,
+    judge: Callable[[Single], Array] | None,
+) -> Single:
+    rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.history)
+    standing = Standing.at(model.parameters)
+    scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
+    longest = min(shot.horizon for shot in shots)
+    present = slice(layout.history - layout.state_lags, layout.history + 1)
     first = told = trainings.resume(standing)
     if first:
         trainings.report(first)
     for update in range(first, plan.total):
         horizon, size, rate = _schedule(plan, update, longest)
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        rows = [torch.from_numpy(rng.integers(0, len(shot), size)) for shot in shots]
-        batch = [
-            torch.stack([getattr(shot, name)[row] for shot, row in zip(shots, rows, strict=True)])
-            for name in ("past_states", "past_controls", "controls", "states")
-        ]
-        past, past_controls, controls, states = model.augmented(batch)
+        batch = batches.of([rng.integers(0, len(shot), size) for shot in shots], horizon)
+        batch = model.augmented(batch, rng)
+        truth = batch[layout.history + 1 :, ..., : layout.nx].copy()
         if plan.input_noise:
-            past = past + plan.input_noise * change_scale * torch.randn(past.shape, generator=noise)
-        simulated = free_run(model, past, past_controls, controls[:, :, :horizon])
-        error = (((simulated - states[:, :, :horizon]) / state_scale) ** 2).mean(dim=(1, 3))
-        loss = (error * step_weights(error.detach())).sum()
-        loss = loss + plan.weight_decay * torch.stack([(p**2).sum() for p in model.parameters]).sum()
-        optimiser.zero_grad()
-        torch.autograd.backward(loss)
-        norm = torch.nn.utils.clip_grad_norm_(model.parameters, math.sqrt(members))
-        if torch.isfinite(norm):
-            optimiser.step()
-        keep = min(plan.averaging, (update + 1) / (update + 10))
-        with torch.no_grad():
-            for average, parameter in zip(mean, model.parameters, strict=True):
-                average.lerp_(parameter, 1.0 - keep)
+            measured = batch[present, ..., : layout.nx]
+            measured += noise * rng.standard_normal(measured.shape, dtype=np.float32)
+        off = (model.run(batch) - truth) / scale
+        error = (off**2).mean(axis=(2, 3))
+        off *= (2.0 / (off.shape[2] * off.shape[3]) * step_weights(error))[:, None, None, None] / scale
+        standing.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
+        standing.average(min(plan.averaging, (update + 1) / (update + 10)))
         last = update + 1 == plan.total
         if judge is not None and (last or (update + 1) % plan.check_every == 0):
-            errors = judge(mean)
-            for member in np.flatnonzero(errors < lowest):
-                lowest[member] = errors[member]
-                for kept, average in zip(best, mean, strict=True):
-                    kept[member] = average[member]
+            standing.keep(judge(standing.mean))
         if last or update % TOLD_EVERY == 0:
             trainings.reached(update + 1, standing)
             trainings.report(update + 1 - told)
             told = update + 1
-    found = mean if judge is None else best
+    found = standing.mean if judge is None else standing.best
     trainings.end(found)
     return found
 
 
-def step_weights(error: Tensor) -> Tensor:
-    """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (M, H) they have now."""
-    weight = (error.mean(dim=0) + FLOOR) ** -SHARPNESS
-    return weight / weight.sum()
+def step_weights(error: Single) -> Single:
+    """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (H, M) they have now."""
+    weight = (error.mean(axis=1) + FLOOR) ** -SHARPNESS
+    return np.asarray(weight / weight.sum())
 
 
-def free_run(model: TorchModel, past_states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
-    """Return the states (M, B, H, nx) of a free run under ``controls`` (M, B, H, nu)."""
-    nx = past_states.shape[-1]
-    start = torch.cat(model.layout.started(past_states, past_controls), dim=-1)
-    return torch.stack([carry[..., :nx] for carry in chained(model.step, start, controls)], dim=2)
-
-
-def judged(model: TorchModel, parameters: Sequence[Tensor], held: Sequence[Shots], state_scale: Tensor) -> Array:
+def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_scale: Array) -> Array:
     """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
 
-    Infinite where a run is not finite.
+    Infinite where a run is not finite. A member with fewer windows than another runs some twice, which do not count.
     """
-    trained, errors = model.parameters, np.empty(len(held))
+    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.history)
     model.as_recorded()
-    with torch.no_grad():
+    model.parameters = parameters
+    most, longest = max(len(shots) for shots in held), max(shots.horizon for shots in held)
+    square: list[Array] = [np.zeros((shots.horizon, layout.nx)) for shots in held]
+    for begin in range(0, most, PIECE):
+        rows = np.arange(begin, min(begin + PIECE, most))
+        batch = batches.of([rows % len(shots) for shots in held], longest)
+        with np.errstate(all="ignore"):
+            off = ((model.run(batch) - batch[layout.history + 1 :, ..., : layout.nx]) / state_scale) ** 2
         for member, shots in enumerate(held):
-            model.parameters = [parameter[member : member + 1] for parameter in parameters]
-            run = free_run(model, shots.past_states[None], shots.past_controls[None], shots.controls[None])
-            error = (((run[0] - shots.states) / state_scale) ** 2).mean(dim=0).sqrt().mean()
-            errors[member] = float(error) if bool(torch.isfinite(error)) else np.inf
+            square[member] += off[: shots.horizon, member, : max(0, len(shots) - begin)].sum(axis=1)
     model.parameters = trained
-    return errors
-
-
-def forward_pass(parameters: Sequence[Tensor], values: Tensor) -> Tensor:
-    """Return the outputs (M, B, n_out) of tanh layers; ``parameters`` alternate weight and bias (M, 1, n)."""
-    layers = len(parameters) // 2
-    for layer in range(layers):
-        values = torch.baddbmm(parameters[2 * layer + 1], values, parameters[2 * layer])
-        if layer < layers - 1:
-            values = torch.tanh(values)
-    return values
-
-
-def as_tensors(network: Network) -> list[Tensor]:
-    """Return alternating weights and biases (M, 1, n), ready to be trained."""
-    pairs = zip(network.weights, network.biases, strict=True)
-    return [single(array).requires_grad_(True) for weight, bias in pairs for array in (weight, bias[:, None])]
-
-
-def as_network(parameters: Sequence[Tensor]) -> Network:
-    """Undo `as_tensors`."""
-    arrays = [parameter.detach().numpy().astype(np.float64) for parameter in parameters]
-    return Network(arrays[0::2], [bias[:, 0] for bias in arrays[1::2]])
-
-
-def single(array: Array) -> Tensor:
-    """Return ``array`` as a tensor of single precision."""
-    return torch.from_numpy(np.array(array, dtype=np.float32))
+    errors = [float(np.sqrt(sums / len(shots)).mean()) for sums, shots in zip(square, held, strict=True)]
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 def _schedule(plan: Plan, update: int, longest: int) -> tuple[int, int, float]:

@@ -1,19 +1,19 @@
-"""Trainings with torch that can be stopped, or killed, and gone on with, to the same parameters in every bit."""
+"""Trainings of networks that can be stopped, or killed, and gone on with, to the same parameters in every bit."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from model_zoo.networks.layers import Single
 from sysid_evo.arrays import Array
 from sysid_evo.checkpoint import Checkpoint, State
 from sysid_evo.data import Dataset
@@ -23,55 +23,67 @@ from sysid_evo.errors import CheckpointWarning
 Report: TypeAlias = Callable[[int], None]
 """Told how many more updates are done."""
 
-MOMENTS = "exp_avg", "exp_avg_sq", "step"
-"""What Adam remembers of each parameter."""
+MOMENTUM, SPREAD, TINY = 0.9, 0.99, 1e-8
+"""Adam's two decay rates and what keeps it from dividing by zero (Kingma, Ba 2015)."""
 
 
 @dataclass
 class Standing:
-    """All that changes while one training goes on; tensors are changed in place.
+    """All that changes while one training goes on, in place; arrays are (M, P), one row for each member.
 
-    ``mean`` and ``best`` are the running mean of the ``parameters`` and the best of these means, ``lowest`` its
-    errors (M,).
+    ``first`` and ``second`` are Adam's moments of the gradient after so many ``steps`` (1,), ``mean`` is the running
+    mean of the ``parameters``, ``best`` the best of these means and ``lowest`` its errors (M,).
     """
 
-    parameters: list[Tensor]
-    optimiser: torch.optim.Adam
-    mean: list[Tensor]
-    best: list[Tensor]
+    parameters: Single
+    first: Single
+    second: Single
+    mean: Single
+    best: Single
     lowest: Array
-    generators: tuple[torch.Generator, ...]
+    steps: Array
+
+    @classmethod
+    def at(cls, parameters: Single) -> Self:
+        """Return how things stand before the first update of ``parameters``."""
+        zero = np.zeros_like(parameters)
+        lowest = np.full(len(parameters), np.inf)
+        return cls(parameters, zero, zero.copy(), parameters.copy(), parameters.copy(), lowest, np.zeros(1))
+
+    def descend(self, gradient: Single, rate: float) -> None:
+        """Do one step of Adam, down a ``gradient`` that is shortened to the root of M; none if it is not finite."""
+        norm = math.sqrt(float(np.vdot(gradient, gradient)))
+        if not math.isfinite(norm):
+            return
+        gradient = gradient * min(1.0, math.sqrt(len(gradient)) / (norm + 1e-6))
+        self.steps += 1
+        count = int(self.steps[0])
+        self.first += (1.0 - MOMENTUM) * (gradient - self.first)
+        self.second += (1.0 - SPREAD) * (gradient**2 - self.second)
+        deviation = np.sqrt(self.second / (1.0 - SPREAD**count))
+        deviation += TINY
+        self.parameters -= rate / (1.0 - MOMENTUM**count) * self.first / deviation
+
+    def average(self, keep: float) -> None:
+        """Take the parameters into the running mean, of which the share ``keep`` stays."""
+        self.mean += (1.0 - keep) * (self.parameters - self.mean)
+
+    def keep(self, errors: Array) -> None:
+        """Keep the means of those members whose ``errors`` (M,) are the lowest so far."""
+        better = errors < self.lowest
+        self.lowest[better], self.best[better] = errors[better], self.mean[better]
 
     def state(self) -> dict[str, Array]:
         """Return copies of all of it by name, as float64 arrays, which hold single precision exactly."""
-        found = {f"lists/{name}/{i}": _array(tensor) for name, i, tensor in self._tensors()}
-        for i, parameter in enumerate(self.parameters):
-            remembered = self.optimiser.state[parameter]
-            found |= {f"adam/{name}/{i}": _array(remembered[name]) for name in MOMENTS if remembered}
-        for i, generator in enumerate(self.generators):
-            found[f"generator/{i}"] = generator.get_state().numpy().astype(np.float64)
-        return {**found, "lowest": self.lowest.copy()}
+        return {name: np.array(value, dtype=np.float64) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a ``state`` of the same training. Raises `LookupError` or `ValueError` for that of another."""
-        self.optimiser.state.clear()
-        with torch.no_grad():
-            for name, i, tensor in self._tensors():
-                tensor.copy_(_like(tensor, state[f"lists/{name}/{i}"]))
-            for i, parameter in enumerate(self.parameters):
-                if f"adam/step/{i}" in state:
-                    kinds = (parameter, parameter, torch.zeros(()))
-                    self.optimiser.state[parameter] = {
-                        name: _like(kind, state[f"adam/{name}/{i}"]).clone()
-                        for name, kind in zip(MOMENTS, kinds, strict=True)
-                    }
-        for i, generator in enumerate(self.generators):
-            generator.set_state(torch.from_numpy(state[f"generator/{i}"].astype(np.uint8)))
-        self.lowest[:] = state["lowest"]
-
-    def _tensors(self) -> list[tuple[str, int, Tensor]]:
-        lists = {"parameters": self.parameters, "mean": self.mean, "best": self.best}
-        return [(name, i, tensor) for name, tensors in lists.items() for i, tensor in enumerate(tensors)]
+        for name, value in vars(self).items():
+            if np.shape(state[name]) != value.shape:
+                raise ValueError(f"expected the shape {value.shape}, got {np.shape(state[name])}")
+        for name, value in vars(self).items():
+            value[...] = state[name]
 
 
 class Trainings:
@@ -102,7 +114,7 @@ class Trainings:
     def of(cls, model: DynamicsModel, dataset: Dataset, rng: np.random.Generator, report: Report | None) -> Self:
         """Return the trainings of a fit of ``model``, kept in its checkpoint if somebody set one."""
         asked = [type(model).__qualname__, repr(model.get_params(deep=False)), dataset.fingerprint, _text(rng)]
-        identity = hashlib.sha256(json.dumps([*asked, torch.__version__]).encode()).hexdigest()
+        identity = hashlib.sha256(json.dumps([*asked, np.__version__]).encode()).hexdigest()
         return cls(rng, report=report, checkpoint=model.checkpoint, identity=identity)
 
     def __enter__(self) -> Self:
@@ -119,7 +131,7 @@ class Trainings:
         if self._report is not None:
             self._report(updates)
 
-    def ended(self) -> list[Tensor] | None:
+    def ended(self) -> Single | None:
         """Begin the next training; return its parameters if it had ended before, None if it has to be done."""
         number, found = self._begun, self._found
         self._begun += 1
@@ -128,8 +140,7 @@ class Trainings:
         own = {name: value for name, value in found.items() if name.startswith(f"{number}/")}
         self._state |= {**own, "ended": number + 1}
         _set(self.rng, str(own[f"{number}/rng"]))
-        values = [own[f"{number}/{i}"] for i in range(len(own) - 1)]
-        return [torch.from_numpy(np.asarray(value, dtype=np.float32)) for value in values]
+        return np.asarray(own[f"{number}/parameters"], dtype=np.float32)
 
     def resume(self, standing: Standing) -> int:
         """Bring ``standing`` to where the training was stopped; return the updates that it has behind it."""
@@ -140,7 +151,7 @@ class Trainings:
         try:
             standing.restore({name.removeprefix("now/"): value for name, value in found.items()})
             _set(self.rng, str(found["rng"]))
-        except (LookupError, TypeError, ValueError, RuntimeError) as error:  # the last is torch's own
+        except (LookupError, TypeError, ValueError) as error:
             warnings.warn(f"the checkpoint is ignored in this training: {error}", CheckpointWarning, stacklevel=2)
             standing.restore(before)
             return 0
@@ -157,14 +168,14 @@ class Trainings:
         if self.checkpoint.due():
             self._save()
 
-    def end(self, parameters: Sequence[Tensor]) -> None:
+    def end(self, parameters: Single) -> None:
         """Keep the parameters of the training, which is over."""
         if self.checkpoint is None:
             return
         number = self._begun - 1
         ended = {name: value for name, value in self._state.items() if _of_ended(name)}
-        own = {f"{number}/{i}": _array(parameter) for i, parameter in enumerate(parameters)}
-        self._state = {**ended, **own, f"{number}/rng": _text(self.rng), "ended": number + 1}
+        own = {f"{number}/parameters": parameters.astype(np.float64), f"{number}/rng": _text(self.rng)}
+        self._state = {**ended, **own, "ended": number + 1}
         self._save(always=True)
 
     def _save(self, *, always: bool = False) -> None:
@@ -175,17 +186,6 @@ class Trainings:
 
 def _of_ended(name: str) -> bool:
     return name == "ended" or name.partition("/")[0].isdigit()
-
-
-def _array(tensor: Tensor) -> Array:
-    return tensor.detach().numpy().astype(np.float64)
-
-
-def _like(tensor: Tensor, array: Array) -> Tensor:
-    """Return ``array`` as a tensor of single precision, if it has the shape of ``tensor``. Raises `ValueError`."""
-    if np.shape(array) != tuple(tensor.shape):
-        raise ValueError(f"expected the shape {tuple(tensor.shape)}, got {np.shape(array)}")
-    return torch.from_numpy(np.array(array, dtype=np.float32))
 
 
 def _text(rng: np.random.Generator) -> str:

@@ -33,14 +33,14 @@ def monomials(n_inputs: int, degree: int) -> IntArray:
 
 
 def evaluate(inputs: Array, exponents: IntArray) -> Array:
-    """Return the monomials (B, T) of ``inputs`` (B, n)."""
-    terms = np.ones((len(inputs), len(exponents)))
-    for power in range(1, int(exponents.max(initial=0)) + 1):
-        for column in range(exponents.shape[1]):
-            rows = np.flatnonzero(exponents[:, column] >= power)
-            if len(rows):
-                terms[:, rows] *= inputs[:, column, None]
-    return terms
+    """Return the monomials (B, T) of ``inputs`` (B, n): factor by factor, for all terms at once."""
+    rows = np.concatenate([inputs.T, np.ones((1, len(inputs)))])
+    used = exponents.cumsum(axis=1)
+    degree = int(used[:, -1].max(initial=0)) if used.size else 0
+    terms = rows[np.sum(used <= 0, axis=1)]
+    for power in range(1, degree):
+        terms *= rows[np.sum(used <= power, axis=1)]  # past its last factor a term is multiplied by 1
+    return terms.T
 
 
 def term_name(exponents: IntArray, names: Sequence[str]) -> str:

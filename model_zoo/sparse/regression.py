@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, Literal, Self, TypeAlias
 
@@ -11,7 +13,7 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import root_mean_square
 from model_zoo.sparse.family import PolynomialFamily, Regression
-from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, library_size
+from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, evaluate, library_size, monomials
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
@@ -24,29 +26,50 @@ from sysid_evo.system import System
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 
 
-def sparse_coefficients(data: Regression, degree: int, threshold: float, ridge: float) -> tuple[Array, IntArray]:
-    """Return coefficients (T, nx) and exponents (T, n) that pysindy's STLSQ finds, zeros included.
+@dataclass(frozen=True)
+class Library:
+    """The monomials of a regression, with no more rows than that takes: least squares see only their products.
 
-    pysindy sees regressors and targets divided by their root mean squares, so that ``threshold`` is
-    a share of a target's size; the coefficients returned are those of the raw quantities.
+    ``terms`` (R, T) and ``targets`` (R, nx) are the triangular factor of the QR decomposition of the monomials and
+    targets, of quantities divided by their root mean squares; the data themselves if they have fewer rows than terms.
     """
-    from pysindy import SINDy
-    from pysindy.feature_library import PolynomialLibrary
-    from pysindy.optimizers import STLSQ
 
-    if len(data.regressors) < 2:
-        raise InvalidData("data set: a sparse regression needs at least two steps")
-    scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
-    nx = data.targets.shape[1]
-    regressors = data.regressors / scale
-    model = SINDy(optimizer=STLSQ(threshold=threshold, alpha=ridge), feature_library=PolynomialLibrary(degree=degree))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
-        others = regressors[:, nx:] if regressors.shape[1] > nx else None
-        model.fit(regressors[:, :nx], t=1.0, x_dot=data.targets / target_scale, u=others)
-    exponents = np.asarray(model.feature_library.powers_, dtype=np.int64)
-    coefficients = model.coefficients().T * target_scale / np.prod(scale**exponents, axis=1)[:, None]
-    return np.asarray(coefficients, dtype=np.float64), exponents
+    terms: Array
+    targets: Array
+    exponents: IntArray
+    unit: Array
+    """What a coefficient of each term and target (T, nx) is measured in."""
+
+    @classmethod
+    def of(cls, data: Regression, degree: int) -> Library:
+        """Return all monomials up to ``degree``. Raises `InvalidData` if there are fewer than two steps."""
+        if len(data.regressors) < 2:
+            raise InvalidData("data set: a sparse regression needs at least two steps")
+        scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
+        exponents = monomials(len(scale), degree)
+        terms, targets = evaluate(data.regressors / scale, exponents), data.targets / target_scale
+        unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
+        count = len(exponents)
+        if len(terms) > count + targets.shape[1]:
+            factor: Array = np.asarray(np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r"))
+            terms, targets = factor[:count, :count], factor[:count, count:]
+        return cls(terms, targets, exponents, unit)
+
+    def coefficients(self, threshold: float, ridge: float) -> Array:
+        """Return the coefficients (T, nx) of the raw quantities that pysindy's STLSQ finds, zeros included.
+
+        ``threshold`` is a share of a target's size.
+        """
+        from pysindy.optimizers import STLSQ
+        from sklearn import config_context
+
+        start = np.ones((self.targets.shape[1], self.terms.shape[1]))  # nothing but that all terms are there counts
+        unchecked = {"check_input": False, "solver": "cholesky"}  # checks took longer than the regressions
+        search = STLSQ(threshold=threshold, alpha=ridge, initial_guess=start, ridge_kw=unchecked)
+        with warnings.catch_warnings(), config_context(assume_finite=True, skip_parameter_validation=True):
+            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+            search.fit(self.terms, self.targets)
+        return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
 
 
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
@@ -77,6 +100,7 @@ class SparsePolynomial(PolynomialFamily):
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:
         self.features_of(system, (0, 0))
@@ -93,35 +117,55 @@ class SparsePolynomial(PolynomialFamily):
         counter: Counter,  # for those that take long
     ) -> None:
         """Learn the polynomial from all of ``dataset``, once degree, threshold and lags are chosen."""
-        self.learn_once(dataset, degree, threshold)
-
-    def learn_once(self, dataset: Dataset, degree: int, threshold: float) -> None:
-        """Learn the polynomial by one sparse regression."""
         data = self.regression(dataset, self.lags)
-        self.adopt(data, *sparse_coefficients(data, degree, threshold, self.ridge))
+        library = Library.of(data, degree)
+        self.adopt(data, library.coefficients(threshold, self.ridge), library.exponents)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        settings, sizes = self._settings(dataset), dict[Setting, int]()
+        settings = self._settings(dataset)
         counter = Counter(progress, trials(settings) * FOLDS + 1)
-        blocks = HeldOut.of(dataset)
-
-        def error(setting: Setting) -> float:
-            degree, threshold, lags = setting
-            trial = self.variant(degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1])
-            sizes[setting] = FOLDS * trial.n_carry  # what has to be remembered counts too
-
-            def learned(part: Dataset) -> DynamicsModel:
-                trial.learn_once(part, degree, threshold)
-                sizes[setting] += int(np.count_nonzero(trial.coefficients_))
-                return trial
-
-            return blocks.error(learned, told=counter.advance)
-
-        self.degree_, self.threshold_, lags = best(settings, error, size=lambda setting: sizes[setting])
+        judged = self._judged(dataset, settings, counter) if len(settings) > 1 else {}
+        self.degree_, self.threshold_, lags = best(
+            settings, lambda setting: judged[setting][0], size=lambda setting: judged[setting][1]
+        )
         self.keep_lags(lags)
         self.learn(dataset, self.degree_, self.threshold_, rng, counter)
         counter.advance()
         return self
+
+    def _judged(
+        self, dataset: Dataset, settings: Sequence[Setting], counter: Counter
+    ) -> dict[Setting, tuple[float, int]]:
+        """Return the error on held-out blocks and the size of the model of each setting.
+
+        Those of the same degree and lags share the monomials of every block.
+        """
+        blocks, found = HeldOut.of(dataset), dict[Setting, tuple[float, int]]()
+        for kind in dict.fromkeys((degree, lags) for degree, _, lags in settings):
+            shared: dict[int, tuple[Regression, Library]] = {}
+            for setting in settings:
+                if (setting[0], setting[2]) == kind:
+                    found[setting] = self._tried(setting, blocks, shared, counter)
+        return found
+
+    def _tried(
+        self, setting: Setting, blocks: HeldOut, shared: dict[int, tuple[Regression, Library]], counter: Counter
+    ) -> tuple[float, int]:
+        degree, threshold, lags = setting
+        trial = self.variant(degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1])
+        size = FOLDS * trial.n_carry  # what has to be remembered counts too
+
+        def learned(part: Dataset) -> DynamicsModel:
+            nonlocal size
+            if id(part) not in shared:
+                data = trial.regression(part, lags)
+                shared[id(part)] = data, Library.of(data, degree)
+            data, library = shared[id(part)]
+            trial.adopt(data, library.coefficients(threshold, self.ridge), library.exponents)
+            size += int(np.count_nonzero(trial.coefficients_))
+            return trial
+
+        return blocks.error(learned, told=counter.advance), size
 
     def _settings(self, dataset: Dataset) -> list[Setting]:
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""

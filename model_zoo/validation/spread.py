@@ -15,7 +15,7 @@ from sysid_evo.free_run import judging_windows
 
 SAMPLES = 30
 SHARE = 0.9
-MOST_WINDOWS = 240
+MOST_WINDOWS = 150
 MOST_GROUPS = 4
 BLOCK_FOLDS = 2
 LONE_FOLDS = 3

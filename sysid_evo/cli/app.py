@@ -26,9 +26,8 @@ from sysid_evo.cli import (
 from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
 from sysid_evo.errors import SysidEvoError
+from sysid_evo.processors import INNER_THREADS
 
-INNER_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Libraries work on one thread: the matrices are small, and the engine spreads its blocks over all processors."""
 ANYWHERE = ("--debug", "--quiet")
 """Options of the whole program, which may stand behind a command, too."""
 

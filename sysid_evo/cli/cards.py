@@ -61,6 +61,7 @@ def model_card(path: Path) -> dict[str, Any]:
         "dt": model.system.dt,
         "seed": manifest.seed,
         "data": manifest.data,
+        **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions,
         "equations": list(model.equations()) if hasattr(model, "equations") else [],
         "timings": {**manifest.timings, **speed(model)},

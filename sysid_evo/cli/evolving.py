@@ -17,6 +17,7 @@ from sysid_evo.cli.options import (
     DryRun,
     EstimatorDelay,
     Generations,
+    Jobs,
     Json,
     Noise,
     Plugins,
@@ -35,13 +36,18 @@ from sysid_evo.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from evaluation.comparison import Column
+    from collections.abc import Mapping
+
+    from evaluation.comparison import Column, Experiment, RunCell
+    from evaluation.comparison.champion_cells import ChampionCell
     from sysid_evo.dynamics import Dynamics
     from sysid_evo.evolution import ControllerEvolution
-    from sysid_evo.plan import Record, Store
+    from sysid_evo.plan import Plan, Record, Store
     from sysid_evo.system import System
 
 CLAIM_TRIALS = 100
+AGAIN = "sysid_evo.cli.evolving:plan_again"
+"""What makes the plan of a command again in another process."""
 
 
 def evolve(
@@ -62,6 +68,7 @@ def evolve(
     schedule: Schedule = None,
     seed: Seed = None,
     plugin: Plugins = None,
+    jobs: Jobs = None,
     dry_run: DryRun = False,
     json: Json = False,
 ) -> None:
@@ -72,11 +79,11 @@ def evolve(
     folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
     so that controllers meet it in the models.
     """
-    from evaluation.comparison import Experiment, RunCell, check_run_folder, controller_cell
+    from evaluation.comparison import Experiment, check_run_folder
     from sysid_evo.cli.comparing import print_plan
     from sysid_evo.cli.progress import Bars
     from sysid_evo.cli.unrecorded import print_regions, regions_of
-    from sysid_evo.plan import Plan, Store, execute
+    from sysid_evo.plan import Again, Plan, Store, execute
 
     load_plugins(plugin)
     settings = given(
@@ -94,6 +101,7 @@ def evolve(
         runs=runs,
         estimator_delay=seconds(estimator_delay),
         seed=seed,
+        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
     )
     experiment = Experiment.of(settings)
     members = split_members(against)
@@ -103,16 +111,14 @@ def evolve(
     evolution = experiment.evolution
     for doubt in check_evolution(store, columns, evolution):
         tell(doubt, label="note: ", style="dim")
-    champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
-    delay = evolution.estimator_delay
-    claims = [RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns]
-    plan = Plan.of([champion, *claims])
+    champion, claims = cells_of(experiment, store, columns)
+    plan = Plan.of([champion, *claims], again=Again(AGAIN, {"settings": settings, "members": members}))
     if dry_run:
         print_plan(plan, store, json=json)
         return
     session.run = store.path
     with Bars(f"--run {store.path}") as bars:
-        outcomes = execute(plan, store, observer=bars)
+        outcomes = execute(plan, store, observer=bars, jobs=jobs)
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
     file = f"{store.where(champion)}.json"
     found: dict[str, Any] = {"controller": champion.name, "file": file, "claims": {}}
@@ -136,6 +142,29 @@ def evolve(
             out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
     if failed:
         raise typer.Exit(SOME_FAILED)
+
+
+def cells_of(
+    experiment: Experiment, store: Store, columns: tuple[Column, ...]
+) -> tuple[ChampionCell, tuple[RunCell, ...]]:
+    """Return the cell of the controller against ``columns``, and those of its claims on each."""
+    from evaluation.comparison import RunCell, controller_cell
+
+    champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
+    delay = experiment.evolution.estimator_delay
+    return champion, tuple(RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns)
+
+
+def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
+    """Return the plan of the same command again, for another process."""
+    from evaluation.comparison import Experiment
+    from sysid_evo.plan import Plan, Store
+
+    experiment = Experiment.of(made_of["settings"])
+    load_plugins([Path(plugin) for plugin in experiment.plugins])
+    store = Store(run)
+    champion, claims = cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"]))
+    return Plan.of([champion, *claims])
 
 
 def split_members(text: str) -> tuple[str, ...]:

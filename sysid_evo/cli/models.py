@@ -12,6 +12,7 @@ from sysid_evo.cli.console import out
 from sysid_evo.cli.options import (
     Columns,
     DryRun,
+    Jobs,
     Json,
     Out,
     Plugins,
@@ -90,6 +91,7 @@ def fit(
     folder: Out = None,
     columns: Columns = None,
     plugin: Plugins = None,
+    jobs: Jobs = None,
     dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
@@ -107,4 +109,4 @@ def fit(
         plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
     )
     experiment = Experiment.of({**settings, "only": "fit"})
-    run_experiment(experiment, folder, dry_run=dry_run, json=as_json, verbose=False)
+    run_experiment(experiment, folder, jobs=jobs, dry_run=dry_run, json=as_json, verbose=False)

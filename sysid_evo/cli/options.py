@@ -20,6 +20,9 @@ Test: TypeAlias = Annotated[
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 DryRun: TypeAlias = Annotated[bool, typer.Option("--dry-run", help="Print what would be computed, and stop.")]
 Out: TypeAlias = Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/TIME).")]
+Jobs: TypeAlias = Annotated[
+    int | None, typer.Option(min=1, help="Cells computed side by side (default: one a processor).")
+]
 Task: TypeAlias = Annotated[str | None, typer.Option(help="What to achieve, NAME(parameter=value, ...).")]
 Controller: TypeAlias = Annotated[str | None, typer.Option(help="What is evolved, NAME(parameter=value, ...).")]
 Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved, NAME(parameter=value, ...).")]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from rich.console import RenderableType
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from sysid_evo.cli.console import err, tell
@@ -22,7 +22,7 @@ SHORTEST = 20  # characters of a title
 
 
 class Bars:
-    """An `Observer` of an execution that draws two bars, or writes plain lines without a terminal.
+    """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
     ``go_on`` are the options with which an interrupted command goes on, if it can.
     """
@@ -39,11 +39,11 @@ class Bars:
             disable=not err.is_terminal or err.quiet,
         )
         self._all: TaskID | None = None
-        self._current: _Current | None = None
+        self._current: dict[str, _Current] = {}
         self._cells = self._ended = 0
         self._expected: dict[str, float] = {}
-        self._left = self._spent = self._foreseen = 0.0
-        self._told = time.monotonic()
+        self._left = self._foreseen = 0.0
+        self._began = time.monotonic()
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -54,11 +54,13 @@ class Bars:
     ) -> None:
         self._bars.stop()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
-            current = self._current
-            what = "between two cells" if current is None else current.title
+            what = ", ".join(self._current) or "between two cells"
             kept = "Nothing unfinished is kept"
-            if current is not None and current.resumable and current.done:
-                kept = f"The {current.done} of {current.total} generations that are done are kept"
+            resumable = [one for one in self._current.values() if one.resumable and one.done]
+            if len(self._current) > 1 and resumable:
+                kept = f"What is done of {', '.join(one.title for one in resumable)} is kept"
+            elif resumable:
+                kept = f"The {resumable[0].done} of {resumable[0].total} generations that are done are kept"
             on = "" if self._go_on is None else f"; go on with {self._go_on}"
             tell(f"interrupted: {what}. {kept}{on}")
 
@@ -74,23 +76,25 @@ class Bars:
 
     def begin(self, title: str, *, resumable: bool = False) -> None:
         """A piece of work that is no cell of a plan begins."""
-        self._current = _Current(title, self._bars.add_task(_short(title), total=None, note=""), resumable)
+        self._current[title] = _Current(title, self._bars.add_task(_short(title), total=None, note=""), resumable)
 
     def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        self.advance(done, total, note)
+        if cell.title in self._current:
+            self._advance(self._current[cell.title], done, total, note)
 
     def advance(self, done: int, total: int, note: str = "") -> None:
-        """The present piece of work has done so many of its steps; ``note`` is what else there is to say."""
-        current = self._current
-        if current is None:
-            return
+        """The one present piece of work has done so many of its steps; ``note`` is what else there is to say."""
+        for current in self._current.values():
+            self._advance(current, done, total, note)
+
+    def _advance(self, current: _Current, done: int, total: int, note: str) -> None:
         current.advance(done, total)
         pace = current.pace()
-        self._bars.remark = note
+        self._bars.remarks[current.title] = note
         self._bars.update(current.bar, completed=done, total=total, note=pace)
         now = time.monotonic()
-        if not err.is_terminal and now - self._told > REPORT_EVERY:
-            self._told = now
+        if not err.is_terminal and now - current.told > REPORT_EVERY:
+            current.told = now
             told = ", ".join(filter(None, (f"{done}/{total}", pace)))
             tell("; ".join(filter(None, (f"{self._where()}{current.title}: {told}", note))))
 
@@ -100,20 +104,20 @@ class Bars:
             expected = self._expected.pop(cell.title)
             self._foreseen += expected
             self._left = max(0.0, self._left - expected)
-            self._spent += self._passed()
         if not cached or reason is not None:
             self.end(cell.title, reason)
         if self._all is not None:
-            pace = self._spent / self._foreseen if self._foreseen else 1.0
+            pace = (time.monotonic() - self._began) / self._foreseen if self._foreseen else 1.0
             note = f"{self._ended} of {self._cells}, {_duration(self._left * pace)} left"
             self._bars.update(self._all, completed=self._ended, note=note)
 
     def end(self, title: str, reason: str | None) -> None:
-        """The present piece of work is done, or failed for ``reason``."""
-        seconds = self._passed()
-        if self._current is not None:
-            self._bars.remove_task(self._current.bar)
-            self._current, self._bars.remark = None, ""
+        """A piece of work is done, or failed for ``reason``."""
+        current = self._current.pop(title, None)
+        seconds = 0.0 if current is None else time.monotonic() - current.began
+        if current is not None:
+            self._bars.remove_task(current.bar)
+            self._bars.remarks.pop(title, None)
         if reason is not None:
             err.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
         elif not err.is_terminal:
@@ -122,22 +126,27 @@ class Bars:
     def remark(self, sentence: str) -> None:
         tell(sentence, label="note: ", style="dim")
 
-    def _passed(self) -> float:
-        return 0.0 if self._current is None else time.monotonic() - self._current.began
-
     def _where(self) -> str:
         return f"{self._ended} of {self._cells}: " if self._cells else ""
 
 
 class _Bars(Progress):
-    """Bars, and below them a ``remark`` on the present piece of work."""
+    """Bars, and below them ``remarks`` on the present pieces of work: all of one, the first part of several."""
 
-    remark = ""
+    def __init__(self, *columns: ProgressColumn, console: Console, transient: bool, disable: bool) -> None:
+        self.remarks: dict[str, str] = {}
+        super().__init__(*columns, console=console, transient=transient, disable=disable)
 
     def get_renderables(self) -> Iterable[RenderableType]:
         yield from super().get_renderables()
-        if self.remark:
-            yield Text("\n".join(packed(self.remark, self.console.width - 2)), style="dim")
+        told = {title: remark for title, remark in self.remarks.items() if remark}
+        if not told:
+            return
+        width = self.console.width - 2
+        lines = [f"  {_short(title)}: {remark.partition('; ')[0]}"[:width] for title, remark in told.items()]
+        for remark in told.values() if len(told) == 1 else ():
+            lines = packed(remark, width)
+        yield Text("\n".join(lines), style="dim")
 
 
 @dataclass
@@ -147,7 +156,8 @@ class _Current:
     title: str
     bar: TaskID
     resumable: bool = False
-    began: float = field(default_factory=time.monotonic)
+    began: float = field(default_factory=lambda: time.monotonic())
+    told: float = field(default_factory=lambda: time.monotonic())
     done: int = 0
     total: int = 0
     _first: tuple[int, float] | None = None

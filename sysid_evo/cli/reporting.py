@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sysid_evo.cli.console import session, tell
-from sysid_evo.cli.options import Json, load_plugins
+from sysid_evo.cli.options import Json
 
 if TYPE_CHECKING:
     from evaluation.comparison import Comparison
@@ -59,19 +59,7 @@ def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
 
     Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
     """
-    from evaluation.comparison import Experiment, GivenData, plan_comparison
-    from evaluation.transfer import load_measured
-    from sysid_evo.errors import ArtefactError
-    from sysid_evo.plan import Store, StoredCell
+    from evaluation.comparison import Experiment, comparison_again
 
-    experiment = Experiment.of(Experiment.read(run))
-    load_plugins([Path(plugin) for plugin in experiment.plugins])
-    store = Store(run)
-    record = store.find(experiment.data_digest or "")
-    data = None if record is None else StoredCell(record, GivenData)
-    if data is None or not store.done(data):
-        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
-    measured, damaged = load_measured(run)
-    system = store.load(data).training.system
-    comparison = plan_comparison(experiment, stored=(data, system), measured=measured)
+    comparison, damaged = comparison_again(Experiment.of(Experiment.read(run)), run)
     return comparison, (*comparison.plan.remarks, *damaged)

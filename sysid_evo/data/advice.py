@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -128,10 +129,7 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
         for channel, values, index in zip(system.controls, levels, level, strict=True)
     )
     cell = _cells(system.wrapped(states))
-    visited = len(np.unique(cell))
-    combinations = list(product(*(range(len(use.levels)) for use in uses)))
-    if len(combinations) > MOST_COMMANDS:
-        combinations = sorted(set(zip(*(index.tolist() for index in level), strict=True)))
+    visited = int(cell.max()) + 1
     fit = fit_linear(dataset, LATEST_STEPS)
     explained = np.ones(system.nx) if fit is None else fit.explained
     advice = Advice(
@@ -146,7 +144,7 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
         states=tuple(_state_use(dataset, i, float(explained[i])) for i in range(system.nx)),
         cells=visited,
         grid=CELLS**system.nx,
-        commands=tuple(_command_use(levels, numbers, level, cell, visited) for numbers in combinations),
+        commands=tuple(_command_uses(levels, level, cell)),
         delays=find_delays(dataset),
         sampling=tuple(_sampling(log) for log in logs),
         suggestions=(),
@@ -224,24 +222,37 @@ def _bandwidth(series: Sequence[Array], rate: float) -> float:
 
 
 def _cells(states: Array) -> IntArray:
-    """Return the number of the grid cell of each state (N,)."""
+    """Return the number of the grid cell of each state (N,), counted among those that were visited."""
     low, span = states.min(axis=0), np.ptp(states, axis=0)
     place = np.minimum((states - low) / np.where(span > 0.0, span, 1.0) * CELLS, CELLS - 1).astype(np.int64)
-    return np.unique(place, axis=0, return_inverse=True)[1].reshape(-1)
+    return _numbered([(column, CELLS) for column in place.T])
 
 
-def _command_use(
-    levels: Sequence[Sequence[float]],
-    numbers: tuple[int, ...],
-    level: Sequence[IntArray],
-    cell: IntArray,
-    visited: int,
-) -> CommandUse:
-    here = np.ones(len(cell), dtype=bool)
-    for number, index in zip(numbers, level, strict=True):
-        here &= index == number
-    values = tuple(of_control[number] for of_control, number in zip(levels, numbers, strict=True))
-    return CommandUse(values, float(here.mean()), len(np.unique(cell[here])) / visited)
+def _numbered(columns: Iterable[tuple[IntArray, int]]) -> IntArray:
+    """Return the number (N,) of each row among the different ones; columns (N,) hold 0 to that many, first most."""
+    number = np.zeros(1, dtype=np.int64)
+    for column, size in columns:
+        number = np.unique(number * size + column, return_inverse=True)[1].reshape(-1)
+    return number
+
+
+def _command_uses(
+    levels: Sequence[tuple[float, ...]], level: Sequence[IntArray], cell: IntArray
+) -> Iterator[CommandUse]:
+    """Yield the use of every combination of levels, of very many only of those that occur."""
+    sizes, visited = [len(of_control) for of_control in levels], int(cell.max()) + 1
+    used = _numbered(zip(level, sizes, strict=True)) if levels else np.zeros_like(cell)
+    _, first, count = np.unique(used, return_index=True, return_counts=True)
+    tried = np.bincount(np.unique(used * visited + cell) // visited)
+    found = {
+        tuple(int(index[row]) for index in level): (float(steps / len(cell)), int(cells))
+        for row, steps, cells in zip(first, count, tried, strict=True)
+    }
+    if math.prod(sizes) <= MOST_COMMANDS:
+        found = {numbers: found.get(numbers, (0.0, 0)) for numbers in product(*map(range, sizes))}
+    for numbers, (share, cells) in found.items():
+        values = tuple(of_control[number] for of_control, number in zip(levels, numbers, strict=True))
+        yield CommandUse(values, share, cells / visited)
 
 
 def _sampling(log: RawLog) -> Sampling:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data.columns import ColumnMap, ControlColumn
@@ -103,18 +104,15 @@ def _frozen(log: RawLog, table: Table) -> list[str]:
     """Return where the pose stood still to the last digit and then jumped, as when a tracker loses a body."""
     same = (np.diff(log.pose, axis=0) == 0.0).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8))).reshape(-1, 2)
-    found = []
-    for first, last in edges:
-        long = last - first + 1 >= FROZEN_ROWS and log.time[last] - log.time[first] >= FROZEN_TIME
-        if long and last + 1 < len(log.time):
-            jump = float(np.hypot(*(log.pose[last + 1, :2] - log.pose[last, :2])))
-            if jump > FROZEN_JUMP:
-                found.append(
-                    f"{table.path.name}, rows {table.rows[first]} to {table.rows[last]}: the pose stands still for "
-                    f"{log.time[last] - log.time[first]:.2f} s and then jumps by {jump:.2f} m, as when the tracker "
-                    "lost the body; cut the file there"
-                )
-    return found
+    first, last = edges[edges[:, 1] + 1 < len(log.time)].T
+    jump = np.hypot(*(log.pose[last + 1, :2] - log.pose[last, :2]).T)
+    long = (last - first + 1 >= FROZEN_ROWS) & (log.time[last] - log.time[first] >= FROZEN_TIME)
+    return [
+        f"{table.path.name}, rows {table.rows[first[i]]} to {table.rows[last[i]]}: the pose stands still for "
+        f"{log.time[last[i]] - log.time[first[i]]:.2f} s and then jumps by {jump[i]:.2f} m, as when the tracker "
+        "lost the body; cut the file there"
+        for i in np.flatnonzero(long & (jump > FROZEN_JUMP))
+    ]
 
 
 def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
@@ -144,7 +142,7 @@ def _yaw_rate(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
         return []
     heading_unit, rate_unit = columns.pose["heading"].unit, columns.states[state].unit
     before, after = _baseline(log.time)
-    rate = np.array([log.extra[state][a : b + 1].mean() for a, b in zip(before, after, strict=True)])
+    rate = sliding_window_view(log.extra[state], int(after[0]) + 1).mean(axis=1)
 
     def turning(heading_factor: float) -> Array:
         turned = np.cumsum(np.concatenate([[0.0], _wrap(np.diff(log.pose[:, 2] * heading_factor))]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from sysid_evo.arrays import Array, BoolArray, check_shape
 from sysid_evo.data.moving import moving_rows
 from sysid_evo.data.trajectory import Trajectory, as_columns
-from sysid_evo.data.windows import Windows, cut_windows
+from sysid_evo.data.windows import WindowPlaces, Windows
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.lags import CarryLayout
 from sysid_evo.system import System
@@ -68,8 +69,8 @@ class Dataset:
             )
         if not self.episodes:
             raise InvalidData("data set: expected at least one episode, got none")
-        names = [episode.name for episode in self.episodes]
-        repeated = sorted({name for name in names if names.count(name) > 1})
+        times = Counter(episode.name for episode in self.episodes)
+        repeated = sorted(name for name, count in times.items() if count > 1)
         if repeated:
             raise InvalidData(f"data set: episode names must differ, repeated: {', '.join(map(repr, repeated))}")
         system = self.system
@@ -207,7 +208,7 @@ class Dataset:
         for episode in self.episodes:
             digest.update(episode.name.encode())
             for array in (episode.states, episode.controls, episode.pose):
-                digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+                digest.update(b"none" if array is None else np.ascontiguousarray(array).reshape(-1).data)
         return digest.hexdigest()
 
     def with_episodes(self, episodes: Sequence[Trajectory]) -> Dataset:
@@ -228,12 +229,15 @@ class Dataset:
                 raise InvalidData(f"split: every episode is too short to split at {test}")
             return self.with_episodes([a for a, _ in pairs]), self.with_episodes([b for _, b in pairs])
         test = [test] if isinstance(test, str) else list(test)
-        unknown = [name for name in test if not any(_is_part(episode.name, name) for episode in self.episodes)]
+        owners = [_owners(episode.name) for episode in self.episodes]
+        known = {name for of_episode in owners for name in of_episode}
+        unknown = [name for name in test if name not in known]
         if unknown:
             raise InvalidArgument(
                 f"split: no episode is called {', '.join(map(repr, unknown))}; there are {', '.join(self.names)}"
             )
-        chosen = [any(_is_part(episode.name, name) for name in test) for episode in self.episodes]
+        asked = set(test)
+        chosen = [any(name in asked for name in of_episode) for of_episode in owners]
         if all(chosen) or not any(chosen):
             raise InvalidArgument("split: both sides need an episode; name some, not all or none, for the test")
         return (
@@ -244,13 +248,23 @@ class Dataset:
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `cut_windows`; with ``moving``, only those that start in motion."""
+        """Cut windows of ``horizon`` steps, see `window_places`, which takes no memory for windows never looked at."""
+        places = self.window_places(horizon, stride=stride, history=history, first=first, moving=moving)
+        return places[:]
+
+    def window_places(
+        self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
+    ) -> WindowPlaces:
+        """Find windows of ``horizon`` steps, see `WindowPlaces.of`; with ``moving``, only those that start in motion.
+
+        ``places[rows]`` cuts some of them.
+        """
         if horizon < 1 or stride < 1 or history < 0:
             raise InvalidArgument(
                 f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"
             )
         rows = self.moving if moving else None
-        return cut_windows(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
+        return WindowPlaces.of(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
     def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
         """Return every single step with that many earlier states and controls.
@@ -296,5 +310,6 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike]) -> Sequence[npt
     return [rows] if rows.ndim < 3 else list(rows)
 
 
-def _is_part(episode: str, name: str) -> bool:
-    return episode == name or episode.startswith(f"{name}[")
+def _owners(episode: str) -> list[str]:
+    """Return the names by which an episode goes: its own, and those of which it is a piece."""
+    return [episode, *(episode[:place] for place, letter in enumerate(episode) if letter == "[")]

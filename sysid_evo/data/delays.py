@@ -81,14 +81,15 @@ def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
     for i, control in enumerate(system.control_names):
         if not episodes or np.ptp(np.concatenate([episode.controls[:, i] for episode in episodes])) == 0.0:
             continue
-        inputs = {False: [episode.controls[:, i] for episode in episodes]}
+        plain = [episode.controls[:, i] for episode in episodes]
+        inputs = {False: _Whitened.of(plain)}
         if speeds is not None:
-            inputs[True] = [u * speed for u, speed in zip(inputs[False], speeds, strict=True)]
+            inputs[True] = _Whitened.of([u * speed for u, speed in zip(plain, speeds, strict=True)])
         for j, state in enumerate(system.state_names):
             outputs = [change[:, j] for change in changes]
-            curves = {False: _response(inputs[False], outputs, lags)}
+            curves = {False: inputs[False].response(outputs, lags)}
             if speeds is not None and j != forward:
-                curves[True] = _response(inputs[True], outputs, lags)
+                curves[True] = inputs[True].response(outputs, lags)
             at_speed = max(curves, key=lambda key: np.abs(curves[key]).max())
             delays.append(_delay(control, state, curves[at_speed], at_speed, lags, episodes, system.dt))
     return tuple(delays)
@@ -111,20 +112,30 @@ def _delay(
     )
 
 
-def _response(inputs: list[Array], outputs: list[Array], lags: range) -> Array:
-    """Return the correlation at each lag after whitening."""
-    whitening = _whitening(inputs)
-    u = [np.convolve(series, whitening, mode="valid") for series in inputs]
-    a = [np.convolve(series, whitening, mode="valid") for series in outputs]
-    return np.array([_correlation(u, a, lag) for lag in lags])
+@dataclass(frozen=True)
+class _Whitened:
+    """One control through the ``filter`` (ORDER + 1,) that makes it white, one series for each episode."""
+
+    filter: Array
+    series: list[Array]
+
+    @classmethod
+    def of(cls, series: list[Array]) -> _Whitened:
+        whitening = _whitening(series)
+        return cls(whitening, [np.convolve(one, whitening, mode="valid") for one in series])
+
+    def response(self, outputs: list[Array], lags: range) -> Array:
+        """Return the correlation with ``outputs``, filtered alike, at each lag."""
+        answers = [np.convolve(one, self.filter, mode="valid") for one in outputs]
+        return np.array([_correlation(self.series, answers, lag) for lag in lags])
 
 
 def _whitening(series: list[Array]) -> Array:
     """Return the filter (ORDER + 1,) whose output is white."""
-    past = [np.stack([s[ORDER - lag : len(s) - lag] for lag in range(1, ORDER + 1)], axis=1) for s in series]
     now = np.concatenate([s[ORDER:] for s in series])
-    regressors = np.concatenate(past)
-    regressors = np.column_stack([regressors, np.ones(len(regressors))])
+    regressors = np.ones((len(now), ORDER + 1))
+    for lag in range(1, ORDER + 1):
+        np.concatenate([s[ORDER - lag : len(s) - lag] for s in series], out=regressors[:, lag - 1])
     weights = np.linalg.lstsq(regressors, now, rcond=None)[0][:ORDER]
     return np.concatenate([[1.0], -weights])
 

@@ -7,6 +7,7 @@ time scales.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +15,15 @@ import numpy as np
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
 from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 
 INTEGRATES = 0.3
 """A mode slower than this share of the longest episode counts as integrating: it has no time scale to tell."""
+
+BLOCK = 16384
+"""Steps whose regressors are in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -47,21 +52,18 @@ def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
     episodes = [episode for episode in dataset if len(episode) > lags]
     if not episodes:
         return None
-    changes = np.concatenate([system.acceleration(e.states[lags:-1], e.states[lags + 1 :]) for e in episodes])
-    states = np.concatenate([e.states[lags:-1] for e in episodes])
-    inputs = [acting_controls(system, e.states[:-1], e.controls) for e in episodes]
-    past = [np.concatenate([u[lags - lag : len(u) - lag] for u in inputs]) for lag in range(lags + 1)]
-    terms = state_terms(system, states)
-    regressors = np.concatenate([terms, np.ones((len(states), 1)), *past], axis=1)
-    if len(regressors) < 3 * regressors.shape[1]:
+    rows = sum(len(episode) - lags for episode in episodes)
+    n_terms = system.nx + len(system.periods)
+    n_inputs = acting_controls(system, episodes[0].states[:1], episodes[0].controls[:1]).shape[1]
+    if rows < 3 * (n_terms + 1 + n_inputs * (lags + 1)):
         return None
-    weights = _least_squares(regressors, changes)
-    left = system.dt**2 * (changes - regressors @ weights).var(axis=0)
-    total = states.var(axis=0)
+    weights = _least_squares(_blocks(system, episodes, lags))
+    left = system.dt**2 * _variance(y - x @ weights for x, y in _blocks(system, episodes, lags))
+    total = _variance(episode.states[lags:-1] for episode in episodes)
     explained = 1.0 - np.divide(left, total, out=np.zeros_like(left), where=total > 0.0)
     longest = max(episode.duration for episode in episodes)
     scales = _scales(weights[: system.nx], system.dt, INTEGRATES * longest)
-    return LinearFit(weights[: terms.shape[1]], np.clip(explained, 0.0, 1.0), scales)
+    return LinearFit(weights[:n_terms], np.clip(explained, 0.0, 1.0), scales)
 
 
 def state_terms(system: System, states: Array) -> Array:
@@ -78,12 +80,40 @@ def state_terms(system: System, states: Array) -> Array:
     return np.column_stack([terms, *cosines])
 
 
-def _least_squares(regressors: Array, targets: Array) -> Array:
+def _blocks(system: System, episodes: Sequence[Trajectory], lags: int) -> Iterator[tuple[Array, Array]]:
+    """Yield regressors (n, terms) and changes (n, nx) of up to `BLOCK` steps, which bounds the memory."""
+    for episode in episodes:
+        for first in range(lags, len(episode), BLOCK):
+            last = min(first + BLOCK, len(episode))
+            states = episode.states[first:last]
+            inputs = acting_controls(system, episode.states[first - lags : last], episode.controls[first - lags : last])
+            past = [inputs[lags - lag : len(inputs) - lag] for lag in range(lags + 1)]
+            regressors = np.concatenate([state_terms(system, states), np.ones((len(states), 1)), *past], axis=1)
+            yield regressors, system.acceleration(states, episode.states[first + 1 : last + 1])
+
+
+def _least_squares(blocks: Iterator[tuple[Array, Array]]) -> Array:
     """Return the weights by the normal equations of scaled columns, much faster than an SVD of the rows."""
-    size = np.sqrt(np.mean(regressors**2, axis=0))
+    products: Array | float = 0.0
+    for regressors, targets in blocks:
+        products = products + regressors.T @ np.concatenate([regressors, targets], axis=1)
+    square, answer = np.split(np.asarray(products), [len(np.asarray(products))], axis=1)
+    size = np.sqrt(np.diag(square))
     scale = np.where(size > 0.0, size, 1.0)
-    scaled = regressors / scale
-    return np.linalg.lstsq(scaled.T @ scaled, scaled.T @ targets, rcond=1e-13)[0] / scale[:, None]
+    solution = np.linalg.lstsq(square / np.outer(scale, scale), answer / scale[:, None], rcond=1e-13)[0]
+    return np.asarray(solution / scale[:, None])
+
+
+def _variance(blocks: Iterator[Array]) -> Array:
+    """Return the variance of each column over all ``blocks`` (n, c)."""
+    count, mean, squares = 0, np.zeros(1), np.zeros(1)
+    for block in blocks:
+        off = block.mean(axis=0) - mean
+        both = count + len(block)
+        squares = squares + ((block - block.mean(axis=0)) ** 2).sum(axis=0) + off**2 * count * len(block) / both
+        mean = mean + off * len(block) / both
+        count = both
+    return np.asarray(squares / count)
 
 
 def acting_controls(system: System, states: Array, controls: Array) -> Array:

@@ -28,9 +28,10 @@ def moving_rows(states: Array, system: System) -> BoolArray:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
     moving = np.ones(len(states), dtype=bool)
     margin = round(MARGIN_TIME / system.dt)
-    for begin, end in edges.reshape(-1, 2):
-        if end - begin >= round(STANDSTILL_TIME / system.dt):
-            first = begin + margin if begin > 0 else begin
-            last = end - margin if end < len(states) else end
-            moving[first : max(first, last)] = False
+    begin, end = edges.reshape(-1, 2).T
+    long = end - begin >= round(STANDSTILL_TIME / system.dt)
+    for first, last in zip(begin[long].tolist(), end[long].tolist(), strict=True):
+        first = first + margin if first > 0 else first
+        last = last - margin if last < len(states) else last
+        moving[first : max(first, last)] = False
     return moving

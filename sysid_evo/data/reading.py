@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,8 +117,8 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
             raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there")
     if not files:
         raise InvalidArgument("expected at least one log or folder of logs, got none")
-    stems = [file.stem for file in files]
-    repeated = sorted({stem for stem in stems if stems.count(stem) > 1})
+    times = Counter(file.stem for file in files)
+    repeated = sorted(stem for stem, count in times.items() if count > 1)
     if repeated:
         raise InvalidData(
             f"logs: episodes are named by their files, but several are called {', '.join(repeated)}; rename them"

@@ -44,7 +44,7 @@ def save_dataset(dataset: Dataset, folder: Path) -> Path:
         blank = np.full((1, system.nu), np.nan)
         pose = np.full((rows, system.n_pose), np.nan) if episode.pose is None else episode.pose
         table = np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
-        columns["episode"].append(pa.array([episode.name] * rows))
+        columns["episode"].append(pa.repeat(episode.name, rows))
         columns["step"].append(pa.array(np.arange(rows)))
         for i, name in enumerate(names):
             columns[name].append(pa.array(table[:, i], from_pandas=True))
@@ -72,8 +72,9 @@ def load_dataset(folder: Path) -> Dataset:
         if header.get("schema") != SCHEMA:
             raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
         system = System.from_dict(header["system"])
-        table = pq.read_table(folder / SAMPLES)
-        data = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+        names = (*system.state_names, *system.control_names, *_pose_names(system))
+        table = pq.read_table(folder / SAMPLES, columns=list(names))
+        data = {name: table[name].to_numpy(zero_copy_only=False) for name in names}
         episodes, first = [], 0
         for entry in header["episodes"]:
             rows = slice(first, first + entry["steps"] + 1)
@@ -82,6 +83,8 @@ def load_dataset(folder: Path) -> Dataset:
             controls = _columns(data, system.control_names, rows)[:-1]
             pose = _columns(data, _pose_names(system), rows) if entry["pose"] else None
             episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"]))
+        del table, data
+        pa.default_memory_pool().release_unused()
         dataset = Dataset(system, tuple(episodes), tuple(header["notes"]))
     except FileNotFoundError as error:
         raise ArtefactError(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import difflib
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -74,29 +76,36 @@ class CsvReader(Reader):
         return _finite(Table(path, rows, dict(zip(columns, values, strict=True))))
 
     def _line_by_line(self, path: Path, columns: Sequence[str], header: Sequence[str], places: Sequence[int]) -> Table:
-        text = _text(path)
-        lines = csv.reader(text[1:], delimiter=_delimiter(text[0]))
-        numbered = [(lines.line_num + 1, line) for line in lines if line]
-        _expect_rows(len(numbered), path)
-        for number, line in numbered:
+        lines = _lines(path)
+        reader = csv.reader(lines, delimiter=_delimiter(next(lines, "")))
+        numbers, values = array("q"), [array("d") for _ in columns]
+        uneven: tuple[int, int] | None = None
+        refused: dict[int, tuple[int, str]] = {}
+        for line in reader:
+            if not line:
+                continue
+            numbers.append(reader.line_num + 1)
             if len(line) != len(header):
-                first_missing = f", so {header[len(line)]!r} is missing" if len(line) < len(header) else ""
-                raise InvalidData(
-                    f"{path.name}, row {number}: expected {len(header)} values as the header has, "
-                    f"got {len(line)}{first_missing}"
-                )
-        rows = np.array([number for number, _ in numbered], dtype=np.int64)
-        data = {}
-        for name, place in zip(columns, places, strict=True):
-            texts = [line[place] for _, line in numbered]
-            try:
-                data[name] = np.fromiter(map(float, texts), dtype=np.float64, count=len(texts))
-            except ValueError:
-                bad = next(i for i, text in enumerate(texts) if not _is_number(text))
-                raise InvalidData(
-                    f"{path.name}, row {rows[bad]}, column {name!r}: expected a number, got {texts[bad]!r}"
-                ) from None
-        return _finite(Table(path, rows, data))
+                uneven = uneven or (numbers[-1], len(line))
+            for i, place in enumerate(() if uneven else places):
+                try:
+                    values[i].append(float(line[place]))
+                except ValueError:
+                    values[i].append(math.nan)
+                    refused.setdefault(i, (numbers[-1], line[place]))
+        _expect_rows(len(numbers), path)
+        if uneven:
+            row, width = uneven
+            first_missing = f", so {header[width]!r} is missing" if width < len(header) else ""
+            raise InvalidData(
+                f"{path.name}, row {row}: expected {len(header)} values as the header has, got {width}{first_missing}"
+            )
+        if refused:
+            first = min(refused)
+            row, text = refused[first]
+            raise InvalidData(f"{path.name}, row {row}, column {columns[first]!r}: expected a number, got {text!r}")
+        read = {name: np.frombuffer(column) for name, column in zip(columns, values, strict=True)}
+        return _finite(Table(path, np.frombuffer(numbers, dtype=np.int64), read))
 
 
 @register_reader("parquet")
@@ -156,16 +165,31 @@ def _first_line(path: Path) -> str:
         raise _no_text(path, error) from error
 
 
-def _text(path: Path) -> list[str]:
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a text, as `str.splitlines` gives them, without having all of it in memory."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        with path.open(encoding="utf-8-sig") as file:
+            for line in file:
+                yield from line.splitlines()
     except UnicodeDecodeError as error:
         raise _no_text(path, error) from error
-    return lines or [""]
 
 
 def _no_text(path: Path, error: UnicodeDecodeError) -> InvalidData:
-    return InvalidData(f"{path.name}: expected text (UTF-8), got other bytes: {error}")
+    """Return what is wrong with a text; its ``error`` counts from the part that was read last, so the row is told."""
+    bad = error.object[error.start]
+    with path.open("rb") as file:
+        rows = enumerate(file, start=1)
+        row = next((number for number, line in rows if not _is_text(line)), 1)
+    return InvalidData(f"{path.name}: expected text (UTF-8), got the byte {bad:#04x} in row {row}")
+
+
+def _is_text(line: bytes) -> bool:
+    try:
+        line.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _parsed(path: Path, delimiter: str, width: int, places: Sequence[int]) -> list[Array] | None:
@@ -189,7 +213,10 @@ def _parsed(path: Path, delimiter: str, width: int, places: Sequence[int]) -> li
         return None
     if table.num_rows < 2 or not places:
         return None
-    return [table[names[place]].to_numpy() for place in places]
+    values = [table[names[place]].to_numpy() for place in places]
+    del table
+    pa.default_memory_pool().release_unused()
+    return values
 
 
 def _delimiter(line: str) -> str:
@@ -223,11 +250,3 @@ def _finite(table: Table) -> Table:
                 "Leave the rows out, or fill them yourself, before importing."
             )
     return table
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import BaseEstimator, clone
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics.stepping import Dynamics, clip_state
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
+from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, declare
@@ -37,7 +37,7 @@ REST_BAND = 0.005
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
-class DynamicsModel(Dynamics, BaseEstimator):
+class DynamicsModel(Dynamics, Estimator):
     """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
     A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
@@ -60,6 +60,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
     exact enough. A family is ``periodic`` if equal angles are equal to it, however many turns apart.
 
+    A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
+    blocks of time at random places (`sysid_evo.data.thinning`), which a `DataWarning` and `fit_note` say.
+
     A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
     there, to the same model.
 
@@ -78,7 +81,11 @@ class DynamicsModel(Dynamics, BaseEstimator):
     knowledge: ClassVar[str] = "black"
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    limits: ClassVar[Mapping[str, Limit]] = {"state_lags": at_least(0), "control_lags": at_least(0)}
+    limits: ClassVar[Mapping[str, Limit]] = {
+        "state_lags": at_least(0),
+        "control_lags": at_least(0),
+        "most_steps": at_least(1),
+    }
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
@@ -86,6 +93,8 @@ class DynamicsModel(Dynamics, BaseEstimator):
     state_lags: int | None = 0
     control_lags: int | None = 0
     rest_hold: bool = False
+    most_steps: int | None = None
+    kept_steps_: list[int]
     fit_seconds: float | None = None
     checkpoint: Checkpoint | None = None
     system_: System
@@ -99,7 +108,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
         cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
         cls._derived = cls._derived | cached
         if "fit" in cls.__dict__:
-            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign]  # wraps the family's own
+            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign, assignment]  # wraps the family's own
         declare(cls)
         if "__init__" in cls.__dict__:
             cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
@@ -118,7 +127,7 @@ class DynamicsModel(Dynamics, BaseEstimator):
 
     def variant(self, **parameters: Any) -> Self:
         """Return a copy with everything that was learned, and other hyper-parameters."""
-        other: Self = clone(self).set_params(**parameters)
+        other: Self = self.unfitted().set_params(**parameters)
         other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
         return other
 
@@ -199,6 +208,17 @@ class DynamicsModel(Dynamics, BaseEstimator):
             self.envelope_[:, i] = -np.inf, np.inf
         self.pairs_ = recorded_pairs(dataset)
 
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, in a sentence; empty if it was all of them."""
+        kept, given = getattr(self, "kept_steps_", (0, 0))
+        if kept == given:
+            return ""
+        return (
+            f"learned from {kept:,} of {given:,} steps, blocks of time at random places, as many as "
+            f"most_steps={self.most_steps} allows"
+        )
+
     def alternatives(self) -> tuple[Dynamics, ...]:
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
@@ -206,9 +226,9 @@ class DynamicsModel(Dynamics, BaseEstimator):
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.
 
-        The model runs free from every fourth moving sample for one second, at least ten steps. The
-        error is the root mean square divided by the standard deviation of the recording, the mean over
-        steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
+        The model runs free from every fourth moving sample (of long data fewer, 10,000 in all) for one second, at
+        least ten steps. The error is the root mean square divided by the standard deviation of the recording, the
+        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
         passes ``y``, which is unused.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score")

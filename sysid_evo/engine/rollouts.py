@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, get_args
 
@@ -15,6 +14,7 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import reference
 from sysid_evo.engine.cuda import device
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.processors import available_processors as available_processors
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
@@ -170,8 +170,3 @@ def _better_on_device(kernels: Kernels, rollouts: int) -> bool:
     from sysid_evo.engine.cuda import program
 
     return program.can_run(kernels)
-
-
-def available_processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -80,13 +80,13 @@ class ModelEvolution:
         from what ``start`` makes of ``history`` earlier samples, by default from the measured state. What was
         stopped or killed goes on from its ``checkpoint``, to the same parameters.
         """
-        every = dataset.windows(self.horizon, history=history)
+        every = dataset.window_places(self.horizon, history=history)
         if not len(every):
             raise InvalidData(
                 f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
                 + (f" and {history} of history" if history else "")
             )
-        weight = state_weights(dataset.system, every, self.weights)
+        weight = state_weights(dataset.system, every.last_states, self.weights)
         seed = int(rng.integers(2**32))
 
         def objective(population: Array, generation: int) -> Array:
@@ -142,9 +142,9 @@ def starting_carries(windows: Windows, start: Start | None) -> Array:
     return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
 
 
-def state_weights(system: System, windows: Windows, weights: Weights) -> Array:
-    """Return how much the square error of each state counts, (nx,)."""
-    spread = system.spread(windows.states[:, -1])
+def state_weights(system: System, states: Array, weights: Weights) -> Array:
+    """Return how much the square error of each state counts, (nx,), when it is to be like ``states`` (N, nx)."""
+    spread = system.spread(states)
     if weights == "paper":
         return np.ones_like(spread)
     return 1.0 / np.where(spread > 0, spread, 1.0) ** 2

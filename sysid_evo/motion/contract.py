@@ -13,7 +13,7 @@ from sysid_evo.registry import motions
 
 if TYPE_CHECKING:
     from sysid_evo.motion.compiled_form import MotionKernel
-    from sysid_evo.motion.torch_form import TorchMotion
+    from sysid_evo.motion.gradient_form import MotionGradient
 
 
 class Motion(ABC):
@@ -21,9 +21,10 @@ class Motion(ABC):
 
     A motion is a frozen dataclass of channel names, registered under its ``kind``. Five methods are
     wanted: `roles`, `acceleration`, `integrate`, `turning`, `move`; all take states (..., nx) and the
-    ``names`` of their channels. `kernel` and `torch_form` are the same in other arithmetic: without
-    them systems with this motion run in NumPy. `velocities` and `seen_from` are wanted only by what
-    works with measured poses: preparation of logs, and robots.
+    ``names`` of their channels. `kernel` is the same in compiled arithmetic: without it systems with
+    this motion run in NumPy. `gradient_form` is the derivative: by default it is taken by differences.
+    `velocities` and `seen_from` are wanted only by what works with measured poses: preparation of
+    logs, and robots.
     """
 
     kind: ClassVar[str]
@@ -69,9 +70,11 @@ class Motion(ABC):
         """Return the compiled form for states with these ``names``, if it has one."""
         return None
 
-    def torch_form(self, names: Sequence[str]) -> TorchMotion | None:
-        """Return the form on tensors for states with these ``names``, if it has one."""
-        return None
+    def gradient_form(self, names: Sequence[str]) -> MotionGradient:
+        """Return the derivatives for states with these ``names``; by default those by differences."""
+        from sysid_evo.motion.gradient_form import CentralDifferences
+
+        return CentralDifferences(self, tuple(names))
 
     @property
     def angles(self) -> tuple[int, ...]:

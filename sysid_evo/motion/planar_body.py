@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from sysid_evo.angles import wrap
+from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array
 from sysid_evo.motion.contract import Motion
 from sysid_evo.registry import register_motion
 
 if TYPE_CHECKING:
     from sysid_evo.motion.compiled_form import MotionKernel
-    from sysid_evo.motion.torch_form import TorchMotion
+    from sysid_evo.motion.gradient_form import MotionGradient
 
 
 @final
@@ -89,6 +90,8 @@ class PlanarBody(Motion):
 
         The heading comes back in (-pi, pi].
         """
+        if pose.ndim == 1:
+            return self._move_one(pose, before, after, dt, names)
         forward, lateral, yaw_rate = self.indices(names)
         mean = before + after
         mean *= 0.5
@@ -101,6 +104,17 @@ class PlanarBody(Motion):
         moved[..., 1] += dy * dt
         moved[..., 2] = wrap(moved[..., 2] + turned)
         return moved
+
+    def _move_one(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
+        """Return the same for one body: plain numbers take a quarter of the time of arrays with one."""
+        forward, lateral, yaw_rate = self.indices(names)
+        x, y, heading = pose.tolist()
+        mean = [0.5 * (one + other) for one, other in zip(before.tolist(), after.tolist(), strict=True)]
+        turned = mean[yaw_rate] * dt
+        dx, dy = rotate(mean[forward], 0.0 if lateral is None else mean[lateral], heading + 0.5 * turned)
+        turned += heading
+        turned -= TURN * round(turned / TURN) if math.isfinite(turned) else math.nan
+        return np.array([x + dx * dt, y + dy * dt, turned + TURN if turned <= -0.5 * TURN else turned])
 
     def velocities(self, pose: Array, rate: Array) -> dict[str, Array]:
         """Return forward speed, lateral speed (m/s) and yaw rate (rad/s): the pose's rate in the body's frame."""
@@ -117,14 +131,14 @@ class PlanarBody(Motion):
 
         return planar_body_kernel(*self.indices(names))
 
-    def torch_form(self, names: Sequence[str]) -> TorchMotion:
-        from sysid_evo.motion.planar_body_torch import TorchPlanarBody
+    def gradient_form(self, names: Sequence[str]) -> MotionGradient:
+        from sysid_evo.motion.planar_body_gradient import PlanarBodyGradient
 
-        return TorchPlanarBody(*self.indices(names))
+        return PlanarBodyGradient(*self.indices(names))
 
 
-def rotate(x: Array, y: Array, angle: Array) -> tuple[Array, Array]:
-    """Return the vector (x, y) turned counter-clockwise by ``angle`` in radians.
+def rotate(x: Any, y: Any, angle: Any) -> tuple[Any, Any]:
+    """Return the vector (x, y) turned counter-clockwise by ``angle`` in radians: numbers or arrays.
 
     Sine and cosine come from the tangent t of half the angle, s = 2 t / (1 + t^2) and
     c = 2 / (1 + t^2) - 1: NumPy has vector instructions for it, and none for double sines.

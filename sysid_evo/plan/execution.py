@@ -1,132 +1,104 @@
-"""Computes the cells of a plan, here, one after the other; other processes may work on the same folder."""
+"""Computes the cells of a plan, in this process or side by side; other processes may work on the same folder."""
 
 from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
 from sysid_evo.plan.cell import Cell, Work
+from sysid_evo.plan.ledger import Ledger, Observer
 from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.store import Outcome, Store, blocked_by
+from sysid_evo.plan.store import Outcome, Store
 
 PATIENCE = 0.1  # s between two looks at cells that another process computes
 
 
-class Observer(Protocol):
-    """Is told what an execution is doing; the command line draws progress from it."""
-
-    def plan(self, cells: int, kept: int, seconds: float) -> None:
-        """``cells`` in all, of which ``kept`` are done already; the others take about ``seconds``."""
-
-    def start(self, cell: Cell) -> None:
-        """``cell`` begins."""
-
-    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        """``cell`` has done so many of its steps; ``note`` is what else there is to say."""
-
-    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
-        """``cell`` is done, was done before (``cached``), or failed for ``reason``."""
-
-    def remark(self, sentence: str) -> None:
-        """Something that the user should know, and that stops nothing."""
-
-
-class Silent:
-    """An observer that does nothing."""
-
-    def plan(self, cells: int, kept: int, seconds: float) -> None:
-        pass
-
-    def start(self, cell: Cell) -> None:
-        pass
-
-    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        pass
-
-    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
-        pass
-
-    def remark(self, sentence: str) -> None:
-        pass
-
-
 def execute(
-    plan: Plan, store: Store, *, observer: Observer | None = None, only: Collection[Cell] | None = None
+    plan: Plan,
+    store: Store,
+    *,
+    observer: Observer | None = None,
+    only: Collection[Cell] | None = None,
+    jobs: int | None = 1,
 ) -> dict[str, Outcome]:
     """Compute every cell of ``plan`` that ``store`` does not have; return how each ended, by digest.
 
     A cell that fails is an outcome with its reason, and so is one whose needs failed; the rest goes on.
     A cell that another process has claimed is left to it. With ``only``, no others are computed: what
-    they gave is what the store knows. Raises OSError if a result cannot be written.
+    they gave is what the store knows.
+
+    Up to ``jobs`` cells that do not depend on each other are computed side by side, each in a process of its own; 1
+    computes them here, one after the other; None as many as there are processors, where there is work for them, see
+    `number_of_jobs`. Results do not depend on it. Raises OSError if a result cannot be written.
     """
-    return _Execution(plan, store, observer or Silent(), only).run()
+    from sysid_evo.plan.jobs import number_of_jobs
+
+    ledger = Ledger(plan, store, observer, only)
+    left = ledger.open()
+    count, sentence = number_of_jobs(jobs, left)
+    if sentence:
+        ledger.tell(sentence)
+    if count > 1 and plan.again is not None:
+        from sysid_evo.plan.side_by_side import SideBySide
+
+        SideBySide(ledger, plan.again, count).to_the_end(left)
+    else:
+        Here(ledger).to_the_end(left)
+    return ledger.ended
 
 
-class _Execution:
-    def __init__(self, plan: Plan, store: Store, observer: Observer, only: Collection[Cell] | None) -> None:
-        self.plan, self.store, self.observer, self.only = plan, store, observer, only
-        self.ended: dict[str, Outcome] = {}
-        self.told: set[str] = set()
+class Here:
+    """Computes cells in this process and puts down in a ``ledger`` how they end."""
 
-    def run(self) -> dict[str, Outcome]:
-        kept = [cell for cell in self.plan if self.store.done(cell) and not self._without(cell)]
-        self._remarks()
-        known = set(kept)
-        left = [cell for cell in self.plan if cell not in known]
-        self.observer.plan(len(self.plan), len(kept), sum(cell.seconds() for cell in left))
-        for cell in kept:
-            self._end(cell, None, self._seconds(cell), cached=True)
+    def __init__(self, ledger: Ledger) -> None:
+        self.ledger, self.store = ledger, ledger.store
+
+    def to_the_end(self, cells: Sequence[Cell]) -> None:
+        """Compute ``cells``, of which each stands after those it needs; wait for what other processes compute."""
+        left = self.ledger.left(cells)
         while left:
             moved = [cell for cell in left if self._settle(cell)]
-            left = [cell for cell in left if cell.digest not in self.ended]
+            left = self.ledger.left(left)
             if left and not moved:
                 time.sleep(PATIENCE)
-        return self.ended
 
     def _settle(self, cell: Cell) -> bool:
         """Bring one cell to its end if nothing stands in the way; say whether it is there."""
-        if any(needed.digest not in self.ended for needed in cell.needs):
+        if self.ledger.waits(cell):
             return False
-        failed = [needed for needed in cell.needs if self.ended[needed.digest].failed]
-        if failed and not cell.tolerant:
-            self._end(cell, blocked_by(failed[0]), 0.0)
-            return True
-        if self.only is not None and cell not in self.only:
-            known = self.store.outcome(cell)
-            self._end(cell, known.reason, known.seconds, cached=True)
-            return True
+        return self.ledger.decided(cell) or self.attempt(cell)
+
+    def attempt(self, cell: Cell) -> bool:
+        """Compute ``cell``, all of whose needs have ended, unless another process is at it; say whether it ended."""
         with self.store.claim(cell) as ours:
             if not ours:
                 return False
-            if self.store.done(cell) and self._without(cell) == {needed.digest for needed in failed}:
-                # by another process, while this one was busy
-                self._end(cell, None, self._seconds(cell), cached=True)
-            else:
+            if not self.ledger.found(cell):  # by another process, while this one was busy
                 self._compute(cell)
         return True
 
     def _compute(self, cell: Cell) -> None:
-        self.observer.start(cell)
+        ledger = self.ledger
+        ledger.observer.start(cell)
         began = time.perf_counter()
         checkpoint = self.store.checkpoint(cell)
-        work = Work(
-            self._result, partial(self.observer.progress, cell), self.store.place(cell), checkpoint, self.store.where
-        )
+        progress = partial(ledger.observer.progress, cell)
+        work = Work(self._result, progress, self.store.place(cell), checkpoint, self.store.where)
         try:
             value = cell.compute(work)
         except Blocked as blocked:  # no failure of its own, so that none is stored
-            self._end(cell, str(blocked), 0.0)
+            ledger.end(cell, str(blocked), 0.0)
             return
         except Exception as error:  # whatever a plugin does, the other cells go on
             self._fail(cell, error, time.perf_counter() - began)
             return
         seconds = time.perf_counter() - began
         try:
-            without = [needed for needed in cell.needs if self.ended[needed.digest].failed]
+            without = [needed for needed in cell.needs if ledger.ended[needed.digest].failed]
             self.store.keep(cell, value, seconds=seconds, without=without)
         except OSError:  # a full disk stops all cells
             raise
@@ -134,49 +106,27 @@ class _Execution:
             self._fail(cell, error, seconds)
             return
         checkpoint.unlink(missing_ok=True)
-        self._end(cell, None, seconds)
+        ledger.end(cell, None, seconds)
 
     def _fail(self, cell: Cell, error: Exception, seconds: float) -> None:
         reason = str(error) if isinstance(error, SysidEvoError) else f"{type(error).__name__}: {error}"
-        self.store.fail(cell, reason=reason, traceback=traceback.format_exc(), seconds=seconds)
-        self._end(cell, reason, seconds, error=error)
-
-    def _without(self, cell: Cell) -> set[str]:
-        """Return the digests of the needed cells that a stored result did without: a tolerant cell's may be stale."""
-        record = self.store.find(cell.digest) if cell.tolerant else None
-        return set() if record is None else set(record.without)
+        self.ledger.fail(cell, reason, traceback.format_exc(), seconds, error)
 
     def _result(self, cell: Cell) -> Any:
         """Return the value of a needed cell; one that turns out to be unreadable is computed again."""
-        if cell.digest not in self.ended:
+        ended = self.ledger.ended
+        if cell.digest not in ended:
             raise InvalidArgument(f"{cell.title} is not among the needs of the cell that asks for its result")
-        if self.ended[cell.digest].failed:
+        if ended[cell.digest].failed:
             return None
         try:
             return self.store.load(cell)
         except ArtefactError as error:
-            if self.only is not None and cell not in self.only:
+            if self.ledger.only is not None and cell not in self.ledger.only:
                 raise
-            self.observer.remark(f"{error}: {cell.title} is computed again")
+            self.ledger.observer.remark(f"{error}: {cell.title} is computed again")
             self._compute(cell)
-            ended = self.ended[cell.digest]
-            if ended.reason is not None:
-                raise ArtefactError(f"needs {cell.title}, which failed: {ended.reason}") from error
+            reason = ended[cell.digest].reason
+            if reason is not None:
+                raise ArtefactError(f"needs {cell.title}, which failed: {reason}") from error
             return self.store.load(cell)
-
-    def _end(
-        self, cell: Cell, reason: str | None, seconds: float, *, cached: bool = False, error: Exception | None = None
-    ) -> None:
-        self.ended[cell.digest] = Outcome(None, reason, seconds, error)
-        self.observer.finish(cell, cached=cached, reason=reason)
-        self._remarks()
-
-    def _seconds(self, cell: Cell) -> float:
-        record = self.store.find(cell.digest)
-        return 0.0 if record is None else record.seconds
-
-    def _remarks(self) -> None:
-        for sentence in self.store.remarks:
-            if sentence not in self.told:
-                self.told.add(sentence)
-                self.observer.remark(sentence)

@@ -6,18 +6,23 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.plan.again import Again
 from sysid_evo.plan.cell import Cell
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Distinct ``cells``, each after those it needs, and ``remarks`` on what was left out and why."""
+    """Distinct ``cells``, each after those it needs, and ``remarks`` on what was left out and why.
+
+    ``again`` says how other processes make the same plan; without it all cells are computed in this one.
+    """
 
     cells: tuple[Cell, ...]
     remarks: tuple[str, ...] = ()
+    again: Again | None = None
 
     @classmethod
-    def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
+    def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = (), again: Again | None = None) -> Plan:
         """Return the plan of the ``wanted`` cells and all that they need. Raises `InvalidArgument` for a circle."""
         placed: dict[str, Cell] = {}
         under_way: dict[int, Cell] = {}
@@ -36,7 +41,7 @@ class Plan:
 
         for cell in wanted:
             place(cell)
-        return cls(tuple(placed.values()), tuple(remarks))
+        return cls(tuple(placed.values()), tuple(remarks), again)
 
     def __len__(self) -> int:
         return len(self.cells)

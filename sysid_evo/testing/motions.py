@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, InvalidSystem
 from sysid_evo.motion import Motion, motion_from_dict
+from sysid_evo.motion.gradient_form import CentralDifferences
 from sysid_evo.registry import motions
 from sysid_evo.testing.arrays import copied, expect_numbers, twice
 from sysid_evo.testing.verdicts import Check, CheckResult, DoesNotApply, expect, raise_broken, verdicts
@@ -227,26 +227,17 @@ def the_compiled_form_is_the_same(given: Given) -> None:
     expect(np.abs(off).max(initial=0.0) < 1e-7, "move gives another result")
 
 
-def the_torch_form_is_the_same(given: Given) -> None:
-    """The form on tensors integrates and turns as the form on arrays does"""
-    if importlib.util.find_spec("torch") is None:
-        raise DoesNotApply
+def the_gradient_form_is_its_derivative(given: Given) -> None:
+    """The gradient form is the derivative of integrate and turning"""
     motion, names = given.motion, given.names
-    form = motion.torch_form(names)
-    if form is None:
-        raise DoesNotApply
-    import torch
-
-    state, acceleration = torch.from_numpy(given.before.copy()), torch.from_numpy(given.acceleration.copy())
-    expected = {
-        "integrate": (
-            form.integrate(state, acceleration * DT, DT),
-            motion.integrate(given.before, given.acceleration, DT, names),
-        ),
-        "turned": (form.turned(state, acceleration), given.acceleration + motion.turning(given.before, names)),
-    }
-    for name, (found, exact) in expected.items():
-        expect(np.allclose(found.numpy(), exact, rtol=1e-9, atol=1e-12), f"{name} gives another result")
+    form, differences = motion.gradient_form(names), CentralDifferences(motion, names)
+    arguments = given.before, given.acceleration, DT, given.after
+    pairs = zip(form.integrated(*arguments), differences.integrated(*arguments), strict=True)
+    turned = form.turned(given.before, given.after), differences.turned(given.before, given.after)
+    for what, (found, expected) in zip(
+        ("integrate by the state", "integrate by the acceleration", "turning"), (*pairs, turned), strict=True
+    ):
+        expect(np.allclose(found, expected, rtol=1e-6, atol=1e-7), f"the derivative of {what} is another")
 
 
 CHECKS: tuple[Check[Given], ...] = (
@@ -263,7 +254,7 @@ CHECKS: tuple[Check[Given], ...] = (
     velocities_move_the_pose,
     where_it_is_seen_from_does_not_matter,
     the_compiled_form_is_the_same,
-    the_torch_form_is_the_same,
+    the_gradient_form_is_its_derivative,
 )
 
 

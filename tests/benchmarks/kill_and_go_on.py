@@ -4,8 +4,8 @@ A small comparison is run to its end once. Then the same command is killed (SIGK
 ``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
 A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
-controllers in every byte; and a fit by torch, which goes on within its updates, to the same model. Prints a table and
-exits 1 if anything differs.
+controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
+and exits 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -116,9 +116,9 @@ class Evolution(Job):
 
 
 class Fit(Job):
-    """A model that is trained with torch, whose updates are kept."""
+    """A model that is trained by gradients, whose updates are kept."""
 
-    what = "fit by torch"
+    what = "fit by gradients"
     kept = "models/*.checkpoint"
 
     def arguments(self, out: Path) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -165,3 +166,34 @@ def test_a_system_without_controls_gets_advice_too(rng):
     assert advice.delays == ()
     json.loads(advice_as_json(data, advice))
     assert "place" in render(advice_tables(data, advice))
+
+
+def test_with_very_many_combinations_of_levels_only_those_that_occur_are_counted(rng):
+    n, names = 600, tuple("abcde")
+    system = System(("x",), tuple(Channel(name, levels=(-1.0, 0.0, 1.0)) for name in names), 0.1)
+    commands = rng.integers(-1, 2, (n, 5)).astype(float)
+    data = Dataset.from_arrays(system, np.cumsum(commands[:, :1], axis=0), commands)
+    uses = advise(data).commands
+    assert 81 < len(uses) < 3**5
+    assert sorted(uses, key=lambda use: use.levels) == list(uses)
+    assert sum(use.share for use in uses) == pytest.approx(1.0)
+    for use in uses[::40]:
+        assert use.share == pytest.approx((commands[:-1] == use.levels).all(axis=1).mean())
+    step = rng.integers(len(commands) - 1)
+    (use,) = [use for use in uses if use.levels == tuple(commands[step])]
+    low, high = data.episodes[0].states[:-1].min(), data.episodes[0].states[:-1].max()
+    cells = np.minimum((data.episodes[0].states[:-1, 0] - low) / (high - low) * 8, 7).astype(int)
+    here = (commands[:-1] == use.levels).all(axis=1)
+    assert use.coverage == pytest.approx(len(set(cells[here])) / len(set(cells)))
+
+
+def test_advice_on_a_long_recording_needs_memory_for_few_of_its_regressors(rng):
+    data = delayed_car(rng, (0, 2), n=30_000)
+    regressors = data.n_steps * 8 * (4 + 4 * 11)
+    tracemalloc.start()
+    try:
+        advise(data)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2 * regressors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.moving import moving_rows
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, ShapeError
+from sysid_evo.free_run import judging_windows
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -264,3 +266,29 @@ def test_a_channel_named_like_a_column_of_the_file_is_refused_when_stored(tmp_pa
     with pytest.raises(InvalidData, match=r"the channels step cannot be stored.*rename the channels"):
         counted.save(tmp_path / "data")
     assert not (tmp_path / "data").exists()
+
+
+def test_windows_that_are_only_found_take_little_memory(car, rng):
+    data = Dataset.from_arrays(car, rng.normal(size=(20_001, 3)), rng.integers(-1, 2, (20_000, 2)).astype(float))
+    tracemalloc.start()
+    try:
+        places = data.window_places(50, history=3)
+        few = places[np.array([0, 5000, len(places) - 1])]
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 20_000 * 8 * 10
+    every = data.windows(50, history=3)
+    assert len(places) == len(every) == 20_000 - 50 - 3 + 1
+    np.testing.assert_array_equal(few.states, every[np.array([0, 5000, len(every) - 1])].states)
+    np.testing.assert_array_equal(places.last_states, every.states[:, -1])
+
+
+def test_a_model_is_judged_by_at_most_ten_thousand_windows_over_all_of_the_data(car, rng):
+    states = rng.normal(size=(60_001, 3))
+    data = Dataset.from_arrays(car, [states[:30_001], states[30_000:]], [np.zeros((30_000, 2))] * 2)
+    windows = judging_windows(data, 0)
+    assert 9_000 < len(windows) <= 10_000
+    assert set(windows.episode) == {0, 1}
+    short = data[0].split(0.9)[0]
+    np.testing.assert_array_equal(np.diff(judging_windows(short, 0).start), 4)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import tracemalloc
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -116,3 +119,42 @@ def test_a_flawless_csv_is_not_read_line_by_line(tmp_path, monkeypatch):
     path.write_text('t,x,comment\r\n0, 1.5 ,fine\r\n1,-2e3,"a, b"\r\n')
     monkeypatch.setattr(CsvReader, "_line_by_line", None)
     np.testing.assert_array_equal(CsvReader().read(path, ["x"]).columns["x"], [1.5, -2000.0])
+
+
+@pytest.mark.parametrize(
+    ("bad", "told"),
+    [
+        (b"3\n", "row 20002: expected 2 values as the header has, got 1, so 'x' is missing"),
+        (b"3,four\n", "row 20002, column 'x': expected a number, got 'four'"),
+        (b"3,nan\n", "row 20002, column 'x': expected a finite number, got nan"),
+        (b"3,\xff\n", "expected text (UTF-8), got the byte 0xff in row 20002"),
+    ],
+)
+def test_a_bad_row_far_down_a_csv_is_named(tmp_path, bad, told):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"t,x\n" + b"1,2\n" * 20_000 + bad + b"1,2\n")
+    with pytest.raises(InvalidData, match=re.escape(told)):
+        CsvReader().read(path, ["t", "x"])
+
+
+def test_of_several_faults_of_a_csv_the_width_is_told_first_then_the_first_column_asked_for(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x\nlate,1\n0,early\n1\n2,3\n")
+    with pytest.raises(InvalidData, match="row 4: expected 2 values"):
+        CsvReader().read(path, ["x", "t"])
+    path.write_text("t,x\nlate,1\n0,early\n2,3\n")
+    with pytest.raises(InvalidData, match="row 3, column 'x': expected a number, got 'early'"):
+        CsvReader().read(path, ["x", "t"])
+
+
+def test_a_csv_read_line_by_line_takes_no_more_memory_than_its_numbers(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,comment\n\n" + "".join(f"{i},{i / 7},a long remark on this row\n" for i in range(20_000)))
+    tracemalloc.start()
+    try:
+        table = CsvReader().read(path, ["t", "x"])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(table) == 20_000
+    assert peak < 3 * 20_000 * 3 * 8

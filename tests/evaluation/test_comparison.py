@@ -262,6 +262,19 @@ def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path: P
     assert first == same != cells[2].inputs()
 
 
+def test_an_ensemble_in_two_orders_is_one() -> None:
+    comparison = planned("linear", "near=nearest_neighbour", ensembles=("near+linear", "linear+near", "near + linear"))
+    assert comparison.experiment.ensembles == ("near+linear",)
+    assert len([cell for cell in comparison.plan.of_kind("evolve") if len(cell.members) > 1]) == 1  # type: ignore[attr-defined]
+
+
+def test_what_is_the_same_under_two_labels_is_computed_once(tmp_path: Path) -> None:
+    watching = Watching()
+    run_in(tmp_path, "linear", "again=linear", observer=watching, recipe="plain")
+    assert watching.computed >= {"fit linear", "predict with linear", "evolve linear", "run linear on linear"}
+    assert not [title for title in watching.computed if "again" in title]
+
+
 def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
     report = run_in(tmp_path, "linear")
     again = finished(planned("linear"), Store(tmp_path))

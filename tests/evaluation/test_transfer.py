@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr
 
-from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from evaluation.transfer import (
+    Cell,
+    TransferMatrix,
+    load_cell,
+    run_cell,
+    save_cell,
+    summarise,
+    transfer,
+    transfer_seeds,
+)
+from evaluation.transfer.summary import mean_ranks
 from sysid_evo.arrays import Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.controllers import SELECTION
 from sysid_evo.randomness import trial_seeds
@@ -202,3 +214,26 @@ def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last() -> None:
     assert matrix.cell("c", "a").reason == "not run"
     with pytest.raises(InvalidArgument, match="robot 'bus'"):
         TransferMatrix.of([champion("c", ("a",))], ("a",), [], robot="bus")
+
+
+@pytest.mark.parametrize("traces", [0, 2])
+def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path: Path, traces: int) -> None:
+    driver, runner = champion("c", ("boxed",), seed=3), DynamicsRunner(fitted(Boxed()))
+    cell = run_cell(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
+    files = save_cell(cell, tmp_path / "here" / "c@boxed")
+    assert all(file.is_file() for file in files)
+    again = load_cell(tmp_path / "here" / "c@boxed")
+    assert again.to_dict() == cell.to_dict()
+    assert len(again.traces) == traces
+    files[0].write_bytes(b"damaged")
+    with pytest.raises(ArtefactError, match="not a cell of a transfer matrix"):
+        load_cell(tmp_path / "here" / "c@boxed")
+
+
+def test_the_correlation_of_mean_ranks_is_that_of_scipy_with_ties_too() -> None:
+    rng = np.random.default_rng(5)
+    for size in (3, 4, 12):
+        first, second = rng.integers(0, size, (2, size)).astype(float)
+        first[:2], second[1:3] = (0.5, 1.5), (1.5, 0.5)
+        expected = float(spearmanr(first, second).statistic)
+        np.testing.assert_allclose(np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1], expected, atol=1e-14)

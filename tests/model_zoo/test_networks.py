@@ -1,28 +1,34 @@
-"""The differentiable form of a family and its NumPy form are the same model."""
+"""What is trained and what steps are the same model, and its gradients are derivatives."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from model_zoo.backprop27 import Backprop27
+from model_zoo.car.trained_physics import CarPhysics
 from model_zoo.channels.mirror import Mirror
 from model_zoo.flows.runge_kutta import rk4
+from model_zoo.flows.training import Flow
 from model_zoo.hybrid_ode import HybridOde
 from model_zoo.mlp_ensemble import MlpEnsemble
-from model_zoo.networks.multistep import as_network, as_tensors, forward_pass
+from model_zoo.networks.layers import Layers
+from model_zoo.networks.members import LaggedMembers
+from model_zoo.networks.multistep import Batches, Shots
 from model_zoo.networks.network import random_network
+from model_zoo.networks.standardised import StandardisedModel
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.motion.torch_form import torch_motion
 from sysid_evo.progress import Counter
+from sysid_evo.registry import make_model
 from sysid_evo.store import save_model
-from sysid_evo.system import System
+from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 
 
@@ -39,12 +45,17 @@ def ensemble(recording: Dataset) -> MlpEnsemble:
     return model.fit(recording, rng=np.random.default_rng(4))
 
 
-def test_torch_and_numpy_networks_agree() -> None:
-    network = random_network([4, 7, 5, 2], 3, np.random.default_rng(0))
-    inputs = np.random.default_rng(1).standard_normal((6, 4))
-    values = torch.from_numpy(inputs.astype(np.float32))[None].expand(3, 6, 4)
-    np.testing.assert_allclose(forward_pass(as_tensors(network), values).detach().numpy(), network(inputs), atol=1e-5)
-    np.testing.assert_allclose(as_network(as_tensors(network))(inputs), network(inputs), atol=1e-5)
+def test_layers_and_plain_networks_agree() -> None:
+    rng = np.random.default_rng(0)
+    network = random_network([4, 7, 5, 2], 3, rng)
+    inputs, centre, scale, output = rng.standard_normal((6, 4)), np.ones(4), rng.uniform(1, 2, 4), np.array([2.0, 3.0])
+    layers = Layers([4, 7, 5, 2], 3, centre=centre, scale=scale, output_scale=output)
+    parameters = layers.flat(network)
+    layers.take(parameters)
+    layers.reserve(2, 6)[1] = inputs
+    folded = network.folded(centre, scale, output)
+    np.testing.assert_allclose(layers.forward(1), folded(inputs), atol=1e-5)
+    np.testing.assert_allclose(layers.network(parameters)(inputs), network(inputs), atol=1e-5)
 
 
 def test_a_folded_network_takes_raw_inputs() -> None:
@@ -57,14 +68,84 @@ def test_a_folded_network_takes_raw_inputs() -> None:
     )
 
 
-def test_torch_and_numpy_integrate_alike(car: System) -> None:
+def members(dataset: Dataset) -> StandardisedModel:
+    mirror = Mirror.of(dataset.system, ["steer"])
     rng = np.random.default_rng(0)
-    state, acceleration = rng.standard_normal((5, 3)), rng.standard_normal((5, 3))
-    motion, on_tensors = torch_motion(car), torch.from_numpy(state)
-    ours = motion.integrate(on_tensors, torch.from_numpy(acceleration * car.dt), car.dt).numpy()
-    np.testing.assert_allclose(ours, car.integrate(state, acceleration), atol=1e-12)
-    turned = motion.turned(on_tensors, torch.from_numpy(acceleration)).numpy()
-    np.testing.assert_allclose(turned, acceleration + car.turning(state), atol=1e-12)
+    return LaggedMembers(dataset, (1, 3), hidden=[7, 6], members=2, mirror=mirror, rng=rng)
+
+
+def flow(dataset: Dataset) -> StandardisedModel:
+    return Flow(dataset, (2, 1), hidden=[7], rng=np.random.default_rng(0))
+
+
+def hybrid(dataset: Dataset) -> StandardisedModel:
+    model = Flow(dataset, (0, 2), hidden=[5], rng=np.random.default_rng(0))
+    model.know(CarPhysics((0, 1, 2, 0, 1)), HybridOde.initial)
+    return model
+
+
+def swinging() -> Dataset:
+    """Return a recording of a pendulum, whose angle is periodic."""
+    system = System(
+        (Channel("angle", "rad", period=2.0 * np.pi), Channel("rate", "rad/s")), (Channel("torque", "N m"),), dt=0.1
+    )
+    rng = np.random.default_rng(0)
+    states, torque = np.zeros((41, 2)), np.repeat(rng.uniform(-2.0, 2.0, (10, 1)), 4, axis=0)
+    for k in range(40):
+        angle, rate = states[k]
+        states[k + 1] = angle + 0.1 * rate, rate + 0.1 * (torque[k, 0] - 4.0 * np.sin(angle) - 0.3 * rate)
+    return Dataset.from_arrays(system, [states], [torque])
+
+
+@pytest.mark.parametrize(
+    ("make", "record"),
+    [(members, example_dataset), (flow, example_dataset), (hybrid, example_dataset), (flow, swinging)],
+)
+def test_the_gradient_of_a_free_run_is_its_derivative(
+    make: Callable[[Dataset], StandardisedModel], record: Callable[[], Dataset]
+) -> None:
+    """Of a random sum of all states of all steps, by every eleventh parameter and the last nine."""
+    dataset, rng = record(), np.random.default_rng(3)
+    model = make(dataset)
+    count, size = model.parameters.shape
+    shots = Shots.of(dataset, 6, model.layout.history)
+    batch = Batches([shots] * count, model.layout.history).of(rng.integers(0, len(shots), (count, 9)), 6)
+    batch = model.augmented(batch, rng)
+    weights = rng.standard_normal((6, count, 9, dataset.system.nx)).astype(np.float32)
+    model.run(batch)
+    found, before = model.gradient(weights), model.parameters
+    for place in (*range(0, size - 9, 11), *range(size - 9, size)):
+        sums = []
+        for step in (2e-3, -2e-3):
+            model.parameters = before.copy()
+            model.parameters[:, place] += step
+            sums.append(np.sum(model.run(batch).astype(np.float64) * weights, axis=(0, 2, 3)))
+        slope = (sums[0] - sums[1]) / 4e-3
+        np.testing.assert_allclose(found[:, place], slope, atol=1e-3 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "hybrid_ode"])
+def test_what_was_trained_is_what_steps(family: str, recording: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its free runs over the held-out windows, in single precision, are those of the fitted model."""
+    seen: list[tuple[StandardisedModel, Array]] = []
+    learn = StandardisedModel.learn
+
+    def watched(self: StandardisedModel, *arguments: Any) -> Any:
+        learned = learn(self, *arguments)
+        seen.append((self, learned[0]))
+        return learned
+
+    monkeypatch.setattr(StandardisedModel, "learn", watched)
+    small = {"hidden": [8], "one_step_updates": 40, "updates": 20, "horizon": 4, "state_lags": 1, "control_lags": 2}
+    model = make_model(family, **small, **({"members": 1} if family == "mlp_ensemble" else {}))
+    model.fit(recording, rng=np.random.default_rng(0))
+    trained, trained.parameters = seen[-1]
+    trained.as_recorded()
+    windows = recording.windows(5, stride=20, history=2)
+    shots = Shots.at(recording, windows.episode, windows.start, 5)
+    found = trained.run(Batches([shots], 2).of([np.arange(len(shots))], 5))
+    expected = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    np.testing.assert_allclose(np.moveaxis(found[:, 0], 0, 1), expected, atol=2e-4)
 
 
 def test_the_rotation_of_the_frame_alone_keeps_the_speed(car: System) -> None:
@@ -81,16 +162,6 @@ def test_runge_kutta_is_of_fourth_order() -> None:
         return abs(float(state[0, 0]) - 0.5)
 
     assert 3.7 < np.log2(error(0.1) / error(0.05)) < 4.3
-
-
-def test_hybrid_physics_are_the_same_in_torch_and_numpy(recording: Dataset) -> None:
-    model = HybridOde()
-    model.system_ = recording.system
-    model.physical_ = np.random.default_rng(1).uniform(0.5, 3.0, 9)
-    rng = np.random.default_rng(2)
-    state, control = rng.standard_normal((6, 3)), rng.uniform(-1, 1, (6, 2))
-    theirs = model.torch_rate(*(torch.from_numpy(array) for array in (state, control, model.physical_)))
-    np.testing.assert_allclose(theirs.numpy(), model.known_rate(state, control), atol=1e-12)
 
 
 def test_a_mirrored_car_steers_the_other_way(car: System) -> None:
@@ -124,14 +195,14 @@ def test_ninety_per_cent_intervals_hold_ninety_per_cent(ensemble: MlpEnsemble) -
     assert 0.75 < float(((truth >= low) & (truth <= high)).mean()) < 0.99
 
 
-def test_a_stored_ensemble_steps_without_torch(ensemble: MlpEnsemble, tmp_path: Path) -> None:
+def test_a_stored_ensemble_steps_without_what_trains_it(ensemble: MlpEnsemble, tmp_path: Path) -> None:
     save_model(ensemble, tmp_path / "model")
     script = (
         "import sys, numpy as np\n"
         "from sysid_evo.store import load_model\n"
         f"model = load_model({str(tmp_path / 'model')!r})\n"
         "model.step(np.zeros((1, model.n_carry)), np.zeros((1, 2)))\n"
-        "assert 'torch' not in sys.modules\n"
+        "assert 'model_zoo.networks.multistep' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

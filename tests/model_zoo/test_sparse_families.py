@@ -12,7 +12,7 @@ from model_zoo.sindy_bagged import SindyBagged
 from model_zoo.sindy_discrete import SindyDiscrete
 from model_zoo.sparse.family import Regression
 from model_zoo.sparse.polynomial import evaluate, monomials
-from model_zoo.sparse.regression import sparse_coefficients
+from model_zoo.sparse.regression import Library
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
@@ -113,7 +113,9 @@ def test_coefficients_are_those_of_pysindy() -> None:
         feature_library=pysindy.PolynomialLibrary(degree=2),
     )
     theirs.fit(x / scale[:2], t=1.0, x_dot=data.targets / target_scale, u=u / scale[2:])
-    coefficients, exponents = sparse_coefficients(data, 2, 0.02, 1e-3)
+    library = Library.of(data, 2)
+    coefficients, exponents = library.coefficients(0.02, 1e-3), library.exponents
+    assert len(library.terms) < len(x)
     rescaled = coefficients * np.prod(scale**exponents, axis=1)[:, None] / target_scale
     np.testing.assert_allclose(rescaled.T, theirs.coefficients(), atol=1e-12)
     library = np.asarray(theirs.feature_library.transform(x[:, :1].repeat(3, axis=1)))

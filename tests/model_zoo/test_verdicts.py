@@ -6,10 +6,9 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
-import torch
 
 from model_zoo.evolved3 import Evolved3
-from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, TorchModel, step_weights, train
+from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, step_weights, train
 from model_zoo.networks.trainings import Trainings
 from model_zoo.validation import spread
 from model_zoo.validation.held_out import DIVERGED, HeldOut
@@ -124,33 +123,44 @@ def test_evolved3_looks_as_many_steps_ahead_as_its_horizon(monkeypatch: pytest.M
 
 
 def test_the_steps_of_a_free_run_weigh_by_the_inverse_of_their_error_to_the_power_of_2_5() -> None:
-    error = torch.tensor([[0.1, 0.4, 0.9], [0.3, 0.4, 1.1]])
+    error = np.array([[0.1, 0.3], [0.4, 0.4], [0.9, 1.1]])
     weight = (np.array([0.2, 0.4, 1.0]) + FLOOR) ** -SHARPNESS
-    np.testing.assert_allclose(step_weights(error).numpy(), weight / weight.sum(), rtol=1e-5)
+    np.testing.assert_allclose(step_weights(error), weight / weight.sum(), rtol=1e-5)
     assert SHARPNESS == 2.5
-    assert step_weights(torch.zeros(1, 3)).numpy() == pytest.approx([1 / 3] * 3)
+    assert step_weights(np.zeros((3, 1))) == pytest.approx([1 / 3] * 3)
 
 
-class Drifting(TorchModel):
+class Drifting:
     """A model of one number p that predicts p after one step and 4 p after two."""
 
     layout = CarryLayout(1, 0)
 
     def __init__(self) -> None:
-        self.parameters = [torch.full((1, 1, 1), 0.5, requires_grad=True)]
+        self.parameters: Array = np.full((1, 1), 0.5)
 
-    def step(self, carry: torch.Tensor, control: torch.Tensor) -> torch.Tensor:
-        return torch.where(carry.abs() < 1e-9, self.parameters[0].expand_as(carry), 4.0 * carry)
+    def run(self, samples: Array) -> Array:
+        steps, size = len(samples) - 1, samples.shape[2]
+        return self.parameters[0, 0] * np.tile(4.0 ** np.arange(steps)[:, None, None, None], (1, 1, size, 1))
+
+    def gradient(self, by_states: Array) -> Array:
+        steps = 4.0 ** np.arange(len(by_states))[:, None, None, None]
+        return np.sum(by_states * steps).reshape(1, 1)
+
+    def augmented(self, samples: Array, rng: np.random.Generator) -> Array:
+        return samples
+
+    def as_recorded(self) -> None:
+        return
 
 
 def test_training_follows_the_weights_of_the_steps() -> None:
     """The steps ask for p = 1 and p = 2; the first decides, though the second has the larger error."""
-    shots = Shots(torch.zeros(4, 1, 1), torch.zeros(4, 0, 0), torch.zeros(4, 2, 0), torch.tensor([[[1.0], [8.0]]] * 4))
+    shots = Shots(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
     plan = Plan(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
-    one = torch.ones(1)
+    one = np.ones(1)
     trainings = Trainings(np.random.default_rng(0))
     found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)
-    assert float(found[0]) == pytest.approx(1.0, abs=0.1)
+    assert float(found[0, 0]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_short_history_is_padded_alike_by_every_family_with_lags() -> None:

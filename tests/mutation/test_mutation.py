@@ -79,7 +79,6 @@ def test_changes_are_chosen_by_a_word_and_listed(tree: Path, capsys: pytest.Capt
     assert main(["--only", "divides"], root=tree, changes=changes) == 1
 
 
-@pytest.mark.slow
 def test_every_change_fits_the_tree() -> None:
     assert len(ALL) >= 40
     assert [f"{one.breaks}: {stale}" for one in ALL if (stale := one.stale(ROOT))] == []

@@ -17,10 +17,12 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidArgument, InvalidData, MissingExtra, ShapeError, SysidEvoError
+from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData, MissingExtra, ShapeError, SysidEvoError
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.registry import make_model
+from sysid_evo.store import load_model, save_model
 from sysid_evo.system import Channel, System
+from sysid_evo.testing import example_dataset
 
 SYSTEM = System((Channel("a"), Channel("b")), (Channel("u", low=-1.0, high=1.0, neutral=0.5),), dt=0.1)
 
@@ -161,9 +163,9 @@ def test_whole_numbers_and_numbers_of_numpy_are_numbers() -> None:
 
 
 def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = make_model("neural_ode", updates=5)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtra, match=r"NeuralOde needs the package 'torch'.*pip install \"sysid-evo\[neural\]\""):
+    model = make_model("sindy", degree=2)
+    monkeypatch.setitem(sys.modules, "pysindy", None)
+    with pytest.raises(MissingExtra, match=r"Sindy needs the package 'pysindy'.*pip install \"sysid-evo\[sindy\]\""):
         model.fit(DATA)
     with pytest.raises(MissingExtra):
         type(model).check_installed()
@@ -237,3 +239,36 @@ def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments: Any, message:
     short = Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.1, name="short")
     with pytest.raises(InvalidData, match="Drawn needs 3 states to start, 'short' ends with them"):
         Drawn(control_lags=2).fit(DATA).simulate(short)
+
+
+class Counting(DynamicsModel):
+    """Learns how many steps it was given."""
+
+    most_steps: int | None = 300
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        self.given_ = dataset.n_steps
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        return np.zeros((len(carry), self.system.nx))
+
+
+def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_learned_from():
+    data = example_dataset(episodes=2, steps=200)
+    model = Counting()
+    with pytest.warns(DataWarning, match=r"Counting learned from \d+ of 400 steps, blocks of time"):
+        model.fit(data, rng=0)
+    assert 200 <= model.given_ <= 300
+    assert model.fit_note.startswith(f"learned from {model.given_} of 400 steps")
+    highest = max(episode.states[:, 0].max() for episode in data)
+    assert model.envelope_[1, 0] >= highest, "the range is that of all the data"
+    model.set_params(most_steps=None).fit(data, rng=0)
+    assert (model.given_, model.fit_note) == (400, "")
+
+
+def test_what_a_model_says_of_its_data_is_stored_with_it(tmp_path):
+    data = example_dataset(episodes=2, steps=200)
+    with pytest.warns(DataWarning):
+        model = make_model("backprop27", epochs=10, most_steps=150).fit(data, rng=0)
+    assert load_model(save_model(model, tmp_path / "model")).fit_note == model.fit_note != ""

@@ -157,3 +157,14 @@ def test_the_heading_of_a_body_that_spins_on_stays_within_half_a_turn_either_way
     assert np.abs(headings).max() <= np.pi
     turned = 1000.0 + 2.0 * np.arange(1, 51)
     np.testing.assert_allclose(np.exp(1j * np.array(headings)), np.exp(1j * turned), atol=1e-9)
+
+
+@pytest.mark.parametrize("lateral", ["lateral_speed", None])
+def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral: str | None, rng: np.random.Generator) -> None:
+    motion = PlanarBody(lateral=lateral)
+    poses, before, after = 3.0 * rng.standard_normal((3, 500, 3))
+    poses[0], before[0], after[0] = (0.0, 0.0, np.pi), 0.0, 0.0
+    poses[1], poses[2] = (0.0, 0.0, -np.pi), (0.0, 0.0, np.nan)
+    among = motion.move(poses, before, after, 0.05, NAMES)
+    for pose, start, end, expected in zip(poses, before, after, among, strict=True):
+        np.testing.assert_array_equal(motion.move(pose, start, end, 0.05, NAMES), expected)

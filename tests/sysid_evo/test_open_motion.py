@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from sysid_evo.engine.kernels import network_predictor, stepping_kernel, turning
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem
 from sysid_evo.evolution.identification import ModelEvolution
 from sysid_evo.motion import Motion, PlanarBody, compiled_form, motion_from_dict
-from sysid_evo.motion.torch_form import torch_motion
 from sysid_evo.registry import make_model, motions
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
@@ -136,9 +135,17 @@ def test_a_family_that_is_evolved_compiled_is_evolved_in_numpy_without_a_compile
     assert np.isfinite(Constant().fit(recording, rng=np.random.default_rng(0)).push_).all()
 
 
-def test_torch_refuses_a_motion_that_has_no_form_on_tensors(car: System) -> None:
-    with pytest.raises(IncompatibleSystem, match="motion clockwise has no torch form"):
-        torch_motion(clockwise(car))
+@pytest.mark.parametrize("family", ["neural_ode", "mlp_ensemble"])
+def test_a_motion_that_does_not_say_its_derivative_is_trained_by_differences(family: str) -> None:
+    """The same car with its yaw rate counted clockwise is learned as well as with the derivative of a planar body."""
+    plain = example_dataset()
+    sign = np.where(np.array(plain.system.state_names) == "yaw_rate", -1.0, 1.0)
+    episodes = [replace(episode, states=episode.states * sign) for episode in plain.episodes]
+    small: dict[str, Any] = {"hidden": [6], "one_step_updates": 200, "updates": 20, "horizon": 4}
+    model = make_model(family, **small, state_lags=0, control_lags=0)
+    scores = [model.fit(data).score(data) for data in (plain, Dataset(clockwise(plain.system), episodes))]
+    assert scores[1] == pytest.approx(scores[0], abs=0.3)
+    assert scores[1] > -0.9
 
 
 def test_a_system_with_a_registered_motion_is_stored_and_read(

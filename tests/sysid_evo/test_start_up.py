@@ -7,8 +7,11 @@ import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from sysid_evo.testing import example_dataset
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
 SECONDS = 0.5
@@ -106,3 +109,43 @@ def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
 def test_the_emulated_car_starts_without_what_only_models_and_kernels_need() -> None:
     _, imported = answer("import json, sys, hardware.terminal.__main__\nprint(json.dumps(sorted(sys.modules)))")
     assert not {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"} & set(imported)
+
+
+COMPUTE = """
+import json, sys
+from evaluation.comparison import Experiment, plan_comparison
+from sysid_evo.data import Dataset
+from sysid_evo.plan import Store, execute, working
+settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
+                transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
+                strategy="mu_plus_lambda(children=4)", recipe="plain")
+comparison = plan_comparison(Experiment.of(settings), dataset=Dataset.load(sys.argv[2]))
+ended = execute(comparison.plan, Store(sys.argv[1]))
+assert not any(outcome.failed for outcome in ended.values())
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path: Path) -> None:
+    data = example_dataset().save(tmp_path / "car")
+    command = [sys.executable, "-c", COMPUTE, str(tmp_path / "run"), str(data)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    imported = json.loads(done.stdout)
+    assert "numba" in imported
+    heavy = {
+        "torch",
+        "sklearn",
+        "matplotlib",
+        "scipy.stats",
+        "scipy.signal",
+        "scipy.optimize",
+        "pysindy",
+        "cma",
+        "typer",
+    }
+    assert not heavy & set(imported)
+
+
+def test_a_process_that_waits_for_cells_has_imported_little() -> None:
+    _, imported = answer("import json, sys, sysid_evo.plan.working\nprint(json.dumps(sorted(sys.modules)))")
+    assert not {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"} & set(imported)

@@ -59,8 +59,8 @@ CHANGES = (
     Change(
         "the filter lets noise above half the control rate pass",
         "sysid_evo/data/preparation.py",
-        "count, beta = scipy.signal.kaiserord(ATTENUATION,",
-        "count, beta = scipy.signal.kaiserord(0.5 * ATTENUATION,",
+        "count = math.ceil((ATTENUATION - 7.95)",
+        "count = math.ceil((0.5 * ATTENUATION - 7.95)",
         TEST_PREPARATION,
     ),
     Change(

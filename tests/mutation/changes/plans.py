@@ -10,6 +10,7 @@ REGISTRY = "sysid_evo/registry/registry.py"
 SPEC = "sysid_evo/registry/spec.py"
 TEST_PLAN = ("tests/sysid_evo/plan/test_plan.py",)
 TEST_EXECUTION = ("tests/sysid_evo/plan/test_execution.py",)
+TEST_SIDE_BY_SIDE = ("tests/sysid_evo/plan/test_side_by_side.py",)
 TEST_REGISTRY = ("tests/sysid_evo/test_registry.py",)
 TEST_SPEC = ("tests/sysid_evo/test_spec.py",)
 TEST_ARTEFACTS = ("tests/sysid_evo/test_artefacts.py",)
@@ -104,10 +105,45 @@ CHANGES = (
     ),
     Change(
         "what was assessed without a cell is never assessed again",
-        EXECUTION,
-        "if self.store.done(cell) and not self._without(cell)]",
+        "sysid_evo/plan/ledger.py",
+        "if self.store.done(cell) and not self.without(cell)]",
         "if self.store.done(cell)]",
         TEST_EXECUTION,
+    ),
+    Change(
+        "a process that ends without a word costs its cell at once",
+        "sysid_evo/plan/side_by_side.py",
+        "TRIES = 2",
+        "TRIES = 1",
+        TEST_SIDE_BY_SIDE,
+    ),
+    Change(
+        "a cell alone is left with one processor while the others idle",
+        "sysid_evo/plan/side_by_side.py",
+        "processors // len(working) + (i < processors % len(working))",
+        "1",
+        TEST_SIDE_BY_SIDE,
+    ),
+    Change(
+        "cells are handed out before what they need is there",
+        "sysid_evo/plan/side_by_side.py",
+        "if cell not in busy and not self.ledger.waits(cell) and",
+        "if cell not in busy and",
+        TEST_SIDE_BY_SIDE,
+    ),
+    Change(
+        "the yardstick of a recorded run is not planned again",
+        "evaluation/comparison/planning.py",
+        'return isinstance(data, RecordedData) or "robot" in data.inputs()',
+        "return isinstance(data, RecordedData)",
+        ("tests/evaluation/test_side_by_side.py",),
+    ),
+    Change(
+        "a model under two labels is driven twice",
+        "evaluation/comparison/planning.py",
+        "any(map(column.is_same, champion.members))",
+        "column in champion.members",
+        ("tests/evaluation/test_comparison.py::test_what_is_the_same_under_two_labels_is_computed_once",),
     ),
     Change(
         "a crash leaves half a file",

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import MuPlusLambda
@@ -53,6 +59,43 @@ def test_an_interrupted_fit_is_said_leaves_nothing_and_is_made_good_by_the_same_
     assert again.returncode == 0, again.stderr
     assert "kept" in again.stderr
     assert len(list((tmp_path / "out" / "models").glob("interrupted-*.json"))) == 1
+
+
+WAITING = PLUGIN.replace("interrupted", "waiting").replace("Interrupted", "Waiting").replace(
+    """        if not Path("second").exists():
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+            signal.raise_signal(signal.SIGINT)
+""",
+    """        if not Path("second").exists():
+            Path("waits").write_text(str(os.getpid()))
+            time.sleep(60.0)
+""",
+).replace("import signal\n", "import os\nimport time\n")  # fmt: skip
+
+
+def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    logs = example_dataset().save(tmp_path / "car")
+    (tmp_path / "mine.py").write_text(WAITING)
+    arguments = ["fit", str(logs), "--plugin", "mine.py", "--models", "waiting,linear", "--jobs", "2", "--out", "out"]
+    command = [sys.executable, "-c", "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+               "from sysid_evo.cli import main; main()", *arguments]  # fmt: skip
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 60.0
+    while not (tmp_path / "waits").exists() or not list(tmp_path.glob("out/models/linear-*.json")):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert "interrupted: fit waiting. Nothing unfinished is kept; go on with --out out" in said
+    assert "Traceback" not in said
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "waits").read_text()), 0)
+    (tmp_path / "second").touch()
+    again = run_here(*arguments, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert "2 of 3 cells are done already" in again.stderr
+    assert len(list((tmp_path / "out" / "models").glob("waiting-*.json"))) == 1
 
 
 @dataclass

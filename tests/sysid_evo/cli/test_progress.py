@@ -13,6 +13,7 @@ from rich.console import Console
 
 from sysid_evo.cli import console, progress
 from sysid_evo.cli.progress import Bars
+from tests.sysid_evo.plan.made_up_cells import Number
 
 NOTE = (
     "best 11.2, mean 8.1; linear 11.9, nearest_neighbour 11.2, parametrised 13.4; run 1 of 2; forwards 12, backwards 9"
@@ -53,6 +54,48 @@ def test_on_a_terminal_of_80_columns_rate_time_left_and_remark_are_whole(shown: 
                  "run 1 of 2; forwards 12, backwards 9"):  # fmt: skip
         assert line in whole
     assert any(re.search(r"evolve linear\S*… .* [\d,.]+/s, \d+ (s|min) left 0:00:0", line) for line in lines)
+
+
+def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown: Callable[..., io.StringIO]) -> None:
+    written = shown(terminal=True)
+    with Bars() as bars:
+        bars.plan(5, 0, 10.0)
+        cells = [Number(1, label="evolve linear+nearest_neighbour"), Number(2, label="fit"), Number(3, label="third")]
+        for cell in cells:
+            bars.start(cell)
+        for done in (1, 2):
+            bars.progress(cells[0], done, 300, NOTE)
+            bars.progress(cells[1], done, 50, "error 0.25; and so on")
+            time.sleep(0.01)
+        bars.finish(cells[2], cached=False, reason=None)
+        bars._bars.refresh()
+        drawn = written.getvalue()
+    last = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn).replace("\r", "\n").rstrip().split("\n")[-5:]
+    assert max(map(len, last)) <= 80
+    assert [line.split()[0] for line in last] == ["all", "count", "count", "count", "count"]
+    assert "1 of 5" in last[0]
+    assert re.search(r"count evolve linear\S*… .* [\d,.]+/s, \d+ (s|min) left", last[1])
+    assert re.search(r"count fit .* [\d,.]+/s, \d+ (s|min) left", last[2])
+    assert [line.strip() for line in last[3:]] == [
+        "count evolve linear+nearest_n…: best 11.2, mean 8.1",
+        "count fit: error 0.25",
+    ]
+
+
+def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown: Callable[..., io.StringIO]) -> None:
+    class Resumable(Number):
+        resumable = True
+
+    written = shown(terminal=False)
+    with Bars("--out here") as bars:
+        kept, lost, ended = Resumable(1, label="a"), Number(2, label="b"), Number(3, label="c")
+        for cell in (kept, lost, ended):
+            bars.start(cell)
+            bars.progress(cell, 3, 9)
+        bars.finish(ended, cached=False, reason=None)
+        bars.__exit__(KeyboardInterrupt, None, None)
+    line = written.getvalue().splitlines()[-1]
+    assert line == "interrupted: count a, count b. What is done of count a is kept; go on with --out here"
 
 
 def test_without_a_terminal_a_line_now_and_then_says_the_same(

@@ -238,6 +238,31 @@ def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision: Pr
     np.testing.assert_allclose(found[5:], values[nearest], rtol=1e-6)
 
 
+@pytest.mark.parametrize("precision", EXACT_FIRST)
+def test_asking_groups_of_buckets_first_finds_the_same_point(
+    precision: Precision, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in tables of few points, in one of a single group, far away, and where a query is not a number."""
+    rng = np.random.default_rng(5)
+    sizes = (9000, 5, 1, 300, 4096)
+    tables = [(rng.normal(size=(n, 2)).astype(np.float32).astype(float), rng.normal(size=(n, 2))) for n in sizes]
+    midpoints, serving = [np.array([-0.6, -0.2, 0.2, 0.6])], np.arange(5)
+
+    def found(x: Array, u: Array) -> Array:
+        return predictions(neighbour_predictor(tables, serving, midpoints, [0], 1), x, u, 2, precision)
+
+    u = rng.uniform(-1.0, 1.0, (LANES, 1))
+    for reach in (0.3, 3.0, 1000.0):
+        x = reach * rng.normal(size=(LANES, 1))
+        x[0] = np.nan if reach > 100.0 else x[0]
+        monkeypatch.setattr(neighbours, "MANY", 10**9)
+        plain = found(x, u)
+        monkeypatch.setattr(neighbours, "MANY", 1)
+        by_groups = found(x, u)
+        np.testing.assert_array_equal(by_groups[1:], plain[1:])
+        assert np.isfinite(by_groups).all()
+
+
 def test_more_points_than_the_compiled_form_can_address_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(neighbours, "EXACT_INTEGERS", 1000)
     points = np.zeros((400, 1))

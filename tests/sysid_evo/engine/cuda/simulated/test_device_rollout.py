@@ -12,10 +12,12 @@ from sysid_evo.engine.compiled.dialect import Precision
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import run
 from sysid_evo.engine.cuda.trials import prepare
+from sysid_evo.engine.kernels import neighbours
 from sysid_evo.engine.rollouts import Rollouts
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry import make_model
 
-from ..cases import CASES, HEAVY, Case, seldom
+from ..cases import CASES, HEAVY, Case, dataset, driven, seldom
 
 SEEDS = trial_seeds(5, 3)
 ATOL = {"float64": 1e-9, "float32": 5e-4}
@@ -104,3 +106,13 @@ def test_few_rollouts_are_spread_over_the_device_in_narrow_blocks(rollouts: int,
 def test_a_rollout_is_run_with_the_precision_of_its_kernel() -> None:
     case = CASES["feed_forward"]()
     assert rollout(*given_to(case), engine="cuda").engine == "cuda float32"
+
+
+def test_a_table_of_many_points_is_searched_to_the_same_neighbour(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neighbours, "MANY", 10)
+    case = driven(make_model("nearest_neighbour").fit(dataset(), rng=np.random.default_rng(0)))
+    kernel = case.dynamics.kernel()
+    assert kernel is not None
+    bound: Any = kernel.source
+    assert bound.bindings["predict"].function is neighbours.neighbours_of_many
+    expect_equal(on_device(case, "float64"), rollout(*given_to(case), engine="reference", record=True), 1e-7)

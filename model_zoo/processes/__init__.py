@@ -1,0 +1,1 @@
+"""Gaussian processes: their covariance and its likelihood."""

@@ -1,0 +1,1 @@
+"""How cost and memory grow with the size of what is asked for."""

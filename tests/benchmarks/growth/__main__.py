@@ -1,0 +1,132 @@
+"""How cost and memory grow: ``python -m tests.benchmarks.growth [--parts search,fits] [--out FOLDER]``.
+
+Each thing is done at growing sizes; processor time is the least of several rounds, in which all sizes take turns.
+The slope on log axes over the upper part of the range (sizes from a tenth of the largest on) says how it grows: 1 is
+linear. ``growth.svg``, ``growth.png`` and ``growth.json`` are written to ``--out``; the table is printed. What is
+worse than it could be is marked with an exclamation mark. Without ``--parts`` it takes about ten minutes on two
+idle cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from evaluation.plots.canvas import COLOURS, new_figure, style
+from tests.benchmarks.growth.cases import PARTS, cases
+from tests.benchmarks.growth.measuring import WORSE, Curve, measured
+
+MOST_SECONDS = 6.0
+PANELS = 3
+
+
+def table(curves: Sequence[Curve]) -> Table:
+    """Return one row for each curve: its range, cost and memory at the largest size, and both slopes."""
+    found = Table(title="processor time and memory at the largest size", title_justify="left")
+    for name in ("what", "grows with", "up to", "s", "slope", "MB", "slope"):
+        found.add_column(name, justify="left" if name in ("what", "grows with") else "right")
+    for curve in curves:
+        worse = curve.slope > max(curve.growth.best, 1.0) + WORSE - 1.0
+        found.add_row(
+            curve.growth.name,
+            curve.growth.axis,
+            f"{curve.sizes[-1]:,}",
+            f"{curve.seconds[-1]:.3g}",
+            f"{curve.slope:.2f}{' !' if worse else ''}",
+            f"{curve.megabytes[-1]:.3g}" if curve.megabytes else "",
+            f"{curve.memory_slope:.2f}" if curve.megabytes else "",
+        )
+    return found
+
+
+def picture(curves: Sequence[Curve], folder: Path) -> None:
+    """Write ``growth.svg`` and ``growth.png``: a panel for each part and axis, cost above, memory below."""
+    groups = list(dict.fromkeys((curve.growth.part, curve.growth.axis) for curve in curves))
+    rows = math.ceil(len(groups) / PANELS)
+    with style():
+        figure = new_figure(4.2 * PANELS, 5.6 * rows)
+        axes = figure.subplots(2 * rows, PANELS, squeeze=False)
+        for ax in axes.ravel():
+            ax.set_visible(False)
+        for number, group in enumerate(groups):
+            above, below = (axes[2 * (number // PANELS) + i, number % PANELS] for i in (0, 1))
+            for i, curve in enumerate(c for c in curves if (c.growth.part, c.growth.axis) == group):
+                colour, short = COLOURS[i % len(COLOURS)], curve.growth.name.removeprefix("a generation, ")
+                above.plot(
+                    curve.sizes, curve.seconds, marker=".", color=colour, label=f"{short}: slope {curve.slope:.2f}"
+                )
+                if curve.megabytes:
+                    label = f"{short}: slope {curve.memory_slope:.2f}"
+                    below.plot(curve.sizes, curve.megabytes, marker=".", color=colour, label=label)
+            for ax, unit in ((above, "processor time (s)"), (below, "memory at most (MB)")):
+                ax.set_visible(bool(ax.lines))
+                ax.set(xscale="log", yscale="log", xlabel=group[1], ylabel=unit)
+                ax.legend(fontsize=6)
+            above.set_title(f"{group[0]}: {group[1]}")
+        figure.savefig(folder / "growth.svg")
+        figure.savefig(folder / "growth.png", dpi=110)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print the table, write picture and figures."""
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.growth", description=__doc__)
+    parser.add_argument("--parts", default=",".join(PARTS), help="of " + ", ".join(PARTS))
+    parser.add_argument("--only", default="", help="only what has one of these, separated by commas, in its name")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument(
+        "--most-seconds", type=float, default=MOST_SECONDS, help="of one run; larger sizes are left out"
+    )
+    parser.add_argument("--quick", action="store_true", help="two small sizes each: does it run?")
+    parser.add_argument("--without-memory", action="store_true")
+    parser.add_argument("--out", type=Path, help="folder for growth.svg, growth.png and growth.json")
+    chosen = parser.parse_args(arguments)
+    parts = chosen.parts.split(",")
+    unknown = sorted(set(parts) - set(PARTS))
+    if unknown:
+        parser.error(f"--parts: expected some of {', '.join(PARTS)}, got {', '.join(unknown)}")
+    console, curves, began = Console(width=110), [], time.perf_counter()
+    with threadpool_limits(1):
+        for growth in cases(chosen.quick):
+            if growth.part not in parts or not any(word in growth.name for word in chosen.only.split(",")):
+                continue
+            curves.append(
+                measured(
+                    growth,
+                    rounds=1 if chosen.quick else chosen.rounds,
+                    most_seconds=chosen.most_seconds,
+                    memory=not chosen.without_memory,
+                )
+            )
+            last = curves[-1]
+            console.print(
+                f"{time.perf_counter() - began:6.0f} s  {growth.name}: {last.seconds[-1]:.3g} s of {last.sizes[-1]:,} "
+                f"{growth.axis}, slope {last.slope:.2f}",
+                highlight=False,
+            )
+            if chosen.out is not None:
+                chosen.out.mkdir(parents=True, exist_ok=True)
+                rows = [
+                    {"part": c.growth.part, "name": c.growth.name, "axis": c.growth.axis, "sizes": c.sizes,
+                     "seconds": c.seconds, "megabytes": c.megabytes, "slope": c.slope}
+                    for c in curves
+                ]  # fmt: skip
+                (chosen.out / "growth.json").write_text(json.dumps(rows, indent=1))
+    if not curves:
+        parser.error(f"--only: nothing in {', '.join(parts)} has {chosen.only!r} in its name")
+    console.print(table(curves))
+    for note in dict.fromkeys(f"{c.growth.name}: {c.growth.note}" for c in curves if c.growth.note):
+        console.print(note, highlight=False)
+    if chosen.out is not None:
+        picture(curves, chosen.out)
+
+
+if __name__ == "__main__":
+    main()
