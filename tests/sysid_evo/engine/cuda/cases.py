@@ -173,8 +173,8 @@ TASKS: dict[str, Callable[[], Case]] = {
     "environment": environment,
 }
 CASES = MODELS | ROBOTS | WRAPPERS | CONTROLLERS | TASKS
-HEAVY = {"evolved3", "hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history"}
-"""Families that take seconds to fit."""
+HEAVY = {"mlp_ensemble"}
+"""Families that take seconds to fit, or to simulate."""
 
 
 def seldom(name: str, slow: Collection[str]) -> Any:
