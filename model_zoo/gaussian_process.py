@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_limits
 
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, positive
@@ -65,12 +66,15 @@ class GaussianProcess(DynamicsModel):
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counter = Counter(progress, (trials(options) + 1) * dataset.system.nx + 1)
         blocks = HeldOut.of(dataset, 1)
-        lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
-        self.keep_lags(lags)
-        self._learn(dataset, rng, counter)
-        self.noise_scale_ = np.ones(self.system.nx)
-        cases = [(self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)]
-        self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
+        with threadpool_limits(1, user_api="blas"):  # the same model for any number of threads
+            lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
+            self.keep_lags(lags)
+            self._learn(dataset, rng, counter)
+            self.noise_scale_ = np.ones(self.system.nx)
+            cases = [
+                (self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)
+            ]
+            self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
         return self
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:

@@ -1,7 +1,8 @@
 """A plane through the nearest points over lanes, see `KNeighbours`.
 
 The search goes lane by lane through the buckets of a k-d tree, as in `sysid_evo.engine.kernels.neighbours`;
-weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at once.
+weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at once. Of very many points the boxes
+of groups of sixteen buckets are asked first, as there.
 """
 
 from __future__ import annotations
@@ -11,14 +12,28 @@ import math
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, lowest, splat_quarter, store, view, where_less
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.lanes import (
+    LANES,
+    QUARTER,
+    first_lane,
+    lanes_less,
+    load_quarter,
+    lowest,
+    splat_quarter,
+    store,
+    view,
+    where_less,
+)
 from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, packed, split
+from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, boxes_around, packed, split
 from sysid_evo.engine.kernels.stepping import Predictor
 
-HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "ridge")
+HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "around", "ridge")
 UNREACHED = FAR**2
 FIRST = 2
+MANY = 30_000
+"""Points from which on the boxes of groups are asked first."""
 
 
 def plane_predictor(
@@ -29,38 +44,46 @@ def plane_predictor(
     ``points`` (N, n) are (carry, control) times ``metric`` (n,), ``values`` (N, n_out) what the state
     changed by there.
     """
-    n, n_out = len(metric), values.shape[1]
-    boxes, near, value = packed(points, values, split(points, np.arange(len(points))))
+    n, n_out, many = len(metric), values.shape[1], len(points) >= MANY
+    whole = BUCKET * BUCKET if many else BUCKET
+    boxes, near, value = packed(points, values, split(points, np.arange(len(points)), whole=whole))
+    around = boxes_around(boxes) if many else np.empty((n, 2, 0))
     groups = boxes.shape[2] // BUCKET
     flat = HEAD.pack(
         metric,
         boxes,
         near,
         value,
+        around,
         n_carry=n_carry,
         n_control=n - n_carry,
         n_out=n_out,
         count=count,
         groups=groups,
+        around=around.shape[2] // BUCKET,
         ridge=ridge,
     )
-    of_one_lane = n + 2 * count + 3 * BUCKET + groups * BUCKET
+    of_one_lane = n + 2 * count + 3 * BUCKET + (around if many else boxes).shape[2]
     of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
-    return Predictor(plane_through_neighbours, flat, n_scratch=-(-(of_one_lane + of_a_quarter * QUARTER) // LANES))
+    rows = -(-(of_one_lane + of_a_quarter * QUARTER) // LANES)
+    search = KernelSource(nearest_points, one_lane=points_nearest_to_one)
+    source = KernelSource(plane_through_neighbours, {"nearest_points": search})
+    return Predictor(source, flat, n_scratch=max(rows, of_one_lane + of_a_quarter))
 
 
 def plane_through_neighbours(x, u, p, y, scratch):
     """Write the change of the state (a predictor, see `sysid_evo.engine.kernels.stepping`)."""
     n_carry, n_control, n_out = int(p[HEAD.n_carry]), int(p[HEAD.n_control]), int(p[HEAD.n_out])
-    count, groups = int(p[HEAD.count]), int(p[HEAD.groups])
+    count, groups, around = int(p[HEAD.count]), int(p[HEAD.groups]), int(p[HEAD.around])
     n = n_carry + n_control
     metric, boxes = view(p, HEAD.size), view(p, HEAD.size + n)
     near = view(boxes, 2 * n * groups * BUCKET)
     values = view(near, n * groups * BUCKET * BUCKET)
+    outer = view(values, n_out * groups * BUCKET * BUCKET)
     query, square, found = scratch, view(scratch, n), view(scratch, n + count)
     room = view(found, count)
     bound = view(room, 3 * BUCKET)
-    asked = view(bound, groups * BUCKET)
+    asked = view(bound, (around if around > 0 else groups) * BUCKET)
     nearness = view(asked, n * QUARTER)
     offset = view(nearness, count * QUARTER)
     target = view(offset, count * n * QUARTER)
@@ -73,7 +96,10 @@ def plane_through_neighbours(x, u, p, y, scratch):
         for lane in range(QUARTER):
             for i in range(n):
                 query[i] = asked[i * QUARTER + lane]
-            nearest_points(query, n, boxes, near, groups, count, bound, room, square, found)
+            if around > 0:
+                nearest_of_many(query, n, boxes, near, outer, groups, around, count, bound, room, square, found)
+            else:
+                nearest_points(query, n, boxes, near, groups, count, bound, room, square, found)
             for k in range(count):
                 winner = int(found[k])
                 nearness[k * QUARTER + lane] = square[k]
@@ -96,9 +122,7 @@ def scale(row, factor, scaled):
 
 def nearest_points(query, n, boxes, near, groups, count, bound, room, square, found):
     """Write the squared distances of the ``count`` nearest points, nearest first, and their numbers."""
-    for k in range(count):
-        square[k] = UNREACHED
-        found[k] = 0.0
+    forget(square, found, count)
     for side in range(n):
         box_distance(query[side], view(boxes, side * 2 * groups * BUCKET), bound, groups, side)
     for _ in range(FIRST + count // BUCKET):
@@ -109,6 +133,55 @@ def nearest_points(query, n, boxes, near, groups, count, bound, room, square, fo
     for bucket in range(groups * BUCKET):
         if bound[bucket] < square[count - 1]:
             look_through(query, n, near, bucket, count, room, square, found)
+
+
+def nearest_of_many(query, n, boxes, near, outer, groups, around, count, bound, room, square, found):
+    """Do what `nearest_points` does, from groups to buckets to points.
+
+    The nearest group says how far away the neighbours can be; then all groups that reach so near are looked through.
+    """
+    for side in range(n):
+        box_distance(query[side], view(outer, side * 2 * around * BUCKET), bound, around, side)
+    forget(square, found, count)
+    first = min(nearest_bucket(bound, around, room), groups - 1)
+    look_through_group(query, n, boxes, near, groups, first, count, UNREACHED, room, square, found)
+    limit = square[count - 1]
+    forget(square, found, count)
+    for start in range(0, around * BUCKET, BUCKET):
+        reached = 65535 - lanes_less(splat_quarter(limit), load_quarter(bound, start))
+        while reached != 0:
+            group = start + first_lane(reached)
+            reached &= reached - 1
+            if group < groups:
+                look_through_group(query, n, boxes, near, groups, group, count, limit, room, square, found)
+
+
+def look_through_group(query, n, boxes, near, groups, group, count, limit, room, square, found):
+    """Look through those buckets of a group that are not farther than ``limit`` and the list's last."""
+    zero = splat_quarter(0.0)
+    total = zero
+    for side in range(n):
+        here, sides = splat_quarter(query[side]), view(boxes, side * 2 * groups * BUCKET)
+        below = load_quarter(sides, group * BUCKET) - here
+        above = here - load_quarter(sides, (groups + group) * BUCKET)
+        off = where_less(below, above, above, below)
+        off = where_less(off, zero, zero, off)
+        total = total + off * off
+    reached = 65535 - lanes_less(splat_quarter(limit), total)
+    distances = view(room, BUCKET)
+    store(distances, 0, total)
+    while reached != 0:
+        bucket = first_lane(reached)
+        reached &= reached - 1
+        if distances[bucket] < square[count - 1]:
+            look_through(query, n, near, group * BUCKET + bucket, count, room, square, found)
+
+
+def forget(square, found, count):
+    """Empty the list of neighbours."""
+    for k in range(count):
+        square[k] = UNREACHED
+        found[k] = 0.0
 
 
 def nearest_bucket(bound, groups, room):
@@ -265,3 +338,46 @@ def box_distance(value, sides, bound, groups, side):
         off = where_less(off, zero, zero, off)
         sofar = load_quarter(bound, group * BUCKET) if side > 0 else zero
         store(bound, group * BUCKET, sofar + off * off)
+
+
+def points_nearest_to_one(query, n, boxes, near, groups, count, bound, room, square, found):
+    """`nearest_points` for a target of one lane; boxes that are as near are taken in the same order."""
+    for k in range(count):
+        square[k] = UNREACHED
+        found[k] = 0.0
+    for bucket in range(groups * BUCKET):
+        total = 0.0
+        for side in range(n):
+            sides = view(boxes, side * 2 * groups * BUCKET + bucket)
+            off = max(sides[0] - query[side], query[side] - sides[groups * BUCKET], 0.0)
+            total += off * off
+        bound[bucket] = total
+    for _ in range(FIRST + count // BUCKET):
+        bucket = 0
+        for column in range(BUCKET):
+            for group in range(groups):
+                bucket = group * BUCKET + column if bound[group * BUCKET + column] < bound[bucket] else bucket
+        if bound[bucket] < square[count - 1]:
+            sort_in(query, n, near, bucket, count, square, found)
+        bound[bucket] = UNREACHED
+    for bucket in range(groups * BUCKET):
+        if bound[bucket] < square[count - 1]:
+            sort_in(query, n, near, bucket, count, square, found)
+
+
+def sort_in(query, n, near, bucket, count, square, found):
+    """Sort those points of a bucket into the list that are nearer than its last."""
+    points = view(near, bucket * n * BUCKET)
+    for i in range(BUCKET):
+        here = 0.0
+        for side in range(n):
+            off = points[side * BUCKET + i] - query[side]
+            here += off * off
+        if here < square[count - 1]:
+            place = count - 1
+            while place > 0 and square[place - 1] > here:
+                square[place] = square[place - 1]
+                found[place] = found[place - 1]
+                place -= 1
+            square[place] = here
+            found[place] = float(bucket * BUCKET + i)

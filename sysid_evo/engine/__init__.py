@@ -22,7 +22,8 @@ For this to work:
 - The innermost loop has no branches that differ between lanes: write ``a if test else b``, ``min``, ``max``.
 - ``view(array, n)`` is the array from element n on. A slice would count references in the loop, and an
   index ``start + lane`` would be tested for its sign; both keep the loop from becoming vectors.
-- A sum over many rows is kept in registers with ``load``, ``splat`` and ``store``, which move a whole row.
+- A sum over many rows is kept in registers with ``load``, ``splat`` and ``store``, which move a whole row. Short
+  work on several arrays is faster with them too: a loop over lanes first tests whether its arrays overlap.
 - Real numbers are written with a point: ``2 * x`` makes a float64 number of a float32 one. All literals,
   and ``math.sin`` and the like, are turned into the kernel's own precision (float32 unless told otherwise).
 - Nothing is allocated. A kernel says how many rows of ``scratch`` it wants.

@@ -9,7 +9,7 @@ from .compiled.kernel import (
     DynamicsKernel,
     TaskKernel,
 )
-from .compiled.lanes import LANES, load, splat, store, view, where_less
+from .compiled.lanes import LANES, QUARTER, load, load_quarter, splat, splat_quarter, store, view, where_less
 from .compiled.layout import Layout
 from .compiled.signature import Signature
 from .compiled.single_step import kernel_step
@@ -44,6 +44,7 @@ __all__ = [
     "Lifted",
     "OBSERVE",
     "Predictor",
+    "QUARTER",
     "Rollouts",
     "Runner",
     "Signature",
@@ -55,6 +56,7 @@ __all__ = [
     "gaussian_predictor",
     "kernel_step",
     "load",
+    "load_quarter",
     "neighbour_predictor",
     "network_predictor",
     "polynomial_predictor",
@@ -62,6 +64,7 @@ __all__ = [
     "runge_kutta_predictor",
     "separate_networks_predictor",
     "splat",
+    "splat_quarter",
     "stepping_kernel",
     "store",
     "turning_frame",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 
@@ -12,11 +12,15 @@ from sysid_evo.controllers.controller import Controller
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import reference
+from sysid_evo.engine.cuda import device
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.processors import available_processors as available_processors
 from sysid_evo.tasks.task import Task, TaskState
 
-Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.run import Kernels
+
+Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64", "cuda"]
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,16 @@ class Runner(Protocol):
 class DynamicsRunner:
     """Runs controllers on a `Dynamics`: a model or an emulated robot.
 
-    ``engine`` and ``threads`` as for `rollout`.
+    ``engine`` and ``threads`` as for `rollout`; whether there is a device for "cuda" is found out here.
     """
 
     dynamics: Dynamics
     engine: Engine = "auto"
     threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.engine == "cuda":
+            device.check()
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
@@ -103,19 +111,23 @@ def rollout(
 
     Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
 
-    ``engine`` is "float32" or "float64" (all three kernels compiled), "mixed" (controller and task
-    compiled, the dynamics' own NumPy step) or "reference" (NumPy, any object); "auto" takes the first
-    of float32, mixed, reference for which there are kernels. `Rollouts.engine` says which ran.
+    ``engine`` is "float32" or "float64" (all three kernels compiled), "cuda" (the same on a device, in the
+    precision of the dynamics' kernel), "mixed" (controller and task compiled, the dynamics' own NumPy step) or
+    "reference" (NumPy, any object); "auto" takes the first of float32, mixed, reference for which there are
+    kernels, and cuda before float32 where a device is at hand, the rollouts are many (`device.ENOUGH`) and
+    nothing is recorded. `Rollouts.engine` says which ran.
     Scores do not depend on ``threads`` (default: all processors this process may use).
-    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
+    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`, and for "cuda" `MissingExtra` or `NoDevice`.
     """
+    if engine == "cuda":
+        device.check()
     task = task.bind(dynamics.system)
     controller = controller.bind_to(task)
     parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
     if len(seeds) < 1:
         raise InvalidArgument("rollout: expected at least one trial seed, got none")
-    if engine not in ("auto", "reference", "mixed", "float32", "float64"):
-        raise InvalidArgument(f"rollout: engine is auto, reference, mixed, float32 or float64, not {engine!r}")
+    if engine not in get_args(Engine):
+        raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
     if threads is not None and threads < 1:
         raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
     if engine == "reference":
@@ -126,18 +138,17 @@ def rollout(
         if of_dynamics is not None and engine != "mixed":
             from sysid_evo.engine.compiled import run
 
+            kernels = run.Kernels(of_dynamics, of_controller, of_task)
+            given = (kernels, dynamics, controller, parameters, task, seeds)
+            if engine == "cuda" or (
+                engine == "auto" and not record and _better_on_device(kernels, len(parameters) * len(seeds))
+            ):
+                from sysid_evo.engine.cuda import run as on_device
+
+                return Rollouts(**on_device.run(*given, record=record, precision=of_dynamics.precision))
+            precision = of_dynamics.precision if engine == "auto" else engine
             return Rollouts(
-                **run.run(
-                    run.Kernels(of_dynamics, of_controller, of_task),
-                    dynamics,
-                    controller,
-                    parameters,
-                    task,
-                    seeds,
-                    record=record,
-                    precision=of_dynamics.precision if engine == "auto" else engine,
-                    threads=threads or available_processors(),
-                )
+                **run.run(*given, record=record, precision=precision, threads=threads or available_processors())
             )
         if engine in ("auto", "mixed") and not record:
             from sysid_evo.engine.compiled import mixed
@@ -145,9 +156,17 @@ def rollout(
             return Rollouts(**mixed.run(of_controller, of_task, dynamics, controller, parameters, task, seeds))
     if engine == "auto":
         return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
-    kernels = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
-    missing = [role for role, kernel in kernels.items() if kernel is None and (engine, role) != ("mixed", "dynamics")]
+    roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+    missing = [role for role, kernel in roles.items() if kernel is None and (engine, role) != ("mixed", "dynamics")]
     raise InvalidArgument(
         f"rollout: engine {engine!r} cannot run this: "
         + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
     )
+
+
+def _better_on_device(kernels: Kernels, rollouts: int) -> bool:
+    if not device.pays(rollouts):
+        return False
+    from sysid_evo.engine.cuda import program
+
+    return program.can_run(kernels)

@@ -19,31 +19,6 @@ LEAST_DIMENSION = 2
 NEVER = {"tolfun": 0, "tolx": 0, "tolfunhist": 0, "tolstagnation": 10**9, "tolflatfitness": 10**9}
 
 
-class Forgotten(dict[Any, Any]):
-    """What the library remembers of candidates, by their numbers: nothing, as none is clipped, injected or looked up.
-
-    To look for them in an empty dictionary took as long as to learn from them.
-    """
-
-    last_iteration = 0
-
-    def __getitem__(self, key: Any) -> Any:
-        raise KeyError
-
-    def get(self, key: Any, default: Any = None) -> Any:
-        """Return ``default``."""
-        return default
-
-    def pop(self, key: Any, *default: Any) -> Any:
-        """Return the default, or raise `KeyError` without one."""
-        if default:
-            return default[0]
-        raise KeyError
-
-    def truncate_to(self, length: int) -> None:
-        """Forget more: there is nothing."""
-
-
 @register_strategy("cma_es")
 class CmaEs(EvolutionStrategy):
     """CMA-ES of the library ``cma`` (Hansen, "The CMA evolution strategy: a tutorial", 2016).
@@ -130,12 +105,14 @@ class CmaEs(EvolutionStrategy):
         mean = len(population) - 1
         kept = best[:ELITE] if mean in best[:ELITE] else [*best[:ELITE], mean]
         self._elite = population[kept].copy()
-        self._search.tell(self._asked, (-fitness[:-1]).tolist(), check_points=False)
+        self._search.learn(self._asked, -fitness[:-1])
         self.generation += 1
 
     def _begin(self) -> Any:
-        import cma
+        from cma.evolution_strategy import get_CMASolutionDict
+        from cma.utilities.utils import ElapsedWCTime
 
+        from sysid_evo.evolution.cma_search import CmaSearch
         from sysid_evo.evolution.gaussian_sampler import LAZIER, GaussianSampler
 
         def randn(*shape: int) -> Array:
@@ -147,8 +124,8 @@ class CmaEs(EvolutionStrategy):
         options = {"popsize": self.population, "verbose": -9, "randn": randn, "seed": np.nan, **NEVER}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            search = cma.CMAEvolutionStrategy(self._centre, self.sigma, options)
+            search = CmaSearch(self._centre, self.sigma, options)
         search.sm = GaussianSampler(len(self._centre), lazy_update_gap=LAZIER * search.sm.lazy_update_gap, randn=randn)
-        search.sent_solutions = search.archive = search._injected_solutions_archive = Forgotten()
-        search.timer = cma.utilities.utils.ElapsedWCTime()  # `tell` stops it, and only `ask` would start it
+        search.sent_solutions = get_CMASolutionDict(False)()  # none is clipped or looked up
+        search.timer = ElapsedWCTime()  # `tell` stops it, and only `ask` would start it
         return search

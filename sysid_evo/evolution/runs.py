@@ -6,7 +6,7 @@ import hashlib
 import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,26 +43,31 @@ class Runs:
     identity: str = ""
 
     def to_the_end(self, progress: Progress | None) -> tuple[EndedRun, ...]:
-        """Return all runs when they have ended. Whatever stops them, the generations done are kept."""
+        """Return all runs when they have ended. Whatever stops them, the generations done are kept.
+
+        The state of a strategy is taken only when it is to be kept: to copy it takes as long as to learn. A stop while
+        it learns, when it has none, leaves what was kept last.
+        """
         standing = saved = self._resumed()
+        search: _Search | None = None
         total = self.count * self.generations
         if progress is not None and standing.generations:
             progress(standing.generations, total)
         try:
-            for reached, note in self._steps(standing):
+            for reached, search, note in self._steps(standing):
                 standing = reached
                 if self.checkpoint is not None and (not note or self.checkpoint.due()):
-                    self.checkpoint.save(self.identity, standing.state)
+                    self.checkpoint.save(self.identity, search.added_to(standing).state)
                     saved = standing
                 if progress is not None and note:
                     progress(standing.generations, total, note)
         except BaseException:  # Ctrl-C, too
-            if self.checkpoint is not None and standing is not saved:
-                self.checkpoint.save(self.identity, standing.state)
+            if self.checkpoint is not None and search is not None and standing is not saved and search.settled:
+                self.checkpoint.save(self.identity, search.added_to(standing).state)
             raise
         return standing.ended
 
-    def _steps(self, standing: Standing) -> Iterator[tuple[Standing, str]]:
+    def _steps(self, standing: Standing) -> Iterator[tuple[Standing, _Search, str]]:
         """Yield how things stand after every generation, with a note, and after every run, without one."""
         for run in range(len(standing.ended), self.count):
             strategy, schedule = self.begun(run)
@@ -75,9 +80,8 @@ class Runs:
                 if schedule.tell(generation):
                     strategy.forget_fitness()
                 history = np.concatenate([standing.history, [generation.summary]])
-                states = ({}, {}) if self.checkpoint is None else (strategy.state, schedule.state)
-                standing = Standing(standing.ended, history, *states)
-                yield standing, note
+                standing = Standing(standing.ended, history)
+                yield standing, _Search(strategy, schedule, strategy.told), note
                 if schedule.exhausted:
                     break
             if schedule.stage < len(schedule.stages):
@@ -89,7 +93,7 @@ class Runs:
                 )
             ended = EndedRun(self.finals(run, strategy), standing.history, strategy.elite)
             standing = Standing((*standing.ended, ended))
-            yield standing, ""
+            yield standing, _Search(strategy, schedule, strategy.told), ""
 
     def _resumed(self) -> Standing:
         """Return how far the checkpoint is, if it is a checkpoint of this very evolution."""
@@ -118,6 +122,26 @@ class Runs:
         if self.count > 1:
             parts.append(f"run {run + 1} of {self.count}")
         return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What goes on in a run after a generation: the ``strategy`` was ``told`` of so many."""
+
+    strategy: EvolutionStrategy
+    schedule: Schedule
+    told: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing was learned since."""
+        return self.strategy.told == self.told
+
+    def added_to(self, standing: Standing) -> Standing:
+        """Return ``standing`` with the states of both, as they are now; as it is between two runs."""
+        if not len(standing.history):
+            return standing
+        return replace(standing, strategy=self.strategy.state, schedule=self.schedule.state)
 
 
 def identity(told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int) -> str:

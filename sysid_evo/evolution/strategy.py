@@ -28,6 +28,8 @@ class EvolutionStrategy(ABC):
     behaviour_names: tuple[str, ...] = ()
     control_names: tuple[str, ...] = ()
     generations: int | None = None
+    told: int = 0
+    """Of how many generations it was told, counted before it learns from them."""
     by_model: Array | None = None
     """While `_update` runs: the fitness on each of several models (M, P), nan where one was not run; or None."""
 
@@ -85,7 +87,10 @@ class EvolutionStrategy(ABC):
     @property
     @abstractmethod
     def state(self) -> StrategyState:
-        """All that `tell` has changed: copies, which stay as they are."""
+        """All that `tell` has changed: copies, which stay as they are.
+
+        What `ask` changes does not matter: a state that is taken after it leads the same way.
+        """
 
     @abstractmethod
     def restore(self, state: StrategyState) -> None:
@@ -112,5 +117,6 @@ class EvolutionStrategy(ABC):
         described = (len(population), len(self.behaviour_names))
         given = np.empty((len(population), 0)) if behaviour is None or not self.behaviour_names else behaviour
         self.by_model = None if by_model is None else check_shape("by_model", by_model, (None, len(population)))
+        self.told += 1
         self._update(population, fitness, check_shape("behaviour", given, described))
         self.by_model = None

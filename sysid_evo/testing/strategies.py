@@ -135,10 +135,12 @@ def a_restored_strategy_goes_on(given: Given) -> None:
         stored = _stored(state)
         expected = _candidates(strategy, 4), strategy.elite
         expect(same(list(stored.items()), list(_stored(state).items())), "a state changes after it was taken")
-        other = given.make()
-        _candidates(other, 2)
-        other.restore(stored)
-        expect(same(expected, (_candidates(other, 4), other.elite)), f"it goes on otherwise after {before} generations")
+        for asked, kept in ((False, stored), (True, _stored(_asked(given, before).state))):
+            other = given.make()
+            _candidates(other, 2)
+            other.restore(kept)
+            when = f"it goes on otherwise after {before} generations{' and a question' if asked else ''}"
+            expect(same(expected, (_candidates(other, 4), other.elite)), when)
 
 
 def what_is_forgotten_does_not_count(given: Given) -> None:
@@ -200,6 +202,14 @@ def _distance(value: float) -> float:
 def _candidates(strategy: EvolutionStrategy, generations: int) -> list[Array]:
     loop = evolve(strategy, lambda population, _: fitness(population), generations)
     return [generation.population.copy() for generation in loop]
+
+
+def _asked(given: Given, generations: int) -> EvolutionStrategy:
+    """Return a strategy after so many generations that was asked for the next, and not told of it."""
+    strategy = given.make()
+    _candidates(strategy, generations)
+    strategy.ask()
+    return strategy
 
 
 def _stored(state: StrategyState) -> Mapping[str, Any]:

@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +18,14 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, StrategyState, evolve_controller, polish
+from sysid_evo.evolution import (
+    Champion,
+    ControllerEvolution,
+    MuPlusLambda,
+    StrategyState,
+    evolve_controller,
+    polish,
+)
 from sysid_evo.registry import make_model, strategies
 from sysid_evo.store import CheckpointFile
 from sysid_evo.store.checkpoints import read_checkpoint
@@ -284,3 +293,29 @@ def test_a_process_killed_at_random_moments_goes_on_to_the_same_champion(tmp_pat
     watched = StopAfter(0)
     assert_same(evolved(LONG, CheckpointFile(path), threads=2, progress=watched), evolved(LONG))
     assert reached <= watched.told[0] < 120
+
+
+def test_a_stop_while_a_strategy_learns_leaves_what_was_kept_last(
+    tmp_path: Path, whole: Champion, register: Callable[..., Any]
+) -> None:
+    class Torn(MuPlusLambda):
+        stop = True
+
+        def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+            if self.generation == 3 and Torn.stop:
+                self._parents = self._parents[::-1]
+                raise Stop
+            super()._update(population, fitness, behaviour)
+
+    register(strategies, "torn", Torn)
+    settings = replace(SETTINGS, strategy="torn(parents=4, children=4)")
+    for checkpoint, kept in (
+        (AlwaysDue(tmp_path / "always"), True),
+        (CheckpointFile(tmp_path / "c", every=1e9), False),
+    ):
+        Torn.stop = True
+        with pytest.raises(Stop):
+            evolved(settings, checkpoint)
+        assert checkpoint.path.exists() == kept
+        Torn.stop = False
+        np.testing.assert_array_equal(evolved(settings, checkpoint).parameters, whole.parameters)

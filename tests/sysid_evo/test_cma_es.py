@@ -8,6 +8,7 @@ import pytest
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import CmaEs, evolve
+from sysid_evo.evolution.cma_search import CmaSearch
 from sysid_evo.testing import check_strategy
 
 
@@ -95,3 +96,22 @@ def test_the_sampler_learns_what_that_of_the_library_learns_and_finds_its_axes_l
     for _ in evolve(strategy, valley, 20):
         pass
     assert 2 <= strategy._search.sm.count_eigen <= 10
+
+
+@pytest.mark.parametrize(("n", "population"), [(1, 4), (2, 7), (5, 50), (40, 9), (30, 200)])
+def test_it_learns_bit_by_bit_what_the_library_learns(n: int, population: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def way() -> list[dict[str, object]]:
+        strategy, states = CmaEs(n_parameters=n, seed=3, population=population), []
+        for generation in range(40):
+            candidates = strategy.ask()
+            luck = np.random.default_rng(generation).standard_normal(len(candidates))
+            strategy.tell(candidates, np.round(luck - np.abs(candidates - 1.0).sum(axis=1), 1))
+            states.append(dict(strategy.state))
+        return states
+
+    own = way()
+    monkeypatch.setattr(CmaSearch, "learn", lambda self, asked, costs: self.tell(asked, costs.tolist(), False))
+    for one, other in zip(own, way(), strict=True):
+        assert one.keys() == other.keys()
+        for name, value in one.items():
+            np.testing.assert_array_equal(value, other[name], err_msg=name)

@@ -22,7 +22,7 @@ from sysid_evo.engine.kernels.stepping import copy
 from sysid_evo.motion import frame_change
 
 HEAD = Layout("repeats")
-COMMANDS = BUFFER.start * LANES
+COMMANDS = BUFFER.start
 NOISE_KEEP, FORCE_NOISE, YAW_NOISE = (
     Coefficients._fields.index(name) for name in ("noise_keep", "force_noise", "yaw_noise")
 )
@@ -38,7 +38,7 @@ def car_kernel(coefficients: Coefficients, repeats: int) -> DynamicsKernel:
 def car(carry, control, noise, parameters, scratch):
     """Take the fine steps, each under the command then due, and move the commands under way only once."""
     repeats, p = int(parameters[HEAD.repeats]), view(parameters, HEAD.size)
-    commands, body = view(carry, COMMANDS), view(carry, BODY * LANES)
+    commands, body = view(carry, COMMANDS * LANES), view(carry, BODY * LANES)
     u, v, r = load(carry, 0), load(carry, LANES), load(carry, 2 * LANES)
     motor, sag, battery, slack = load(body, 0), load(body, LANES), load(body, 2 * LANES), load(body, 3 * LANES)
     steering, force, yaw = load(body, 4 * LANES), load(body, 5 * LANES), load(body, 6 * LANES)

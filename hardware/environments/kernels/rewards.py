@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 
+from sysid_evo.engine.compiled.elementary import nearest
 from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.motion.planar_body_kernel import wrap
+from sysid_evo.motion.planar_body_kernel import PER_TURN, TURN
 
 FASTEST_SWING = 8.0  # rad/s, beyond which the pendulum does not turn
 CART_REACH, POLE_REACH = 2.4, 24.0 * math.pi / 360.0  # m, rad
@@ -18,7 +19,7 @@ CONTINUOUS_GOAL, GOAL = 0.45, 0.5
 
 def pendulum(before, control, after, lane):
     """Minus the square of the angle from upright, and a little of the speed's and the torque's."""
-    angle = wrap(before[lane])
+    angle = before[lane] - TURN * nearest(before[lane] * PER_TURN)
     speed = min(max(before[LANES + lane], -FASTEST_SWING), FASTEST_SWING)
     return -(angle * angle + 0.1 * speed * speed + 0.001 * control[lane] * control[lane])
 

@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from types import FunctionType, ModuleType
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias
 
 import llvmlite
 import numba
@@ -75,15 +75,60 @@ I = types.Array(types.int64, 1, "C")
 """
 
 
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What kernels are compiled for: the numbers that LANES and QUARTER stand for, and the lane functions there are.
+
+    ``header`` begins a generated file, ``inner`` stands before every function but the last.
+    """
+
+    widths: Mapping[str, int]
+    functions: tuple[str, ...]
+    header: str
+    inner: str
+
+
+PROCESSOR = Target({"LANES": lanes.LANES, "QUARTER": lanes.QUARTER}, LANE_FUNCTIONS, HEADER, INNER)
+
+
 @dataclass(frozen=True)
 class KernelSource:
-    """A kernel function, and what stands for the free names in it (functions or further sources)."""
+    """A kernel function, and what stands for the free names in it (functions or further sources).
+
+    ``one_lane`` is another form of it for targets of one lane, where the function itself needs several.
+    """
 
     function: Callable[..., Any]
     bindings: Mapping[str, Any] = field(default_factory=dict)
+    one_lane: Callable[..., Any] | None = None
+
+    def for_target(self, target: Target) -> Any:
+        """Return the Python function that ``target`` compiles."""
+        alone = target.widths["LANES"] == 1 and self.one_lane is not None
+        return _plain(self.one_lane if alone else self.function)
 
     def __hash__(self) -> int:
         return hash((self.function, tuple(sorted((name, hash(bound)) for name, bound in self.bindings.items()))))
+
+
+class Wrapped(Protocol):
+    """A function and the text of another one around it."""
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """What is wrapped."""
+        ...
+
+    @property
+    def bindings(self) -> Mapping[str, Any]:
+        """What stands for the free names in it."""
+        ...
+
+    def write(self, inner: str, name: str) -> str:
+        """Return the text of the function ``name`` around the one called ``inner``."""
+        ...
+
+    def __hash__(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -104,15 +149,15 @@ class Lifted:
     def write(self, inner: str, name: str) -> str:
         """Return the text of the block kernel around the scalar function called ``inner``."""
         x, u, w = (
-            "(" + "".join(f"{array}[{i * lanes.LANES} + lane], " for i in range(count)) + ")"
+            "(" + "".join(f"{array}[{i} * LANES + lane], " for i in range(count)) + ")"
             for array, count in (("carry", self.n_carry), ("control", self.nu), ("noise", self.n_noise))
         )
         arguments = [x, u, *([w] if self.n_noise else []), "parameters"]
         lines = [
             f"def {name}(carry, control, noise, parameters, scratch):",
-            f"    for lane in range({lanes.LANES}):",
+            "    for lane in range(LANES):",
             f"        y = {inner}({', '.join(arguments)})",
-            *(f"        carry[{i * lanes.LANES} + lane] = y[{i}]" for i in range(self.n_carry)),
+            *(f"        carry[{i} * LANES + lane] = y[{i}]" for i in range(self.n_carry)),
         ]
         return "\n".join(lines)
 
@@ -131,7 +176,7 @@ class Picked:
         return f"def {name}(x, u):\n    return {inner}({', '.join(self.arguments)})"
 
 
-Source: TypeAlias = KernelSource | Lifted | Picked
+Source: TypeAlias = KernelSource | Wrapped
 
 
 def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
@@ -142,44 +187,56 @@ def compile_kernel(source: Source, signature: Signature, precision: Precision, *
     """
     if isinstance(source, KernelSource):
         signature.check(_plain(source.function))
-    return _import(generate(source, signature, precision, pointer=pointer)).entry
+    return imported(generate(source, signature, precision, pointer=pointer)).entry
 
 
 def generate(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
     options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False"
-    writer = _Writer(precision)
-    if pointer:
-        inner = writer.needs(source)
-        names = ", ".join(signature.arguments)
-        arrays = ", ".join(f"array_at({name})" for name in signature.arguments)
-        entry = f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
-    else:
-        writer.open.append(source)
-        entry = writer.function(source, entry=f"@njit({signature}, {options}, nogil=True)")
-    origin = f"{source.function.__module__}.{source.function.__qualname__}"
-    header = HEADER.format(origin=origin, precision=precision, lanes=lanes.LANES, functions=", ".join(LANE_FUNCTIONS))
-    return "\n\n".join([header, *writer.done, entry]) + "\n"
+    if not pointer:
+        return generate_for(PROCESSOR, source, f"@njit({signature}, {options}, nogil=True)", precision)
+    writer = _Writer(precision, PROCESSOR)
+    inner = writer.needs(source)
+    names = ", ".join(signature.arguments)
+    arrays = ", ".join(f"array_at({name})" for name in signature.arguments)
+    return writer.module(
+        source, f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
+    )
+
+
+def generate_for(target: Target, source: Source, decorator: str, precision: Precision) -> str:
+    """Return the text of the module that compiles ``source`` for ``target`` as ``entry``, with ``decorator``."""
+    writer = _Writer(precision, target)
+    writer.open.append(source)
+    return writer.module(source, writer.function(source, entry=decorator))
 
 
 class _Writer:
     """Writes kernel functions in dependency order, each once."""
 
-    def __init__(self, precision: Precision) -> None:
-        self.precision = precision
+    def __init__(self, precision: Precision, target: Target) -> None:
+        self.precision, self.target = precision, target
         self.done: list[str] = []
         self.names: dict[Source, str] = {}
         self.open: list[Source] = []
         self.count = 0
 
+    def module(self, source: Source, entry: str) -> str:
+        """Return the text of the file that ends with ``entry``, which was made of ``source``."""
+        origin = f"{source.function.__module__}.{source.function.__qualname__}"
+        functions, width = ", ".join(self.target.functions), self.target.widths["LANES"]
+        header = self.target.header.format(origin=origin, precision=self.precision, lanes=width, functions=functions)
+        return "\n\n".join([header, *self.done, entry]) + "\n"
+
     def function(self, source: Source, entry: str | None = None) -> str:
-        if isinstance(source, (Lifted, Picked)):
-            scalar = self.needs(KernelSource(source.function))
-            name = "entry" if entry else self.fresh(type(source).__name__.lower())
-            return f"{entry or INNER}\n{source.write(scalar, name)}"
-        function = _plain(source.function)
+        before = self.target.inner if entry is None else entry
+        if not isinstance(source, KernelSource):
+            wrapped = self.needs(KernelSource(source.function, source.bindings))
+            name = "entry" if entry is not None else self.fresh(type(source).__name__.lower())
+            return f"{before}\n{source.write(wrapped, name)}"
+        function = source.for_target(self.target)
         tree = _parse(function)
-        name = "entry" if entry else self.fresh(function.__name__)
+        name = "entry" if entry is not None else self.fresh(function.__name__)
         tree.name = name
         tree.decorator_list = []
         tree.returns = None
@@ -192,7 +249,7 @@ class _Writer:
         }
         given = {argument.arg for argument in tree.args.args} if entry else set()
         tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local, given, name).visit(tree))
-        return f"{entry or INNER}\n{ast.unparse(tree)}"
+        return f"{before}\n{ast.unparse(tree)}"
 
     def needs(self, source: Source) -> str:
         if source in self.open:
@@ -261,6 +318,8 @@ class _Specialise(ast.NodeTransformer):
             return ast.Name(REAL, ast.Load())
         if node.id in self.local or node.id in BUILTINS or node.id == "LANES":
             return node
+        if node.id == "QUARTER" and self.scope.get(node.id) == lanes.QUARTER:
+            return ast.Constant(self.writer.target.widths[node.id])
         if node.id in self.bindings:
             return self._value(self.bindings[node.id], node.id)
         if node.id in self.scope:
@@ -275,15 +334,17 @@ class _Specialise(ast.NodeTransformer):
         if value.__hash__ is None:
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
         if value in PASSED_ON:
+            if PASSED_ON[value] in LANE_FUNCTIONS and PASSED_ON[value] not in self.writer.target.functions:
+                raise self._unusable(text, "it takes several lanes; give the source a form for one_lane")
             return ast.Name(PASSED_ON[value], ast.Load())
         if self.writer.precision == "float32" and value in elementary.FLOAT32:
             return self._named(KernelSource(elementary.FLOAT32[value]))
         if getattr(value, "__module__", "") == "math":
             return ast.Attribute(ast.Name("math", ast.Load()), value.__name__, ast.Load())
-        if isinstance(value, (KernelSource, Lifted, Picked)):
-            return self._named(value)
         if isinstance(_plain(value), FunctionType):
             return self._named(KernelSource(value))
+        if isinstance(value, KernelSource) or hasattr(value, "write"):
+            return self._named(value)
         raise self._unusable(text, f"a {type(value).__name__} cannot be compiled into a kernel")
 
     def _named(self, source: Source) -> ast.expr:
@@ -327,7 +388,8 @@ def _fingerprint() -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
-def _import(text: str) -> Any:
+def imported(text: str) -> Any:
+    """Return the module of a generated file, kept in the cache under a name that says all it depends on."""
     digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
     name = f"sysid_evo_kernel_{digest}"
     with _IMPORTING:

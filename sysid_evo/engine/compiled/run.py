@@ -46,6 +46,16 @@ class Kernels:
     controller: ControllerKernel
     task: TaskKernel
 
+    @property
+    def sources(self) -> dict[str, Source]:
+        """The four functions, by what a loop calls them."""
+        return {
+            "dynamics": self.dynamics.source,
+            "controller": self.controller.source,
+            "observe": self.task.observe,
+            "advance": self.task.advance,
+        }
+
 
 @cache
 def compiled(source: Source, signature: Signature, precision: Precision) -> Any:
@@ -218,15 +228,14 @@ def run(
         "doubt": np.where(diverged > 0, 0.0, doubts.astype(np.float64)).reshape(grid),
         "task_state": kernels.task.state(began.tile(candidates), final_rows),
         "engine": f"compiled {precision}",
-        "trajectories": _trajectories(list(tape.values()), survived, began.pose, task, system, trials)
-        if record
-        else (),
+        "trajectories": trajectories(list(tape.values()), survived, began.pose, task, system, trials) if record else (),
     }
 
 
-def _trajectories(
+def trajectories(
     tape: list[Any], survived: Any, pose: Array, task: Task, system: System, trials: int
 ) -> tuple[Trajectory, ...]:
+    """Return what was recorded in ``tape`` (states, controls and poses, flat) of each rollout that took a step."""
     states, controls, poses = (array.astype(np.float64) for array in tape)
     states = states.reshape(-1, task.horizon + 1, system.nx)
     controls = controls.reshape(-1, task.horizon, system.nu)

@@ -35,6 +35,7 @@ from sysid_evo.engine.kernels.monomials import Chain, raise_powers
 from sysid_evo.engine.kernels.stepping import Predictor
 
 HEAD = Layout("n_controls", "n_links", "links", "terms", "tabled", "boundaries", "levels", "table", align=CACHE_LINE)
+PAGE = QUARTER
 MOST_COEFFICIENTS = 120
 """Of all outputs together: what is compiled in is small."""
 WORTH = 3
@@ -111,7 +112,7 @@ def dense_polynomial_predictor(
         KernelSource(dense_polynomial, {**sizes, "polynomial": nested(0, n_carry, degree)}),
         parameters,
         n_scratch=n_out * count + max(2, 1 + len(controls.links)),
-        prepare=KernelSource(find_coefficients, sizes),
+        prepare=KernelSource(find_coefficients, sizes, one_lane=find_coefficients_of_one),
     )
 
 
@@ -154,14 +155,35 @@ def find_coefficients(u, p, scratch):
                 for k in range(N_OUT * COUNT):
                     store(here, k * LANES, look_up(load_quarter(table, k * QUARTER), cell))
             return
-    raise_powers(u, view(p, int(p[HEAD.links])), int(p[HEAD.n_links]), cells)
+    term_by_term(u, p, scratch, cells, N_OUT * COUNT)
+
+
+def find_coefficients_of_one(u, p, scratch):
+    """`find_coefficients` for a target of one lane."""
+    cells = view(scratch, N_OUT * COUNT)
+    if p[HEAD.tabled] > 0.0:
+        n_controls, levels, table = int(p[HEAD.n_controls]), view(p, int(p[HEAD.levels])), view(p, int(p[HEAD.table]))
+        command_cells(u, view(p, int(p[HEAD.boundaries])), n_controls, cells)
+        other, cell = 0, int(cells[0])
+        for control in range(n_controls):
+            other += 1 if u[control] != levels[control * PAGE + cell] else 0
+        if other == 0:
+            for k in range(N_OUT * COUNT):
+                scratch[k] = table[k * PAGE + cell]
+            return
+    term_by_term(u, p, scratch, cells, N_OUT * COUNT)
+
+
+def term_by_term(u, p, scratch, monomials, count):
+    """Write ``count`` coefficients, each a sum of monomials of the control."""
+    raise_powers(u, view(p, int(p[HEAD.links])), int(p[HEAD.n_links]), monomials)
     rest = view(p, int(p[HEAD.terms]))
-    for k in range(N_OUT * COUNT):
-        total, count = splat(0.0), int(rest[0])
-        for term in range(count):
-            total = total + splat(rest[2 + 2 * term]) * load(cells, int(rest[1 + 2 * term]) * LANES)
+    for k in range(count):
+        total, terms = splat(0.0), int(rest[0])
+        for term in range(terms):
+            total = total + splat(rest[2 + 2 * term]) * load(monomials, int(rest[1 + 2 * term]) * LANES)
         store(scratch, k * LANES, total)
-        rest = view(rest, 1 + 2 * count)
+        rest = view(rest, 1 + 2 * terms)
 
 
 def dense_polynomial(x, u, p, y, scratch):

@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from hardware.recording.scripted import record_dataset
+from hardware.robot import find_robot
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.registry import make_model, make_robot, models
+from sysid_evo.registry import make_model, models
 from tests.benchmarks.fit_time.one_fit import HORIZONS
 from tests.benchmarks.prediction import HELD_BACK, RECORDED_TIME, TEST_EPISODE, recording
 
@@ -44,7 +44,7 @@ def recorded(name: str) -> tuple[Dataset, Dataset]:
         return recording(name)
     if Path(name).exists():
         return Dataset.read(name).split(HELD_BACK)
-    return record_dataset(make_robot(name), seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
+    return find_robot(name).record(seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
 
 
 def fitted(checkout: Path, folder: Path, family: str, preset: str, seed: int) -> Outcome:

@@ -69,7 +69,8 @@ def picture(curves: Sequence[Curve], folder: Path) -> None:
             for ax, unit in ((above, "processor time (s)"), (below, "memory at most (MB)")):
                 ax.set_visible(bool(ax.lines))
                 ax.set(xscale="log", yscale="log", xlabel=group[1], ylabel=unit)
-                ax.legend(fontsize=6)
+                if ax.lines:
+                    ax.legend(fontsize=6)
             above.set_title(f"{group[0]}: {group[1]}")
         figure.savefig(folder / "growth.svg")
         figure.savefig(folder / "growth.png", dpi=110)

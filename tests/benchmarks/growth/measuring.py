@@ -25,7 +25,7 @@ SHORTEST = 0.02
 """Processor seconds that one timing lasts at least; what is quicker is repeated."""
 
 LONG = 1.0
-"""Processor seconds from which on a program is run once."""
+"""Processor seconds from which on a program is run twice."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
 def measured(growth: Growth, *, rounds: int, most_seconds: float, memory: bool) -> Curve:
     """Time all sizes in turn, ``rounds`` times, and keep the least; sizes after one over ``most_seconds`` are left out.
 
-    A command, and what takes longer than `LONG`, runs once at each size.
+    A command runs once at each size, what takes longer than `LONG` twice.
     """
     curve = Curve(growth)
     if growth.command is not None:
@@ -98,16 +98,18 @@ def measured(growth: Growth, *, rounds: int, most_seconds: float, memory: bool) 
         warnings.simplefilter("ignore", DataWarning)
         for size in growth.sizes:
             program = growth.make(size)
+            if not programs:
+                program()  # compiles
             programs.append(program)
             curve.sizes.append(size)
             began = time.process_time()
-            program()  # the first run may compile
+            program()
             curve.seconds.append(time.process_time() - began)
             if curve.seconds[-1] > most_seconds:
                 break
-        for _ in range(rounds):
+        for number in range(rounds):
             for i, program in enumerate(programs):
-                if curve.seconds[i] < LONG:
+                if number == 0 or curve.seconds[i] < LONG:  # the first run may have compiled, or built what is kept
                     curve.seconds[i] = min(curve.seconds[i], timed(program))
         if memory:
             curve.megabytes = [allocated(program) for program in programs]

@@ -66,8 +66,8 @@ CHANGES = (
     Change(
         "a window leads to the state it starts from",
         "sysid_evo/data/windows.py",
-        "episode.states[ahead + 1],",
-        "episode.states[ahead],",
+        "_cut(self.states, place, ahead + 1),",
+        "_cut(self.states, place, ahead),",
         TEST_WINDOWS,
     ),
     Change(

@@ -44,8 +44,8 @@ CHANGES = (
     Change(
         "an evolved fit looks one step ahead, whatever it is told",
         "sysid_evo/evolution/identification.py",
-        "every = dataset.windows(self.horizon, history=history)",
-        "every = dataset.windows(1, history=history)",
+        "every = dataset.window_places(self.horizon, history=history)",
+        "every = dataset.window_places(1, history=history)",
         ("tests/sysid_evo/test_model_evolution.py",),
     ),
     Change(

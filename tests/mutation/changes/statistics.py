@@ -162,8 +162,8 @@ CHANGES = (
     Change(
         "overlapping windows are drawn one by one instead of in blocks",
         "evaluation/prediction/cases.py",
-        "np.arange(len(rows)) // size",
-        "np.arange(len(rows)) // 1",
+        "np.repeat(first, count)) // size",
+        "np.repeat(first, count)) // 1",
         ("tests/evaluation/test_bootstrap.py", TEST_PREDICTION),
     ),
     Change(

@@ -59,8 +59,8 @@ CHANGES = (
     Change(
         "waypoints crowd in the middle of the arena",
         "sysid_evo/tasks/point_to_point.py",
-        "arena_radius * np.sqrt(drawn[..., 0])",
-        "arena_radius * drawn[..., 0]",
+        "arena_radius * np.sqrt(found[..., 0])",
+        "arena_radius * found[..., 0]",
         TEST_TASK,
     ),
     Change(
@@ -128,9 +128,9 @@ CHANGES = (
     ),
     Change(
         "a switch closes at half instead of three tenths",
-        "sysid_evo/engine/compiled/run.py",
-        "channel.levels[i], np.arctanh(boundary) if before_tanh else boundary",
-        "channel.levels[i], np.arctanh(1.5 * boundary) if before_tanh else 1.5 * boundary",
+        "sysid_evo/engine/compiled/tables.py",
+        "np.arctanh(boundary) if before_tanh else boundary",
+        "np.arctanh(1.5 * boundary) if before_tanh else 1.5 * boundary",
         (f"{COMPILED}::test_every_output_selects_the_level_that_the_system_says",),
     ),
 )

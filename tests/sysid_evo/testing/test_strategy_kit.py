@@ -94,6 +94,25 @@ class Forgetful(Climber):
         return {"generation": 0, "parent": self.parent.copy()}
 
 
+class Drawing(Climber):
+    """Counts its questions, and draws by their number."""
+
+    asked = 0
+
+    def ask(self) -> Array:
+        self.asked += 1
+        rng = np.random.default_rng([self.seed, self.asked])
+        return self.parent + 0.2 * rng.standard_normal((8, self.n_parameters))
+
+    @property
+    def state(self) -> StrategyState:
+        return {**super().state, "asked": self.asked}
+
+    def restore(self, state: StrategyState) -> None:
+        super().restore(state)
+        self.asked = int(state["asked"])
+
+
 class Aliasing(Climber):
     """Hands out its own array as the state, and learns into it."""
 
@@ -158,6 +177,7 @@ BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (Credulous, kit.tell_refuses_what_is_no_fitness, "expected InvalidArgument, got no error"),
     (Scaling, kit.a_plateau_is_no_end, "it asks candidates that are not finite"),
     (Forgetful, kit.a_restored_strategy_goes_on, "it goes on otherwise after 4 generations"),
+    (Drawing, kit.a_restored_strategy_goes_on, "it goes on otherwise after 0 generations and a question"),
     (Aliasing, kit.a_restored_strategy_goes_on, "a state changes after it was taken"),
     (Nostalgic, kit.what_is_forgotten_does_not_count, "60 generations later, on another hill, 1 of the elite"),
     (Averaging, kit.what_is_not_needed_does_not_count, "that are not needed, it asks others"),
