@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,12 +79,14 @@ def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_o
     command = [sys.executable, "-c", "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
                "from sysid_evo.cli import main; main()", *arguments]  # fmt: skip
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 60.0
-    while not (tmp_path / "waits").exists() or not list(tmp_path.glob("out/models/linear-*.json")):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    assert process.stderr is not None
+    said = ""
+    while "fit linear" not in said or not (tmp_path / "waits").exists():
+        line = process.stderr.readline()
+        assert line, said
+        said += line
     os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
+    said += process.communicate(timeout=60.0)[1]
     assert process.returncode == 130
     assert "interrupted: fit waiting. Nothing unfinished is kept; go on with --out out" in said
     assert "Traceback" not in said
