@@ -37,7 +37,11 @@ ONE_OF_A_KIND = [
 
 @pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
-    "family", [pytest.param(name, marks=pytest.mark.slow) if name == "hybrid_ode" else name for name in models.names()]
+    "family",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in {"hybrid_ode", "torch_ode"} else name
+        for name in models.names()
+    ],
 )
 def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
     family: str, recording: str, request: pytest.FixtureRequest

@@ -71,7 +71,7 @@ def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed
                        ("tolerant", "", ["broken", "base"]))  # fmt: skip
         watching, store = run(folder, plan, count)
         assert set(diary(folder).values()) == {1}
-        assert len(processes(folder)) in ({1} if count == 1 else {count, count - 1})
+        assert 1 <= len(processes(folder)) <= count  # one that starts late may find nothing left to do
         assert (os.getpid() in processes(folder)) == (count == 1)
         assert sorted(watching.computed) == sorted(cell.name for cell in plan)
         found.append([(cell.title, store.outcome(cell).value, store.outcome(cell).reason) for cell in plan])
