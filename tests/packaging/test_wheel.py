@@ -69,7 +69,9 @@ def test_what_a_package_index_shows_is_complete(distribution: dict[str, Path], p
     assert [link for link in links if not link.startswith("https://")] == []
 
 
-def test_all_is_every_extra_but_those_of_developers_and_of_a_device(distribution: dict[str, Path], project: dict[str, Any]) -> None:
+def test_all_is_every_extra_but_those_of_developers_and_of_a_device(
+    distribution: dict[str, Path], project: dict[str, Any]
+) -> None:
     brought: dict[str, set[str]] = {}
     for line in metadata_of(distribution["wheel"]).get_all("Requires-Dist", []):
         extra = re.search(r"(.*);.*extra == '(\w+)'", line)
