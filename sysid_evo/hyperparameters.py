@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import inspect
 import numbers
 import sys
@@ -135,3 +136,18 @@ def _annotations(family: type) -> dict[str, Any]:
         return typing.get_type_hints(family.__init__)  # type: ignore[misc]  # only read
     except NameError:  # a name that only the type checker knows: nothing to check against
         return {}
+
+
+def checked(init: Any) -> Any:
+    """Wrap a family's constructor: a wrong name or value is refused where it is given."""
+
+    @functools.wraps(init)
+    def wrapped(self: Any, *arguments: Any, **parameters: Any) -> None:
+        outermost = type(self).__init__ is wrapped
+        if outermost:
+            check_names(type(self), parameters)
+        init(self, *arguments, **parameters)
+        if outermost:
+            self.check_parameters()
+
+    return wrapped

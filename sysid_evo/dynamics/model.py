@@ -14,12 +14,12 @@ import numpy.typing as npt
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics.stepping import Dynamics, clip_state
+from sysid_evo.dynamics.stepping import Dynamics, clip_state, training_envelope
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
-from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, declare
+from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, checked, declare
 from sysid_evo.lags import CarryLayout
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class DynamicsModel(Dynamics, Estimator):
             cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign, assignment]  # wraps the family's own
         declare(cls)
         if "__init__" in cls.__dict__:
-            cls.__init__ = _checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
+            cls.__init__ = checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
 
     def set_params(self, **parameters: Any) -> Self:
         """Change hyper-parameters; a wrong name or value is refused and changes nothing."""
@@ -383,28 +383,6 @@ class DynamicsModel(Dynamics, Estimator):
             for k, carry in enumerate(chained(step, self.start(states, past_controls, draws), controls)):
                 out[:, k] = carry[:, : system.nx]
         return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
-
-
-def training_envelope(states: Array, multiple: float) -> Array:
-    """Return the centre of ``states`` (N, nx) plus and minus ``multiple`` half ranges, (2, nx)."""
-    low, high = states.min(axis=0), states.max(axis=0)
-    centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
-    return np.stack([centre - multiple * half, centre + multiple * half])
-
-
-def _checked(init: Any) -> Any:
-    """Wrap a family's constructor: a wrong name or value is refused where it is given."""
-
-    @functools.wraps(init)
-    def wrapped(self: DynamicsModel, *arguments: Any, **parameters: Any) -> None:
-        outermost = type(self).__init__ is wrapped
-        if outermost:
-            check_names(type(self), parameters)
-        init(self, *arguments, **parameters)
-        if outermost:
-            self.check_parameters()
-
-    return wrapped
 
 
 def require_planar(model: DynamicsModel, system: System) -> None:

@@ -82,3 +82,10 @@ def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:
     if dynamics.doubt_at is None:
         return np.zeros(len(carry))
     return np.where(diverged, 0.0, carry[:, dynamics.doubt_at])
+
+
+def training_envelope(states: Array, multiple: float) -> Array:
+    """Return the centre of ``states`` (N, nx) plus and minus ``multiple`` half ranges, (2, nx)."""
+    low, high = states.min(axis=0), states.max(axis=0)
+    centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
+    return np.stack([centre - multiple * half, centre + multiple * half])

@@ -15,27 +15,19 @@ arithmetic are written with a point (``2.0``).
 from __future__ import annotations
 
 import ast
-import hashlib
-import importlib.util
 import inspect
 import numbers
-import sys
 import textwrap
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from types import FunctionType, ModuleType
 from typing import Any, ClassVar, Literal, Protocol, TypeAlias
 
-import llvmlite
-import numba
-
-from sysid_evo.engine.compiled import elementary, lanes, pointers, row_mathematics, rows
+from sysid_evo.engine.compiled import elementary, lanes, row_mathematics
+from sysid_evo.engine.compiled.generated import imported
 from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.files import cache_folder, write_atomically
 
 Precision: TypeAlias = Literal["float32", "float64"]
 
@@ -44,7 +36,6 @@ LANE_FUNCTIONS = (
     "look_up", "lowest", "pick", "splat", "splat_quarter", "store", "view", "where_at_most",
     "where_bits", "where_less",
 )  # fmt: skip
-_IMPORTING = threading.RLock()
 PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
 PASSED_ON[row_mathematics.power_of_two] = "power_of_two"
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
@@ -378,36 +369,3 @@ def _parse(function: FunctionType) -> ast.FunctionDef:
     if not isinstance(tree, ast.FunctionDef):
         raise InvalidArgument(f"kernel function {function.__qualname__}: expected a def, got {type(tree).__name__}")
     return tree
-
-
-@cache
-def _fingerprint() -> str:
-    """Return a digest of everything outside a generated file that its compiled form depends on."""
-    rooms = [inspect.getsource(module) for module in (rows, lanes, pointers, row_mathematics)]
-    parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-def imported(text: str) -> Any:
-    """Return the module of a generated file, kept in the cache under a name that says all it depends on."""
-    digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
-    name = f"sysid_evo_kernel_{digest}"
-    with _IMPORTING:
-        return sys.modules[name] if name in sys.modules else _load(name, text)
-
-
-def _load(name: str, text: str) -> Any:
-    path = cache_folder("kernels") / f"{name}.py"
-    if not path.is_file() or path.read_text(encoding="utf-8") != text:
-        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module

@@ -16,7 +16,8 @@ from typing import Any
 
 import numba_cuda
 
-from sysid_evo.engine.compiled.dialect import Precision, Source, Target, generate_for, imported
+from sysid_evo.engine.compiled.dialect import Precision, Source, Target, generate_for
+from sysid_evo.engine.compiled.generated import imported
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.engine.cuda import lanes, loop, one_lane
 from sysid_evo.errors import InvalidArgument

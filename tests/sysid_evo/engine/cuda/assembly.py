@@ -7,7 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-from sysid_evo.engine.compiled.dialect import Precision, imported
+from sysid_evo.engine.compiled.dialect import Precision
+from sysid_evo.engine.compiled.generated import imported
 from sysid_evo.engine.compiled.run import Kernels
 from sysid_evo.randomness import trial_seeds
 
