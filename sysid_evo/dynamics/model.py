@@ -70,7 +70,7 @@ class DynamicsModel(Dynamics, Estimator):
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
 
-    What `fit` learns must be arrays, numbers, strings, or lists of these, so that it can be stored;
+    What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
