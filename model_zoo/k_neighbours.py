@@ -42,6 +42,7 @@ class KNeighbours(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
     periodic = True
     precision = "float64"  # who the neighbours are hangs on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}

@@ -28,6 +28,7 @@ class Linear(DynamicsModel):
     """
 
     knowledge = "black"
+    structure = "polynomial"
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     ridge: float = 0.0

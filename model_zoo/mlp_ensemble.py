@@ -48,6 +48,7 @@ class MlpEnsemble(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {

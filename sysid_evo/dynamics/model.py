@@ -54,7 +54,8 @@ class DynamicsModel(Dynamics, Estimator):
     ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
     the control is neutral, and so are the earlier controls in the carry, which may still act.
 
-    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` the class of
+    structure in which `auto` weighs it (network, polynomial, neighbours, physics, or a word of its own);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
     ``limits`` what numbers they may be (types follow from the constructor's annotations);
     ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
@@ -79,6 +80,7 @@ class DynamicsModel(Dynamics, Estimator):
     """
 
     knowledge: ClassVar[str] = "black"
+    structure: ClassVar[str] = ""
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {
