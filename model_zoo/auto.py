@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.selection.candidates import Candidate, named, offered, structure_of, unusable
+from model_zoo.selection.candidates import Candidate, named, offered, plugins, structure_of, unusable
 from model_zoo.selection.choosing import Choosing
 from model_zoo.selection.fitting import Work
 from model_zoo.selection.folds import folds_of, history_of, horizons_of
@@ -48,7 +48,7 @@ class Auto(MeanOfMembers):
 
     knowledge = "grey"
     periodic = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0, "folds": 2}, "paper": {"budget": 900.0}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0}, "paper": {"budget": 900.0}}
     limits: ClassVar[dict[str, Limit]] = {
         "budget": above(0),
         "gate": at_least(1),
@@ -94,6 +94,10 @@ class Auto(MeanOfMembers):
     def _mean(self, models: list[DynamicsModel]) -> Self:
         """Return the mean of models that learned from the same part of the data."""
         return self.of(models, weights_of([structure_of(model) for model in models]))
+
+    def uses(self) -> tuple[str, ...]:
+        tried = plugins() if self.candidates is None else named(self.candidates)
+        return tuple(dict.fromkeys(one.spec.name for one in tried))
 
     def standing(self) -> list[dict[str, str]]:
         """Return a row for every candidate, the best first: its held-out error, its weight, and what it is."""

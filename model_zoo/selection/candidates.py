@@ -94,7 +94,7 @@ def offered(system: System, steps: int, *, budget: float, folds: int) -> tuple[l
     is always taken. Registered families that declare a ``structure`` and are not among the shipped come first.
     """
     left, taken, remarks = PROCESSORS * SHARE * budget, list[Candidate](), list[str]()
-    for candidate in (*_plugins(), *SHIPPED):
+    for candidate in (*plugins(), *SHIPPED):
         reason = unusable(candidate, system)
         if reason:
             remarks.append(f"{candidate.spec}: {reason}")
@@ -146,7 +146,7 @@ def structure_of(model: DynamicsModel) -> str:
     return "network with lags" if model.n_carry > model.system.nx else "network without lags"
 
 
-def _plugins() -> list[Candidate]:
+def plugins() -> list[Candidate]:
     """Return the registered families that declare a structure and are no part of the zoo, by name."""
     found = []
     for name in models.names():

@@ -252,8 +252,9 @@ def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> No
 
 
 def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outcome], *, json: bool) -> None:
-    """Print where each fitted model stands, and why one does not."""
+    """Print where each fitted model stands, why one does not, and what there is to say of how it learned."""
     from rich.table import Table
+    from rich.text import Text
 
     rows = []
     for label, cell in comparison.fits.items():
@@ -264,6 +265,7 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
                 "seconds": round(outcome.seconds, 1),
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
+                "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
             }
         )
     if json:
@@ -275,6 +277,9 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
     for row in rows:
         table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
     out.print(table)
+    for row in rows:
+        if row["note"]:
+            out.print(Text(f"{row['model']} {row['note']}"))
     labels = ",".join(str(row["model"]) for row in rows if row["file"])
     if labels:
         tell(f"evolve against them with: sysid-evo evolve --run {store.path} --against {labels}")

@@ -221,6 +221,10 @@ class DynamicsModel(Dynamics, Estimator):
             f"most_steps={self.most_steps} allows"
         )
 
+    def uses(self) -> tuple[str, ...]:
+        """Return the names of other registered families that `fit` makes: what is learned depends on them, too."""
+        return ()
+
     def alternatives(self) -> tuple[Dynamics, ...]:
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
