@@ -9,13 +9,13 @@ import numpy as np
 from model_zoo.selection.candidates import Candidate, named, offered, plugins, structure_of, unusable
 from model_zoo.selection.choosing import Choosing
 from model_zoo.selection.fitting import Work
-from model_zoo.selection.folds import folds_of, history_of, horizons_of
 from model_zoo.selection.gate import weights_of
-from model_zoo.selection.judging import Judge, Trial
 from model_zoo.selection.mean import MeanOfMembers
 from model_zoo.selection.standing import Standing
 from sysid_evo import Dataset, DynamicsModel, register_model
+from sysid_evo.cross_validation import folds_of
 from sysid_evo.hyperparameters import Limit, above, at_least
+from sysid_evo.judging import Judge, Trial, history_of, horizons_of
 from sysid_evo.progress import Progress
 
 HORIZONS = [10, 20, 60]

@@ -11,10 +11,11 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
-from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
+from model_zoo.validation.held_out import best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress

@@ -10,11 +10,11 @@ import numpy as np
 from model_zoo.selection.candidates import Candidate
 from model_zoo.selection.fitting import Outcome, Task, Work
 from model_zoo.selection.gate import chosen
-from model_zoo.selection.judging import Errors, Judge
 from sysid_evo.arrays import IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
+from sysid_evo.judging import Errors, Judge
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""

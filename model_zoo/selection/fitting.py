@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from model_zoo.selection.judging import Trial
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.judging import Trial
 from sysid_evo.processors import available_processors
 from sysid_evo.progress import Progress
 from sysid_evo.registry import make_model, models

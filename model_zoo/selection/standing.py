@@ -10,9 +10,9 @@ import numpy as np
 
 from model_zoo.selection.candidates import Candidate, structure_of
 from model_zoo.selection.choosing import Choice
-from model_zoo.selection.judging import interval
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.judging import interval
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ import pytest
 from model_zoo.auto import Auto
 from model_zoo.selection.candidates import SHIPPED, offered, structure_of
 from model_zoo.selection.fitting import Task, Work, fitted
-from model_zoo.selection.folds import folds_of, horizons_of
 from model_zoo.selection.gate import chosen, weights_of
-from model_zoo.selection.judging import Judge, Trial, interval
+from sysid_evo.cross_validation import folds_of
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import InvalidData
+from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import make_model, models, register_model
 from sysid_evo.testing import example_dataset

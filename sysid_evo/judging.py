@@ -135,3 +135,16 @@ def interval(first: Errors, second: Errors) -> tuple[float, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(second.resampled() - first.resampled(), [tail, 100.0 - tail])
     return float(low), float(high)
+
+
+def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list[int]:
+    """Return those of the ``wanted`` horizons (steps) that fit into what is held out; the longest possible if none."""
+    longest = min(max(len(episode) for episode in held) for _, held in pairs)
+    fitting = sorted({horizon for horizon in wanted if horizon <= longest - 1})
+    return fitting or [max(1, longest // 2)]
+
+
+def history_of(pairs: list[tuple[Dataset, Dataset]]) -> int:
+    """Return how many samples are measured before a free run: more where recordings are long."""
+    typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
+    return int(np.clip(typical // 20, 0, 64))
