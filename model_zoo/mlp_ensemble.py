@@ -19,6 +19,7 @@ from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import OneOf, Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -52,6 +53,11 @@ class MlpEnsemble(DynamicsModel):
     structure = "network"
     periodic = True
     resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24, 24], [96, 96])),
+        "horizon": Within(5, 40, log=True),
+    }
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,

@@ -15,6 +15,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import OneOf, Searched, Within
 
 if TYPE_CHECKING:
     from model_zoo.flows.training import Physics
@@ -40,6 +41,12 @@ class NetworkRate(DynamicsModel):
     structure = "network"
     periodic = True
     resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24], [64, 64])),
+        "horizon": Within(5, 40, log=True),
+        "learning_rate": Within(2e-3, 2e-2, log=True),
+    }
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),

@@ -21,6 +21,7 @@ from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packag
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, checked, declare
 from sysid_evo.lags import CarryLayout
+from sysid_evo.searched import Searched
 
 if TYPE_CHECKING:
     from sysid_evo.checkpoint import Checkpoint
@@ -57,9 +58,10 @@ class DynamicsModel(Dynamics, Estimator):
     ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` the class of
     structure in which `auto` weighs it (network, polynomial, neighbours, physics, or a word of its own);
     ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
-    ``limits`` what numbers they may be (types follow from the constructor's annotations);
-    ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
-    exact enough. A family is ``periodic`` if equal angles are equal to it, however many turns apart.
+    ``searched`` where `sysid_evo.tuning` looks for them; ``limits`` what numbers they may be (types follow from the
+    constructor's annotations); ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in
+    which the compiled form is exact enough. A family is ``periodic`` if equal angles are equal to it, however many
+    turns apart.
 
     A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
     blocks of time at random places (`sysid_evo.data.thinning`), which a `DataWarning` and `fit_note` say.
@@ -81,6 +83,7 @@ class DynamicsModel(Dynamics, Estimator):
 
     knowledge: ClassVar[str] = "black"
     structure: ClassVar[str] = ""
+    searched: ClassVar[Mapping[str, Searched]] = {}
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {

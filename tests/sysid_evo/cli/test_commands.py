@@ -125,3 +125,19 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path
     assert card["timings"]["engine"].startswith("compiled")
     shown = run_here("models", "show", stored, cwd=tmp_path)
     assert max(map(len, shown.stdout.splitlines())) <= 80
+
+
+def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(logs: Path, tmp_path: Path) -> None:
+    command = ("tune", "linear(intercept=true)", "--data", logs, "--horizon", "10", "--out", "out")
+    done = run_here(*command, "--trials", "3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("linear(intercept=true, ")
+    further = run_here(*command, "--trials", "5", "--json", cwd=tmp_path)
+    assert further.returncode == 0, further.stderr
+    found = json.loads(further.stdout)
+    assert len(found["trials"]) == 5
+    assert found["horizons"] == [10]
+    assert found["best"] == found["trials"][0]["spec"]
+    wrong = run_here(*command, "--budget", "soon", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "expected a time such as 90s, 5m or 1h, got 'soon'" in " ".join(wrong.stderr.split())
