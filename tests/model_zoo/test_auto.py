@@ -66,6 +66,41 @@ def test_the_mean_of_next_states_is_the_mean_of_accelerations_and_its_compiled_f
         controls.append(control)
 
 
+class Remembering(DynamicsModel):
+    """What is told is the sum of all controls so far, which stands behind the state, and half of its noise."""
+
+    n_noise = 1
+
+    def fit(self, dataset: Any, *, rng: Any, progress: Any = None) -> Any:
+        return self
+
+    @property
+    def n_carry(self) -> int:  # type: ignore[override]  # as in other families
+        return self.system.nx + 1
+
+    def start(self, states: Any, controls: Any, draws: Any = None) -> Any:
+        return np.concatenate([states[:, -1], np.zeros((len(states), 1))], axis=1)
+
+    def step(self, carry: Any, control: Any, noise: Any = None) -> Any:
+        total = carry[:, 3:] + control[:, :1]
+        own = 0.0 if noise is None else 0.5 * noise
+        return np.concatenate([carry[:, :3] + total + own, total], axis=1)
+
+
+def test_a_member_with_a_memory_and_noise_of_its_own_keeps_both() -> None:
+    """Its state is the mean's, what it remembers and the noise that it is given are its own."""
+    data = example_dataset()
+    mean = learned().variant()
+    mean.become([Remembering().fit(data, rng=0)] * 2, np.array([0.25, 0.75]))
+    assert (mean.n_carry, mean.n_noise, mean.kernel()) == (3 + 2 * 4, 2, None)
+    carry, noise = mean.start(np.zeros((1, 1, 3)), np.zeros((1, 0, 2))), np.array([[0.4, 0.8]])
+    for total in (1.0, 2.0):
+        before = carry[0, 0]
+        carry = mean.step(carry, np.array([[1.0, 0.0]]), noise)
+        assert carry[0, 0] == pytest.approx(before + total + 0.25 * 0.2 + 0.75 * 0.4)
+        assert carry[0, [6, 10]].tolist() == [total, total]
+
+
 def test_weights_are_equal_in_each_class_of_structure_and_across_the_classes() -> None:
     found = weights_of(["network with lags", "polynomial", "network with lags", "neighbours"])
     np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 6, 1 / 3])
