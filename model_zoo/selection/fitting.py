@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from sysid_evo.registry import make_model, models
 
 WORTH = 10.0
 """Seconds of work for which one more process is worth its start."""
+IDLE = 10
+"""Seconds after which processes end that have nothing to do."""
 PARTS = 10
 """Parts in which a second of work is told."""
 
@@ -92,9 +95,10 @@ class Work:
                 if task not in elsewhere:
                     found[task.key] = fitted(task, self._part(task))
                     self._advance(task.cost)
-            for task, outcome in _side_by_side(elsewhere, processes):
-                found[task.key] = outcome
-                self._advance(task.cost)
+            with closing(_side_by_side(elsewhere, processes)) as ended:
+                for task, outcome in ended:
+                    found[task.key] = outcome
+                    self._advance(task.cost)
         except Stopped as stopped:
             raise stopped.cause from None
         return found
@@ -127,16 +131,29 @@ def _importable(task: Task) -> bool:
     return models.module(task.name).partition(".")[0] == __name__.partition(".")[0]
 
 
-def _side_by_side(tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, Outcome]]:
-    """Yield the outcomes of ``tasks`` as they come."""
+def _side_by_side(tasks: Sequence[Task], processes: int) -> Generator[tuple[Task, Outcome], None, None]:
+    """Yield the outcomes of ``tasks`` as they come; closed before the last, it ends what is still computed."""
     if not tasks:
         return
     from joblib import Parallel, delayed
 
     call: Callable[..., Any] = delayed(_numbered)
-    pool = Parallel(n_jobs=processes, backend="loky", return_as="generator_unordered", batch_size=1, max_nbytes=None)
-    for number, outcome in pool(call(number, task) for number, task in enumerate(tasks)):
-        yield tasks[number], outcome
+    pool = Parallel(
+        processes,
+        backend="loky",
+        return_as="generator_unordered",
+        batch_size=1,
+        max_nbytes=None,
+        idle_worker_timeout=IDLE,
+    )
+    outcomes = pool(call(number, task) for number, task in enumerate(tasks))
+    try:
+        for number, outcome in outcomes:
+            yield tasks[number], outcome
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that something is cancelled is what is wanted
+            outcomes.close()
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Outcome]:
