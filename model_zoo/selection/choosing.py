@@ -9,7 +9,7 @@ import numpy as np
 
 from model_zoo.selection.candidates import Candidate
 from model_zoo.selection.fitting import Outcome, Task, Work
-from model_zoo.selection.gate import chosen
+from model_zoo.selection.gate import Passed, chosen
 from sysid_evo.arrays import IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -31,7 +31,7 @@ class Choice:
     errors: list[Errors | None]
     reasons: list[str]
     kept: list[int]
-    passed: float
+    passed: Passed
     models: list[DynamicsModel]
     rough: list[list[DynamicsModel]]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +14,14 @@ NARROWER = (1.0, 0.5, 0.25, 0.0)
 """The gates that are compared, as shares of how far the widest reaches beyond the best."""
 AS_GOOD = 0.01
 """Share of the lowest error by which the mean of more candidates may be worse than that of fewer."""
+
+
+@dataclass(frozen=True)
+class Passed:
+    """The ``gate`` that was taken, and the error of the mean of all that are inside each of those compared."""
+
+    gate: float
+    compared: tuple[tuple[float, float], ...]
 
 
 def weights_of(structures: Sequence[str]) -> Array:
@@ -30,8 +39,8 @@ def inside(errors: Sequence[float], gate: float) -> list[int]:
     return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]
 
 
-def chosen(errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float]) -> tuple[list[int], float]:
-    """Return the numbers of the candidates that are kept, and the gate they passed.
+def chosen(errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float]) -> tuple[list[int], Passed]:
+    """Return the numbers of the candidates that are kept, and how the gates compared, the one that was taken last.
 
     The gate is narrowed where the mean of those inside it, which ``mean_error`` tells, is worse than that of fewer: the
     widest whose mean is within 1 % of the best of these means.
@@ -42,8 +51,7 @@ def chosen(errors: Sequence[float], gate: float, mean_error: Callable[[list[int]
     for group in groups.values():
         if tuple(group) not in found:
             found[tuple(group)] = errors[group[0]] if len(group) == 1 else mean_error(group)
-    lowest = min(found.values())
-    for one, group in groups.items():
-        if found[tuple(group)] <= (1.0 + AS_GOOD) * lowest:
-            return group, one
-    return groups[gates[-1]], gates[-1]
+    compared = {one: found[tuple(group)] for one, group in groups.items()}
+    lowest = min(compared.values())
+    taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
+    return groups[taken], Passed(taken, tuple(compared.items()))

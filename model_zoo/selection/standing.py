@@ -20,8 +20,9 @@ class Standing:
     """The candidates that were judged, the best first, in what a stored model can hold.
 
     ``errors`` (n, H) at each of the ``horizons``, ``shares`` (n,) of the mean, 0 for those not kept, and a remark each.
-    ``failed`` are those that could not be judged, with the reason. ``ahead`` is the 95 % interval by which the second
-    best is worse than the best (nothing with one candidate).
+    ``failed`` are those that could not be judged, with the reason. ``gate`` was taken of those in ``means`` (g, 2),
+    each with the error of the mean of all inside. ``ahead`` is the 95 % interval by which the second best is worse than
+    the best (nothing with one candidate).
     """
 
     candidates: list[str]
@@ -31,6 +32,7 @@ class Standing:
     failed: list[str]
     horizons: list[int]
     gate: float
+    means: Array
     ahead: list[float]
     judged_on: str
 
@@ -50,7 +52,7 @@ class Standing:
         order = sorted(known, key=lambda number: known[number].mean)
         share = dict(zip(choice.kept, weights.tolist(), strict=True))
         kind = {n: structure_of(model) for n, model in zip(choice.kept, choice.models, strict=True)}
-        above = f"above {choice.passed:.2f} x the best"
+        above = f"above {choice.passed.gate:.2f} x the best"
         usable = [number for number in order if not choice.reasons[number]]
         ahead = interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()
         failed = [
@@ -63,7 +65,8 @@ class Standing:
             remarks=[choice.reasons[number] or kind.get(number, above) for number in order],
             failed=[*failed, *left_out],
             horizons=list(horizons),
-            gate=float(choice.passed),
+            gate=choice.passed.gate,
+            means=np.array(choice.passed.compared),
             ahead=[float(value) for value in ahead],
             judged_on=held_out_in_words(pairs),
         )
@@ -101,7 +104,8 @@ class Standing:
         text = (
             f"kept {len(kept)} of {len(self.candidates)} candidates and is their mean: {', '.join(kept)}; judged by "
             f"free runs of {', '.join(map(str, self.horizons))} steps on {self.judged_on}, kept up to "
-            f"{self.gate:.2f} x the lowest error"
+            f"{self.gate:.2f} x the lowest error; the mean of those within "
+            + ", ".join(f"{gate:.2f} x has {error:.3f}" for gate, error in self.means)
         )
         if self.ahead:
             low, high = self.ahead

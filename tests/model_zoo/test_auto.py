@@ -139,9 +139,14 @@ def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:
 
 def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse() -> None:
     errors = [0.30, 0.20, 0.24, 0.9]
-    assert chosen(errors, 1.5, lambda group: 0.2) == ([0, 1, 2], 1.5)
-    assert chosen(errors, 1.5, lambda group: 0.21 if len(group) == 3 else 0.19) == ([1, 2], 1.25)
-    assert chosen(errors, 1.5, lambda group: 0.25) == ([1], 1.125)
+    for mean_error, kept, gate in (
+        ((0.20, 0.20), [0, 1, 2], 1.5),
+        ((0.21, 0.19), [1, 2], 1.25),
+        ((0.25, 0.25), [1], 1.125),
+    ):
+        group, passed = chosen(errors, 1.5, lambda group, e=mean_error: e[0 if len(group) == 3 else 1])
+        assert (group, passed.gate) == (kept, gate)
+        assert dict(passed.compared) == {1.5: mean_error[0], 1.25: mean_error[1], 1.125: 0.20, 1.0: 0.20}
 
 
 def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> None:
