@@ -58,7 +58,7 @@ class Auto(MeanOfMembers):
 
     budget: float = 300.0
     candidates: list[str] | None = None
-    gate: float = 1.5
+    gate: float = 1.25
     horizons: list[int] | None = None
     folds: int = 3
     stochastic: bool = False

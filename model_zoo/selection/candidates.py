@@ -76,7 +76,7 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
     _one("gaussian_process", 3.0, 1.0),
     _one("sindy_discrete", 1.0, 1.0),
-    _networks(0, 0, 2.0),
+    _networks(0, 0, 3.0),
     _one("linear(state_lags=2, control_lags=2)", 0.1, 1.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=0.3)", 5.5),
     _one("parametrised", 2.0, 1.0),

@@ -15,6 +15,7 @@ is without zero. With ``--keep`` fitted models are kept in a folder, and are not
 from __future__ import annotations
 
 import argparse
+import resource
 import sys
 import time
 from pathlib import Path
@@ -22,10 +23,10 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from evaluation.comparison import Split
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
 from evaluation.prediction.bootstrap import interval
 from evaluation.prediction.cases import MeasuredCases
-from hardware.recording.scripted import record_dataset
 from model_zoo.selection.candidates import SHIPPED, unusable
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -44,7 +45,9 @@ def recording(name: str) -> tuple[Dataset, Dataset]:
     """Return training and test set of a real car, or of an emulated robot."""
     if name in TEST_EPISODE:
         return car_recording(name)
-    return record_dataset(make_robot(name), seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
+    parts = Split(share=HELD_BACK).of(make_robot(name).record(seed=0, duration=RECORDED_TIME).dataset)
+    assert parts.test is not None
+    return parts.training, parts.test
 
 
 class Fits:
@@ -70,10 +73,10 @@ class Fits:
 
 
 def processor_seconds() -> float:
-    """Return the processor time of this process and of those that it has started and that go on."""
-    own = psutil.Process()
+    """Return the processor time of this process and of those that it has started, whether they go on or not."""
+    own, ended = psutil.Process(), resource.getrusage(resource.RUSAGE_CHILDREN)
     every = [own.cpu_times(), *(child.cpu_times() for child in own.children(recursive=True))]
-    return float(sum(times.user + times.system for times in every))
+    return float(sum(times.user + times.system for times in every) + ended.ru_utime + ended.ru_stime)
 
 
 def _as_file_name(spec: Spec) -> str:
