@@ -29,9 +29,10 @@ class Auto(MeanOfMembers):
     them is held out, ``folds`` times (blocks of time where there is one recording), and runs free there. Its error is
     that after ``horizons`` steps (10, 20, 60): RMSE / standard deviation, the mean over states and horizons. What fails
     or diverges is dropped with its reason, and so is what is more than ``gate`` times as far off as the best; the
-    gate is narrowed where the mean of all inside is worse on what was held out than the mean of fewer. Those kept
-    learn again from all data. Their weights are equal in each class of structure (networks that see earlier samples,
-    networks that do not, polynomials, neighbours, physics), and equal across the classes. For a given state the next
+    gate is narrowed where the mean of all inside is worse on what was held out than the mean of fewer, but what is not
+    significantly worse than the best stays (paired bootstrap). Those kept learn again from all data. Their weights are
+    equal in each class of structure (networks that see earlier samples, networks that do not, polynomials,
+    neighbours, physics), and equal across the classes. For a given state the next
     one is affine in the acceleration, so that the mean of next states is that of accelerations. Every member starts
     each step from the mean, and keeps its own memory beside it.
 

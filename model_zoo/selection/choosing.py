@@ -14,7 +14,7 @@ from sysid_evo.arrays import IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
-from sysid_evo.judging import Errors, Judge
+from sysid_evo.judging import Errors, Judge, interval
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""
@@ -69,7 +69,9 @@ class Choosing:
             return self.judge.errors([t.run(one) for t, one in zip(self.judge.trials, means, strict=True)]).mean
 
         numbers = list(usable)
-        group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error)
+        best = min(usable.values(), key=lambda error: error.mean)
+        ties = [i for i, number in enumerate(numbers) if interval(best, usable[number])[0] <= 0.0]
+        group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
         kept: dict[int, DynamicsModel] = {}
         for (number, _), outcome in sorted(final.items()):

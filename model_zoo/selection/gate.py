@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +39,18 @@ def inside(errors: Sequence[float], gate: float) -> list[int]:
     return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]
 
 
-def chosen(errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float]) -> tuple[list[int], Passed]:
-    """Return the numbers of the candidates that are kept, and how the gates compared, the one that was taken last.
+def chosen(
+    errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
+) -> tuple[list[int], Passed]:
+    """Return the numbers of the candidates that are kept, and how the gates compared.
 
     The gate is narrowed where the mean of those inside it, which ``mean_error`` tells, is worse than that of fewer: the
-    widest whose mean is within 1 % of the best of these means.
+    widest whose mean is within 1 % of the best of these means. ``ties``, which are as good as the best for all that is
+    known, stay while they are inside the widest.
     """
     gates = [1.0 + share * (gate - 1.0) for share in NARROWER]
-    groups = {one: inside(errors, one) for one in gates}
+    widest = inside(errors, gate)
+    groups = {one: [number for number in widest if number in ties or number in inside(errors, one)] for one in gates}
     found: dict[tuple[int, ...], float] = {}
     for group in groups.values():
         if tuple(group) not in found:

@@ -149,6 +149,11 @@ def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse() -> None:
         assert dict(passed.compared) == {1.5: mean_error[0], 1.25: mean_error[1], 1.125: 0.20, 1.0: 0.20}
 
 
+def test_what_is_as_good_as_the_best_for_all_that_is_known_is_kept_by_every_gate_but_the_widest() -> None:
+    group, _ = chosen([0.30, 0.20, 0.24, 0.9], 1.5, lambda group: 0.1 * len(group), ties=[1, 2, 3])
+    assert group == [1, 2], "the last is outside the widest gate"
+
+
 def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> None:
     data = example_dataset(episodes=4)
     pairs = folds_of(data, 3)
