@@ -13,6 +13,7 @@ from sysid_evo.cli import (
     comparing,
     driving,
     evolving,
+    exploiting,
     exporting,
     models,
     names,
@@ -45,6 +46,7 @@ app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("evolve")(evolving.evolve)
+app.command("exploit")(exploiting.exploit)
 app.command("coevolve")(racing.coevolve)
 app.command("match")(racing.match)
 app.command("drive")(driving.drive)
