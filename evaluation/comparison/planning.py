@@ -132,7 +132,7 @@ def plan_comparison(
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
             recorded=_is_recorded(data),
         )
-        exploitability = ExploitCell(matrix, data)
+        exploitability = ExploitCell(matrix, data, experiment.seed)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]

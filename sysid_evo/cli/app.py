@@ -13,6 +13,7 @@ from sysid_evo.cli import (
     comparing,
     driving,
     evolving,
+    exploiting,
     exporting,
     models,
     names,
@@ -47,6 +48,7 @@ app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("tune")(tuning.tune)
 app.command("evolve")(evolving.evolve)
+app.command("exploit")(exploiting.exploit)
 app.command("coevolve")(racing.coevolve)
 app.command("match")(racing.match)
 app.command("drive")(driving.drive)
