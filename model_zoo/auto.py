@@ -17,6 +17,7 @@ from sysid_evo.cross_validation import folds_of
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.judging import Judge, Trial, history_of, horizons_of
 from sysid_evo.progress import Progress
+from sysid_evo.searched import Searched, Within
 
 HORIZONS = [10, 20, 60]
 
@@ -32,9 +33,9 @@ class Auto(MeanOfMembers):
     gate is narrowed where the mean of all inside is worse on what was held out than the mean of fewer, but what is not
     significantly worse than the best stays (paired bootstrap). Those kept learn again from all data. Their weights are
     equal in each class of structure (networks that see earlier samples, networks that do not, polynomials,
-    neighbours, physics), and equal across the classes. For a given state the next
-    one is affine in the acceleration, so that the mean of next states is that of accelerations. Every member starts
-    each step from the mean, and keeps its own memory beside it.
+    neighbours, physics), and equal across the classes. For a given state the next one is affine in the acceleration, so
+    that the mean of next states is that of accelerations. Every member starts each step from the mean, and keeps its
+    own memory beside it.
 
     ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they
     are *expected* to take and by no clock: the same data, seed and installed families give the same model on any
@@ -50,6 +51,7 @@ class Auto(MeanOfMembers):
     knowledge = "grey"
     periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0}, "paper": {"budget": 900.0}}
+    searched: ClassVar[dict[str, Searched]] = {"gate": Within(1.0, 2.0)}
     limits: ClassVar[dict[str, Limit]] = {
         "budget": above(0),
         "gate": at_least(1),

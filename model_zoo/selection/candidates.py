@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem, MissingExtra, PluginError
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
 
@@ -112,9 +112,14 @@ def offered(system: System, steps: int, *, budget: float, folds: int) -> tuple[l
 
 
 def named(texts: Sequence[str]) -> list[Candidate]:
-    """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults."""
+    """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults.
+
+    Raises what the registry says of wrong names, and `InvalidArgument` for `auto` itself.
+    """
     found: list[Candidate] = []
     for spec in map(Spec.parse, texts):
+        if spec.name == "auto":
+            raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
         models.check(spec)
         listed = [candidate for candidate in SHIPPED if candidate.spec.name == spec.name]
         found += [Candidate(spec)] if spec.parameters or not listed else listed

@@ -55,13 +55,12 @@ class DynamicsModel(Dynamics, Estimator):
     ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
     the control is neutral, and so are the earlier controls in the carry, which may still act.
 
-    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` the class of
-    structure in which `auto` weighs it (network, polynomial, neighbours, physics, or a word of its own);
-    ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
-    ``searched`` where `sysid_evo.tuning` looks for them; ``limits`` what numbers they may be (types follow from the
-    constructor's annotations); ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in
-    which the compiled form is exact enough. A family is ``periodic`` if equal angles are equal to it, however many
-    turns apart.
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` in which class
+    `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the hyper-parameters
+    that change with a budget (quick, standard, paper), ``searched`` where `sysid_evo.tuning` looks for some, ``limits``
+    what numbers they may be (types follow from the constructor); ``requires`` are optional packages that `fit` imports;
+    ``precision`` is the lowest in which the compiled form is exact enough. A family is ``periodic`` if equal angles are
+    equal to it, however many turns apart.
 
     A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
     blocks of time at random places (`sysid_evo.data.thinning`), which a `DataWarning` and `fit_note` say.
@@ -225,7 +224,7 @@ class DynamicsModel(Dynamics, Estimator):
         )
 
     def uses(self) -> tuple[str, ...]:
-        """Return the names of other registered families that `fit` makes: what is learned depends on them, too."""
+        """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
         return ()
 
     def alternatives(self) -> tuple[Dynamics, ...]:

@@ -14,8 +14,8 @@ from sysid_evo.hyperparameters import check_names, limits_of
 from sysid_evo.registry import models
 from sysid_evo.searched import OneOf, Searched, Within
 
-NEVER = frozenset({"stochastic", "rest_hold", "most_steps", "state_lags", "control_lags"})
-"""What has nothing to do with how well a model predicts, or has ranges of its own."""
+NEVER = frozenset({"stochastic", "rest_hold", "most_steps", "folds", "lag_search", "state_lags", "control_lags"})
+"""What has little to do with how well a model predicts, or has ranges of its own."""
 LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
 FACTOR = 8.0
 """How far a positive number is searched from its default, both ways."""

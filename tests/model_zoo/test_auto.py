@@ -15,7 +15,7 @@ from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import folds_of
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import make_model, models, register_model
@@ -135,6 +135,11 @@ def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason(
 def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:
     with pytest.raises(InvalidData, match=r"got none: narx\(state_lags=500.*no episode is longer"):
         make_model("auto", candidates=["narx(state_lags=500, control_lags=0)"]).fit(example_dataset(), rng=0)
+
+
+def test_auto_is_no_candidate_of_itself() -> None:
+    with pytest.raises(InvalidArgument, match="would try itself"):
+        make_model("auto", candidates=["linear", "auto"]).fit(example_dataset(), rng=0)
 
 
 def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse() -> None:
