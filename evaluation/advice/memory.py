@@ -38,13 +38,15 @@ def late_controls(evidence: Evidence) -> Remark | None:
     base, left, controls, earlier = found
     inputs = controls.shape[1] // (LAGS - memory)
     counts = [count for count in LOOKED_BACK if count <= LAGS - memory]
-    gains = [_gain(base, np.concatenate([base, controls[:, : inputs * count]], axis=1), left)[0] for count in counts]
-    best = max(gains)
+    tried = [controls[:, : inputs * count] for count in counts]
+    gains = [_gain(base, np.concatenate([base, some], axis=1), left)[0] for some in tried]
     beside = np.concatenate([base, earlier], axis=1)
-    if min(best, _gain(beside, np.concatenate([beside, controls], axis=1), left)[0]) < SHARE:
+    own = [_gain(beside, np.concatenate([beside, some], axis=1), left)[0] for some in tried]
+    best = max(gains)
+    if min(best, max(own)) < SHARE:
         return None
     latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= NEARLY * best)
-    _, channel = _gain(base, np.concatenate([base, controls], axis=1), left)
+    _, channel = _gain(base, np.concatenate([base, tried[gains.index(best)]], axis=1), left)
     dt = evidence.system.dt
     knows = f"those of the last {spell(memory * dt)}" if memory else "only that of the moment"
     remedy = (

@@ -16,7 +16,7 @@ from evaluation.report.contents import Report
 from evaluation.report.overview import drive_command, overview_sheet
 from evaluation.report.predicting import main_horizon
 from evaluation.report.sheets import Sheet
-from evaluation.report.verdict import limits_question, verdict
+from evaluation.report.verdict import SAID, limits_question, verdict
 
 WIDTH = 80
 GAP = 2
@@ -50,7 +50,7 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
 def tables(report: Report) -> list[RenderableType]:
     """Return the verdict and all main tables as rich renderables, each at most 80 columns wide."""
     parts = _verdict(report)
-    if report.advice is not None:
+    if report.advice is not None and len(report.advice.remarks) > SAID:
         parts += advice_lines(report.advice)
     for sheet in _sheets(report):
         parts += to_rich(sheet)

@@ -48,7 +48,7 @@ def residual_sheet(prediction: Prediction) -> Sheet | None:
         tuple(rows),
         note="White: nothing in the one-step error foretells the next one. Not white: the correlation with an earlier "
         "error. A control and a time: what it was set to that long before the step still shows in the error, with the "
-        f"correlation; both at {percent(LEVEL)}, in all lags together. Correlations are what a better model could use.",
+        f"correlation; both at {100 * LEVEL:g} %, all lags together.",
         details=True,
     )
 
