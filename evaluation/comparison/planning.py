@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from evaluation.comparison.advice_cells import AdviseCell
 from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
 from evaluation.comparison.columns import Column, runner_of
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
@@ -56,6 +57,7 @@ class Comparison:
     data: Cell
     fits: dict[str, FitCell]
     predictions: dict[str, PredictCell]
+    advice: AdviseCell
     matrix: Matrix | None = None
     exploitability: ExploitCell | None = None
 
@@ -133,12 +135,14 @@ def plan_comparison(
             recorded=_is_recorded(data),
         )
         exploitability = ExploitCell(matrix, data, experiment.seed)
+    advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
+    wanted.append(advice)
     again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
     plan = Plan.of(wanted, remarks=remarks, again=again)
-    return Comparison(settled, plan, data, fits, predictions, matrix, exploitability)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability)
 
 
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:

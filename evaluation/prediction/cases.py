@@ -12,6 +12,7 @@ from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 
+SECOND = 1.0
 MOST_LISTED = 6
 """Names in a note; how many more there are is said in a number."""
 
@@ -36,10 +37,11 @@ class MeasuredCases:
     bootstrap blocks. ``horizons`` are those of the protocol that the episodes are long enough for.
     ``std`` and ``rms`` (nx,) are those of the truth over the moving samples of the test set, of a
     periodic state the shortest way round; ``guard`` (2, nx) are the limits to which predictions are
-    clipped. ``notes`` say what was left out.
+    clipped. ``notes`` say what was left out; ``test`` is the whole of what was recorded.
     """
 
     system: System
+    test: Dataset
     protocol: PredictionProtocol
     horizons: tuple[int, ...]
     windows: Windows
@@ -50,6 +52,17 @@ class MeasuredCases:
     rms: Array
     guard: Array
     notes: tuple[str, ...]
+
+    @property
+    def main_horizon(self) -> int | None:
+        """The longest scored horizon of at most one second, in steps, else the shortest; None without any."""
+        near = [horizon for horizon in self.horizons if horizon * self.system.dt <= SECOND + 1e-9]
+        return max(near) if near else min(self.horizons, default=None)
+
+    @property
+    def near_horizon(self) -> int | None:
+        """A quarter of the main horizon, in steps: so soon after its start that a window is still where it began."""
+        return None if self.main_horizon is None else max(1, round(self.main_horizon / 4))
 
 
 def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtocol) -> MeasuredCases:
@@ -86,6 +99,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
         notes.append(f"no free run of {_listed(short)}: shorter than {protocol.first + 1} steps")
     return MeasuredCases(
         system=system,
+        test=test,
         protocol=protocol,
         horizons=horizons,
         windows=windows,

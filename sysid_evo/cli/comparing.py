@@ -252,9 +252,13 @@ def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> No
 
 
 def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outcome], *, json: bool) -> None:
-    """Print where each fitted model stands, and why one does not."""
+    """Print where each fitted model stands, and why one does not; then what limits the best of them."""
     from rich.table import Table
 
+    from evaluation.advice import advice_to_json
+    from evaluation.report import advice_lines
+
+    advice = store.outcome(comparison.advice).value
     rows = []
     for label, cell in comparison.fits.items():
         outcome = outcomes[cell.digest]
@@ -264,6 +268,7 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
                 "seconds": round(outcome.seconds, 1),
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
+                "advice": advice_to_json(advice) if advice is not None and advice.model == label else None,
             }
         )
     if json:
@@ -275,6 +280,8 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
     for row in rows:
         table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
     out.print(table)
+    for part in [] if advice is None else advice_lines(advice):
+        out.print(part)
     labels = ",".join(str(row["model"]) for row in rows if row["file"])
     if labels:
         tell(f"evolve against them with: sysid-evo evolve --run {store.path} --against {labels}")
