@@ -23,6 +23,10 @@ SMALL: dict[str, dict[str, Any]] = {
     "evolved3": {"generations": 30},
     "parametrised": {"generations": 60},
     "backprop27": {"epochs": 100},
+    "auto": {
+        "candidates": [f"linear(state_lags=1, control_lags=2, ridge={ridge})" for ridge in (0.0, 1.0)],
+        "gate": 9.0,
+    },
 }
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
@@ -30,7 +34,7 @@ TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "to
 SLOWEST = ("hybrid_ode", "torch_ode")
 """Of these, the ones that are tried on a car with --slow too."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
-SLOW_TO_LEARN = [name for name in TRAINED if name != "neural_ode"]
+SLOW_TO_LEARN = [name for name in (*TRAINED, "auto") if name != "neural_ode"]
 """Families that learn as the one left out does; how well they do is asked with --slow."""
 ONE_OF_A_KIND = [
     pytest.param(name, marks=pytest.mark.slow) if name in SLOW_TO_LEARN else name for name in models.names()
