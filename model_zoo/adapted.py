@@ -30,8 +30,8 @@ class Adapted(DynamicsModel):
     that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
     acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
     what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
-    blocks of time in turn: a correction must be 10 % better than none there (more, if the data are shorter than 30 s)
-    and in no block worse; otherwise the model is its base. `fit_note` says what was decided.
+    blocks of time in turn: a correction must be 10 % better than none there, and by more than chance explains;
+    otherwise the model is its base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"
@@ -69,7 +69,7 @@ class Adapted(DynamicsModel):
         for name in OF_TERMS:
             setattr(self, f"{name}_", getattr(found.terms, name))
         self.coefficients_ = found.coefficients
-        self.verdict_ = found.verdict.sentence
+        self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
         self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
         self.tried_ = [trial.name for trial in found.verdict.trials]
         self._widen()

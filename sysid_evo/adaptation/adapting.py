@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid_evo.adaptation.gate import NONE, Block, Trial, Verdict, blocks_of, decided, judged, needed
+from sysid_evo.adaptation.gate import NONE, Block, Held, Trial, Verdict, blocks_of, decided, judged
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.terms import Terms
@@ -17,7 +17,7 @@ from sysid_evo.dynamics.model import DynamicsModel
 from sysid_evo.progress import Counter, Progress
 
 KINDS = {"linear": False, "products": True}
-RIDGES = (0.3, 3.0, 30.0)
+RIDGES = (0.03, 0.3, 3.0)
 REFIT = "refit"
 
 
@@ -52,7 +52,7 @@ def adaptation(
     plain = [_run(model, Terms.of(dataset), None, part) for part in held]
     trials: list[Trial] = []
     for kind, products in KINDS.items() if blocks else ():
-        errors: dict[float, list[Array]] = {ridge: [] for ridge in RIDGES}
+        errors: dict[float, list[Held]] = {ridge: [] for ridge in RIDGES}
         for block, part in zip(blocks, held, strict=True):
             terms = Terms.of(block.rest(dataset), products=products)
             learned = pieces[block.learned(pieces.first)]
@@ -63,11 +63,9 @@ def adaptation(
                 counter.advance()
         trials += [judged(_name(kind, ridge), plain, each) for ridge, each in errors.items()]
     if training is not None and blocks:
-        trials.append(judged(REFIT, plain, _refits(model, training, dataset, blocks, held, rng, counter.advance)))
-    asked = needed(seconds)
-    chosen = decided(trials, asked)
-    error = error_of(np.concatenate(plain)) if plain else float("nan")
-    verdict = Verdict(seconds, len(blocks), pieces.horizon, error, tuple(trials), asked, chosen)
+        trials.append(judged(REFIT, plain, _refits(model, training, dataset, blocks, rng, counter.advance)))
+    error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
+    verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
     return _learned(model, dataset, training, pieces, verdict, rng)
 
 
@@ -109,25 +107,24 @@ def _refits(
     training: Dataset,
     dataset: Dataset,
     blocks: Sequence[Block],
-    held: Sequence[Pieces],
     rng: np.random.Generator,
     told: Callable[[], None],
-) -> list[Array]:
-    """Return the errors over each block of a refit with the rest; a refit starts where the model does."""
+) -> list[Held]:
+    """Return what each block shows of a refit with the rest, whose lags may be others."""
     errors = []
-    for block, part in zip(blocks, held, strict=True):
+    for block in blocks:
         again = refitted(model, training, block.rest(dataset), rng)
-        cut = Pieces.of(again, dataset, again.envelope)
-        part = cut[np.isin(cut.first, part.first)]
-        errors.append(_run(again, Terms.of(dataset), None, part))
+        pieces = Pieces.of(again, dataset, again.envelope, stride=1)
+        errors.append(_run(again, Terms.of(dataset), None, pieces[block.held(pieces.first)]))
         told()
     return errors
 
 
-def _run(model: DynamicsModel, terms: Terms, coefficients: Array | None, pieces: Pieces) -> Array:
-    """Return the errors (B, H, nx) of one free run."""
+def _run(model: DynamicsModel, terms: Terms, coefficients: Array | None, pieces: Pieces) -> Held:
+    """Return the errors of the free runs over ``pieces``."""
     candidate = np.zeros(terms.shape) if coefficients is None else coefficients
-    return np.asarray(off(terms, free_runs(model, terms, candidate[None], pieces), pieces)[0])
+    errors = off(terms, free_runs(model, terms, candidate[None], pieces), pieces)[0]
+    return Held(errors, (pieces.first * terms.system.dt).astype(np.int64))
 
 
 def _name(kind: str, ridge: float) -> str:

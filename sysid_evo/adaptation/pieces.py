@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -112,8 +111,3 @@ def off(terms: Terms, runs: Array, pieces: Pieces) -> Array:
 def error_of(errors: Array) -> float:
     """Return the mean over steps and states of the root mean square over windows of ``errors`` (B, H, nx)."""
     return float(np.mean(np.sqrt(np.mean(errors**2, axis=0))))
-
-
-def joined(parts: Sequence[Array]) -> Array:
-    """Return errors (B, H, nx) of several parts behind each other."""
-    return np.concatenate(list(parts))

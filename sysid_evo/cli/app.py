@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from sysid_evo.cli import (
+    adapting,
     comparing,
     driving,
     evolving,
@@ -44,6 +45,7 @@ app.command("import")(recordings.import_)
 app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
+app.command("adapt")(adapting.adapt)
 app.command("evolve")(evolving.evolve)
 app.command("coevolve")(racing.coevolve)
 app.command("match")(racing.match)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.gate import Trial, blocks_of, decided, judged, needed
+from sysid_evo.adaptation.gate import Held, Trial, blocks_of, decided, judged, surely_positive
 
 from .cars import FloorCar, drive
 
@@ -13,12 +13,12 @@ from .cars import FloorCar, drive
 def test_a_window_is_never_on_both_sides_and_every_block_is_held_back_once() -> None:
     first = np.arange(0, 580, 3)
     blocks = blocks_of(first, 20)
-    held = np.array([block.held(first) for block in blocks])
+    held_back = np.array([block.held(first) for block in blocks])
     learned = np.array([block.learned(first) for block in blocks])
     assert len(blocks) == 3
-    assert not (held & learned).any()
-    assert (held.sum(axis=0) <= 1).all()
-    for block, inside, outside in zip(blocks, held, learned, strict=True):
+    assert not (held_back & learned).any()
+    assert (held_back.sum(axis=0) <= 1).all()
+    for block, inside, outside in zip(blocks, held_back, learned, strict=True):
         assert (first[inside] >= block.low).all()
         assert not ((first[outside] < block.high) & (first[outside] + 20 > block.low)).any()
 
@@ -30,27 +30,36 @@ def test_the_rest_of_a_recording_is_all_but_the_block() -> None:
         assert block.rest(data).n_steps == 200 - (block.high - block.low)
 
 
+def held(errors: np.ndarray) -> Held:
+    """Runs of which two begin in each second."""
+    return Held(errors, np.arange(len(errors)) // 2)
+
+
 @pytest.mark.parametrize(
-    ("error", "each", "chosen"),
-    [
-        (0.85, (0.8, 0.9, 0.85), "a"),
-        (0.95, (0.9, 0.95, 0.99), "none"),
-        (0.80, (0.5, 0.8, 1.1), "none"),
-    ],
+    ("error", "sure", "chosen"), [(0.85, True, "a"), (0.85, False, "none"), (0.95, True, "none"), (1.2, False, "none")]
 )
-def test_a_correction_counts_only_if_it_is_much_better_and_nowhere_worse(
-    error: float, each: tuple[float, ...], chosen: str
-) -> None:
-    assert decided([Trial("a", error, each), Trial("b", 0.99, (0.98, 0.99, 0.99))], needed(30.0)) == chosen
+def test_a_correction_counts_only_if_it_is_much_better_and_surely(error: float, sure: bool, chosen: str) -> None:
+    assert decided([Trial("a", error, (error,) * 3, sure), Trial("b", 0.99, (0.98,) * 3, True)]) == chosen
 
 
-def test_more_is_asked_of_shorter_data() -> None:
-    assert needed(60.0) == needed(30.0) == pytest.approx(0.1)
-    assert needed(10.0) > needed(20.0) > 0.1
-
-
-def test_half_the_error_is_a_share_of_a_half() -> None:
-    plain = [np.ones((4, 5, 2)), 2.0 * np.ones((4, 5, 2))]
-    trial = judged("half", plain, [0.5 * one for one in plain])
+def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
+    plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
+    trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
     assert trial.error == pytest.approx(0.5)
     assert trial.each == pytest.approx((0.5, 0.5))
+    assert trial.good
+
+
+def test_an_error_that_is_lower_in_one_second_alone_is_not_surely_lower() -> None:
+    before, after = np.ones((12, 5, 2)), np.ones((12, 5, 2))
+    before[:2] = 10.0
+    trial = judged("luck", [held(before)], [held(after)])
+    assert trial.error < 0.5
+    assert not trial.good
+
+
+def test_fewer_seconds_must_show_more() -> None:
+    gains = np.array([1.0, 3.0, -0.6])
+    assert not surely_positive(gains)
+    assert surely_positive(np.tile(gains, 5))
+    assert not surely_positive(np.array([1.0, 1.0]))
