@@ -73,31 +73,32 @@ class Pieces:
 
 def free_runs(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
     """Return where ``model`` with each correction (P, size, nx) goes, (P, B, H, nx)."""
-    count, batch = len(candidates), len(pieces)
-    at_once = max(1, ROWS // max(1, batch))
-    parts = [_side_by_side(model, terms, candidates[i : i + at_once], pieces) for i in range(0, count, at_once)]
+    at_once = max(1, ROWS // max(1, len(pieces)))
+    parts = [
+        run_beside(model, terms, candidates[i : i + at_once, None], pieces.carry, pieces.controls, pieces.envelope)
+        for i in range(0, len(candidates), at_once)
+    ]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _side_by_side(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
-    count, (batch, horizon, nx) = len(candidates), pieces.truth.shape
-    carry = np.tile(pieces.carry, (count, 1))
+def run_beside(
+    model: Dynamics, terms: Terms, coefficients: Array, start: Array, controls: Array, envelope: Array | None
+) -> Array:
+    """Return free runs (P, B, H, nx) from ``start`` (B, n_carry) under ``controls`` (B, H, nu).
+
+    ``coefficients`` are (P, B, size, nx), or (P, 1, size, nx) for the same from every start.
+    """
+    count, (batch, horizon, nu), nx = len(coefficients), controls.shape, terms.system.nx
+    carry = np.tile(start, (count, 1))
     noise = np.zeros((len(carry), model.n_noise)) if model.n_noise else None
     out = np.empty((count, batch, horizon, nx))
     with np.errstate(all="ignore"):
         for k in range(horizon):
-            control = np.tile(pieces.controls[:, k], (count, 1))
-            before, after = carry[:, :nx], model.step(carry, control, noise)
-            grid = (count, batch, -1)
-            moved = terms.corrected(
-                before.reshape(grid),
-                control.reshape(grid),
-                after[:, :nx].reshape(grid),
-                candidates[:, None],
-            )
-            carry = clip_state(np.concatenate([moved.reshape(len(after), nx), after[:, nx:]], axis=1), pieces.envelope)[
-                0
-            ]
+            control = np.tile(controls[:, k], (count, 1))
+            after = model.step(carry, control, noise)
+            before, reached = (x[:, :nx].reshape(count, batch, nx) for x in (carry, after))
+            moved = terms.corrected(before, control.reshape(count, batch, nu), reached, coefficients)
+            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), envelope)
             out[:, :, k] = carry[:, :nx].reshape(count, batch, nx)
     return out
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.data.support import regressors
 from sysid_evo.system import System
 
 FAR = 1.0
@@ -43,9 +44,13 @@ class Terms:
             masks = [np.ones_like(rows) for rows in masks]
         pairs = list(zip(dataset.episodes, masks, strict=True))
         states = np.concatenate([episode.states[:-1][rows] for episode, rows in pairs])
-        seen = np.concatenate(
-            [system.regressors(states), np.concatenate([episode.controls[rows] for episode, rows in pairs])], axis=1
-        )
+        controls = np.concatenate([episode.controls[rows] for episode, rows in pairs])
+        return cls.of_pairs(system, states, controls, products=products)
+
+    @classmethod
+    def of_pairs(cls, system: System, states: Array, controls: Array, *, products: bool = False) -> Self:
+        """Measure states (N, nx) and controls (N, nu)."""
+        seen = regressors(system, states, controls)
         low, high, centre, spread = seen.min(axis=0), seen.max(axis=0), seen.mean(axis=0), seen.std(axis=0)
         scale = np.where(spread > 1e-9 * np.abs(seen).max(axis=0), spread, 1.0)
         least = most = np.empty(0)
