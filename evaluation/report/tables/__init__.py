@@ -9,11 +9,12 @@ from evaluation.report.tables.controllers import (
     probe_sheet,
     transfer_sheet,
 )
-from evaluation.report.tables.prediction import channel_sheet, prediction_sheet
+from evaluation.report.tables.prediction import channel_sheet, condition_sheet, prediction_sheet
 
 __all__ = [
     "channel_list",
     "channel_sheet",
+    "condition_sheet",
     "controller_sheet",
     "episode_sheet",
     "exploitability_sheet",
