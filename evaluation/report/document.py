@@ -38,6 +38,11 @@ def to_json(report: Report) -> dict[str, Any]:
         "notes": report.notes,
         "models": [asdict(model) for model in report.models],
         "prediction": None if report.prediction is None else _prediction(report.prediction),
+        **(
+            {"conditions": {label: [asdict(one) for one in errors] for label, errors in report.conditions.items()}}
+            if report.conditions
+            else {}
+        ),
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),

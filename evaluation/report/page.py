@@ -17,6 +17,7 @@ from evaluation.report.tables import (
     advice_sheet,
     channel_list,
     channel_sheet,
+    condition_sheet,
     controller_sheet,
     difference_sheet,
     episode_error_sheet,
@@ -159,7 +160,14 @@ def _prediction(report: Report) -> Section:
     channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [prediction_sheet(prediction), *compared, *pictures, *where, *channels],
+        [
+            prediction_sheet(prediction),
+            *_present(condition_sheet(report.conditions)),
+            *compared,
+            *pictures,
+            *where,
+            *channels,
+        ],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

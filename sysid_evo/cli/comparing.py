@@ -51,6 +51,10 @@ def compare(
         list[Path] | None, typer.Option(help="Recordings of a robot (default: record an emulated one); repeatable.")
     ] = None,
     test: Test = None,
+    leave_out: Annotated[
+        str | None,
+        typer.Option(help="'condition': fit every family also without each condition of the data, and test it there."),
+    ] = None,
     models: Annotated[
         str | None, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas, or 'all'.")
     ] = None,
@@ -111,6 +115,7 @@ def compare(
     settings |= given(
         data=None if data is None else tuple(str(path.resolve()) for path in data),
         test=None if test is None else tuple(test),
+        leave_out=leave_out,
         models=listed("--models", models),
         ensembles=listed("--ensembles", ensembles),
         robot=robot,

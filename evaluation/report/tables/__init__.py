@@ -23,12 +23,13 @@ from evaluation.report.tables.errors import (
     region_sheet,
     residual_sheet,
 )
-from evaluation.report.tables.prediction import channel_sheet, prediction_sheet
+from evaluation.report.tables.prediction import channel_sheet, condition_sheet, prediction_sheet
 
 __all__ = [
     "advice_sheet",
     "channel_list",
     "channel_sheet",
+    "condition_sheet",
     "controller_sheet",
     "difference_sheet",
     "episode_error_sheet",
