@@ -49,6 +49,11 @@ class Lesson:
     def long(self) -> Segments:
         return Segments.of(self.parts, self.horizon)
 
+    @property
+    def at_last(self) -> Segments:
+        """The segments that training ends with."""
+        return self.short if self.horizon <= SHORT else self.long
+
     def linear(self, order: int) -> Spaces:
         """Return the linear space that the subspace gives, as it is."""
         found = linear_space(self.subspace, order)
@@ -94,6 +99,5 @@ class Lesson:
 
     def observers(self, trained: Trained) -> list[Observer]:
         """Return an observer of every space of a training on long free runs."""
-        segments = self.short if self.horizon <= SHORT else self.long
-        runs, outputs = self.states(trained, segments), segments.rows(segments.outputs)
+        runs, outputs = self.states(trained, self.at_last), self.at_last.rows(self.at_last.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
