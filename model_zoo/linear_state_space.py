@@ -66,7 +66,5 @@ class LinearStateSpace(StateSpaceModel):
 
     def _learn(self, lesson: Lesson, order: int, short: int, long: int, counter: Counter) -> None:
         """Fit one space with so many iterations on short and on long free runs."""
-        start = lesson.linear(order)
-        trained = lesson.learned(start, short, counter.advance)
-        trained = lesson.lengthened(trained, start, long, counter.advance)
+        trained = lesson.linear_trained(order, short, long, counter.advance)
         self.adopt(lesson.scales, [trained.spaces], lesson.observers(trained), np.ones(1))

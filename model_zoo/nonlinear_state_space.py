@@ -11,16 +11,17 @@ from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson
 from model_zoo.hidden.shooting import Spaces, Trained
 from model_zoo.hidden.units import UNITS
+from model_zoo.validation.held_out import best, trials
 from sysid_evo import Dataset, register_model
-from sysid_evo.arrays import Array, IntArray
+from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 FEWEST_STATES = 2
 SPREAD = 0.7
 """Deviation of the weights into the units at the start."""
-SHARPNESS = 8.0
-"""Power of the error by which a member counts less than the best."""
+SHARPNESS = 4.0
+"""How fast a member counts less as its criterion, for each sample, is higher."""
 NEGLIGIBLE = 0.05
 """Weight, as a share of the largest, below which a member is left out."""
 
@@ -31,11 +32,12 @@ class NonlinearStateSpace(StateSpaceModel):
 
     It begins at the linear state space of the same ``order`` (subspace and output error). Networks of ``hidden``
     units, smooth (tanh), kinked and cubic in turn, are trained side by side by Levenberg-Marquardt with analytic
-    gradients on free runs of 100 and at last of ``horizon`` steps, the initial state of each free, with a normal prior
-    on W and V; residuals that are alike for long count less. ``order`` None offers three orders, from 2 or the number
-    of outputs on. After ``trial`` iterations the ``members`` with the lowest final prediction error (Akaike 1970) go
-    on, for ``iterations`` each on short and on long runs. The output is their mean, weighted by that error to the
-    power of -8 in variance; each has its own hidden states and its own gain K.
+    gradients on free runs of 100 and at last of ``horizon`` steps, the initial state of each free, with a normal
+    prior on W and V; residuals that are alike for long count less. ``order`` None offers three, from 2 or the number
+    of outputs on; the one with the network of the lowest Bayesian information criterion (Schwarz 1978) after
+    ``trial`` iterations is taken. ``members`` of that order go on for ``iterations``, and half as many on long runs.
+    The output is their mean, in which one counts less the higher its criterion is; each has its own hidden states
+    and its own gain K.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -53,61 +55,50 @@ class NonlinearStateSpace(StateSpaceModel):
     most_steps: int | None = 10_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        least = max(FEWEST_STATES, dataset.system.nx)
+        least, long = max(FEWEST_STATES, dataset.system.nx), max(1, self.iterations // 2)
         orders = [max(self.order, dataset.system.nx)] if self.order else [least, least + 1, least + 2]
-        kinds = list(islice(cycle(UNITS), max(len(UNITS), self.members) if len(orders) == 1 else len(UNITS)))
-        counter = Counter(progress, len(orders) * (3 * self.trial + 2 * self.iterations) + 1)
+        kinds = list(islice(cycle(UNITS), self.members))
+        of_orders = (2 * len(orders) + trials(orders)) * self.trial
+        counter = Counter(progress, of_orders + self.trial + self.iterations + long + 1)
         lesson = Lesson.of(dataset, self.horizon)
-        linear = {order: self._linear(lesson, order, counter) for order in orders}
-        tried = []
-        for order in orders:
-            starts = np.repeat(lesson.states(linear[order], lesson.at_last)[:, lesson.short.begins], len(kinds), axis=0)
-            spaces = self._networks(linear[order].spaces, kinds, rng)
-            tried.append(lesson.learned(spaces, self.trial, counter.advance, starts=starts))
-        errors = np.concatenate([final_prediction_error(one, lesson) for one in tried])
-        kept = np.sort(np.argsort(errors, kind="stable")[: self.members])
-        members, found, observers = [], [], []
-        for number, order in enumerate(orders):
-            rows = kept[kept // len(kinds) == number] % len(kinds)
-            if not len(rows):
-                counter.advance(2 * self.iterations)
-                continue
-            trained = self._trained(lesson, tried[number], rows, linear[order].spaces, counter)
-            own = final_prediction_error(trained, lesson)
-            members += [trained.spaces[[s]] for s in range(len(own))]
-            found += own.tolist()
-            observers += lesson.observers(trained)
-        weights = (np.array(found) / min(found)) ** -SHARPNESS
-        best = np.flatnonzero(weights > NEGLIGIBLE)
+        linear = {order: lesson.linear_trained(order, self.trial, self.trial, counter.advance) for order in orders}
+
+        def tried(order: int) -> float:
+            few = self._networks(lesson, linear[order], list(UNITS), rng)
+            trained = lesson.learned(*few, self.trial, counter.advance)
+            return float(criterion(trained.error, trained.spaces, lesson).min())
+
+        start = linear[best(orders, tried)]
+        networks = self._networks(lesson, start, kinds, rng)
+        trained = lesson.learned(*networks, self.trial + self.iterations, counter.advance)
+        trained = lesson.lengthened(trained, start.spaces, long, counter.advance)
+        observers = lesson.observers(trained)
+        errors = [lesson.from_history(trained.spaces[[i]], own) for i, own in enumerate(observers)]
+        found = criterion(np.array(errors), trained.spaces, lesson)
+        weights = np.exp(-SHARPNESS * (found - found.min()))
+        kept = np.flatnonzero(weights > NEGLIGIBLE).tolist()
         self.adopt(
             lesson.scales,
-            [members[i] for i in best],
-            [observers[i] for i in best],
-            weights[best] / weights[best].sum(),
+            [trained.spaces[[i]] for i in kept],
+            [observers[i] for i in kept],
+            weights[kept] / weights[kept].sum(),
         )
         counter.advance()
         return self
 
-    def _linear(self, lesson: Lesson, order: int, counter: Counter) -> Trained:
-        start = lesson.linear(order)
-        trained = lesson.learned(start, self.trial, counter.advance)
-        return lesson.lengthened(trained, start, self.trial, counter.advance)
-
-    def _networks(self, linear: Spaces, kinds: list[str], rng: np.random.Generator) -> Spaces:
-        """Return spaces that step as the linear one does, with units that have no weight yet."""
-        outer = np.repeat(linear.outer, len(kinds), axis=0)
-        outer = np.concatenate([outer, np.zeros((*outer.shape[:2], self.hidden))], axis=2)
-        inner = SPREAD * rng.standard_normal((len(kinds), self.hidden, linear.outer.shape[2]))
-        return Spaces(outer, inner, linear.pace, tuple(kinds))
-
-    def _trained(self, lesson: Lesson, tried: Trained, rows: IntArray, fallback: Spaces, counter: Counter) -> Trained:
-        """Return some of the tried spaces after all their training."""
-        trained = lesson.learned(tried.spaces[rows], self.iterations, counter.advance, starts=tried.starts[rows])
-        return lesson.lengthened(trained, fallback, self.iterations, counter.advance)
+    def _networks(
+        self, lesson: Lesson, linear: Trained, kinds: list[str], rng: np.random.Generator
+    ) -> tuple[Spaces, Array]:
+        """Return spaces that step as the linear one does, with units that have no weight yet, and initial states."""
+        own, count = linear.spaces, len(kinds)
+        outer = np.concatenate([own.outer, np.zeros((1, own.n, self.hidden))], axis=2).repeat(count, axis=0)
+        inner = SPREAD * rng.standard_normal((count, self.hidden, own.outer.shape[2]))
+        starts = lesson.states(linear, lesson.long)[:, lesson.short.begins]
+        return Spaces(outer, inner, own.pace, tuple(kinds)), starts.repeat(count, axis=0)
 
 
-def final_prediction_error(trained: Trained, lesson: Lesson) -> Array:
-    """Return the mean square residual (S,) times (1 + P / N) / (1 - P / N) for P parameters and N samples."""
+def criterion(errors: Array, spaces: Spaces, lesson: Lesson) -> Array:
+    """Return the Bayesian information criterion (S,) for each sample: log ``errors`` (S,) + P log(N) / N."""
     count = sum(part.outputs.size for part in lesson.parts)
-    share = min(trained.spaces.flat.shape[1] / count, 0.9)
-    return np.where(np.isfinite(trained.error), trained.error, 1e6) * (1.0 + share) / (1.0 - share)
+    known = np.where(np.isfinite(errors), np.maximum(errors, 1e-12), 1e6)
+    return np.asarray(np.log(known) + spaces.flat.shape[1] * np.log(count) / count)

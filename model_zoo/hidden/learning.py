@@ -11,13 +11,15 @@ import numpy as np
 
 from model_zoo.hidden.observer import Observer, observer
 from model_zoo.hidden.records import Record, Scales, Segments, records
-from model_zoo.hidden.shooting import Spaces, Trained, train
+from model_zoo.hidden.shooting import FAR, Spaces, Trained, train
 from model_zoo.hidden.subspace import Subspace, linear_space
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 
-SHORT = 100
-"""Steps of the first free runs: a long one of a poor model says little."""
+SHORT, MIDDLE = 100, 300
+"""Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
+UNSTABLE, STABLE = 1.0005, 0.999
+"""Spectral radius from which a linear space is unstable, and what it is then brought to."""
 LOST = 1.0
 """A root mean square residual, in deviations, from which a training begins anew at the linear start."""
 
@@ -46,19 +48,30 @@ class Lesson:
         return Segments.of(self.parts, min(SHORT, self.horizon))
 
     @cached_property
-    def long(self) -> Segments:
-        return Segments.of(self.parts, self.horizon)
+    def middle(self) -> Segments:
+        return Segments.of(self.parts, MIDDLE) if self.horizon > MIDDLE else self.long
 
-    @property
-    def at_last(self) -> Segments:
-        """The segments that training ends with."""
-        return self.short if self.horizon <= SHORT else self.long
+    @cached_property
+    def long(self) -> Segments:
+        return Segments.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
 
     def linear(self, order: int) -> Spaces:
-        """Return the linear space that the subspace gives, as it is."""
+        """Return the linear space that the subspace gives, made stable if it is not."""
         found = linear_space(self.subspace, order)
         outer = found.rates / found.pace[:, None]
-        return Spaces(outer[None], np.empty((1, 0, outer.shape[1])), found.pace, ("smooth",))
+        return stabilised(Spaces(outer[None], np.empty((1, 0, outer.shape[1])), found.pace, ("smooth",)))
+
+    def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
+        """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
+        start = self.linear(order)
+        trained = self.learned(start, self.blank(self.short, start), short, told)
+        if radius(trained.spaces) > UNSTABLE:
+            trained = self.learned(start, self.blank(self.short, start), 1, lambda: None)
+        trained = self.lengthened(trained, start, long, told)
+        if radius(trained.spaces) <= UNSTABLE:
+            return trained
+        stable = stabilised(trained.spaces)
+        return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
 
     def blank(self, segments: Segments, spaces: Spaces) -> Array:
         """Return initial states (S, B, n) of which the outputs alone are known."""
@@ -72,32 +85,71 @@ class Lesson:
         runs = trained.spaces.run(trained.starts, segments.controls)
         return np.stack([segments.rows(run) for run in runs])
 
-    def learned(
-        self, spaces: Spaces, iterations: int, told: Callable[[], None], *, starts: Array | None = None
-    ) -> Trained:
-        """Train on short free runs, from ``starts`` if they are known."""
-        return train(spaces, self.short, self.blank(self.short, spaces) if starts is None else starts, iterations, told)
+    def learned(self, spaces: Spaces, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
+        """Train on short free runs, which begin at ``starts`` (S, B, n)."""
+        return train(spaces, self.short, starts, iterations, told)
 
     def lengthened(self, trained: Trained, fallback: Spaces, iterations: int, told: Callable[[], None]) -> Trained:
-        """Go on with long free runs; spaces that lose their way there begin at ``fallback`` (one space) again."""
-        if self.horizon <= SHORT:
-            for _ in range(iterations):
-                told()
-            return trained
-        starts = self.states(trained, self.short)[:, self.long.begins]
-        spaces = trained.spaces
-        runs = spaces.run(starts, self.long.controls)[..., : self.long.outputs.shape[2]]
-        off = ((runs - self.long.outputs) ** 2 * self.long.counts[:, :, None]).sum(axis=(1, 2, 3))
-        lost = off > LOST**2 * self.long.counts.sum() * runs.shape[3]
-        if lost.any():
-            outer = spaces.outer.copy()
-            outer[lost] = 0.0
-            outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
-            spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.units)
-            starts[lost] = self.blank(self.long, spaces)[lost]
-        return train(spaces, self.long, starts, iterations, told)
+        """Go on with longer and longer free runs, ``iterations`` in all.
+
+        Spaces that lose their way there begin at ``fallback`` (one space) again.
+        """
+        before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
+        later = later[:1] if later and later[0] is later[-1] else later
+        for number, segments in enumerate(later):
+            starts = self.states(trained, before)[:, segments.begins]
+            spaces = trained.spaces
+            runs = spaces.run(starts, segments.controls)[..., : segments.outputs.shape[2]]
+            off = ((runs - segments.outputs) ** 2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
+            lost = off > LOST**2 * segments.counts.sum() * runs.shape[3]
+            if lost.any():
+                outer = spaces.outer.copy()
+                outer[lost] = 0.0
+                outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
+                spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.units)
+                starts[lost] = self.blank(segments, spaces)[lost]
+            share = iterations * (number + 1) // len(later) - iterations * number // len(later)
+            trained, before = train(spaces, segments, starts, share, told), segments
+        for _ in range(0 if later else iterations):
+            told()
+        return trained
 
     def observers(self, trained: Trained) -> list[Observer]:
         """Return an observer of every space of a training on long free runs."""
-        runs, outputs = self.states(trained, self.at_last), self.at_last.rows(self.at_last.outputs)
+        runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
+
+    def from_history(self, space: Spaces, own: Observer) -> float:
+        """Return the mean square error of one space on long free runs that begin where its observer finds it.
+
+        In training the initial states are free, which hides a slow or unstable state that no history tells.
+        """
+        outputs, controls = self.long.outputs, self.long.controls
+        ny, history = outputs.shape[2], min(own.history, controls.shape[1] // 2)
+        states = (outputs[:, 0] @ own.first[:, :ny].T + own.first[:, ny])[None]
+        for k in range(history + 1):
+            off = outputs[:, k] - states[..., :ny]
+            states = np.clip(space.step(states, controls[:, k]) + off @ own.gain.T, -FAR, FAR)
+        runs = space.run(states, controls[:, history + 1 :])[0, ..., :ny]
+        counts = self.long.counts[:, history + 1 :, None]
+        off = (runs - outputs[:, history + 1 :]) ** 2 * counts
+        return float(off.sum() / max(counts.sum() * ny, 1.0))
+
+
+def radius(space: Spaces) -> float:
+    """Return the spectral radius of the linear part of one space."""
+    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
+    return float(np.abs(np.linalg.eigvals(drift)).max())
+
+
+def stabilised(space: Spaces) -> Spaces:
+    """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
+    if radius(space) <= UNSTABLE:
+        return space
+    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
+    values, vectors = np.linalg.eig(drift)
+    values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
+    outer = space.outer.copy()
+    kept = (vectors * values) @ np.linalg.pinv(vectors)
+    outer[0, :, : space.n] = (kept.real - np.eye(space.n)) / space.pace[:, None]
+    return Spaces(outer, space.inner, space.pace, space.units)

@@ -21,7 +21,7 @@ FAR = 30.0
 START_PRIOR = 0.05
 """Weight of the squares of initial states beside the residuals' in units of the noise."""
 LINEAR_PRIOR = 1e-4
-MOST_MEMORY = 30.0
+MOST_MEMORY = 3.0
 """Residuals that are alike for so long count once, at most."""
 EASIER, HARDER = 0.3, 5.0
 STIFFEST = 1e8

@@ -118,7 +118,7 @@ def advance(x, u, off, p, ny, nu, far, after, room):
     elif kind == 1.0:
         for j in range(count):
             inside = load(room, j * LANES)
-            store(room, j * LANES, 0.5 * (inside + math.sqrt(inside * inside + 1.0) - 1.0))
+            store(room, j * LANES, 0.5 * (math.sqrt(inside * inside + 1.0) - 1.0))
     else:
         for j in range(count):
             inside = min(max(load(room, j * LANES), -BOUND), BOUND)

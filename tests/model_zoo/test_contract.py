@@ -19,6 +19,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "neural_ode_history": SMALL_NETWORK,
     "hybrid_ode": SMALL_NETWORK,
     "torch_ode": {"hidden": [8], "updates": 20, "horizon": 3, "control_lags": 1},
+    "delay_embedding": {"family": "linear"},
     "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 100},
     "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
     "gaussian_process": {"inducing": 40},
