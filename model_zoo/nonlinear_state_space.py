@@ -20,9 +20,11 @@ from sysid_evo.progress import Counter, Progress
 FEWEST_STATES = 2
 SPREAD = 0.7
 """Deviation of the weights into the units at the start."""
-SHARPNESS = 4.0
+SHARPNESS = 5.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
-NEGLIGIBLE = 0.05
+ASTRAY = 10.0
+"""What the criterion of a member that goes astray is higher."""
+NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
 
 
@@ -36,18 +38,18 @@ class NonlinearStateSpace(StateSpaceModel):
     prior on W and V; residuals that are alike for long count less. ``order`` None offers three, from 2 or the number
     of outputs on; the one with the network of the lowest Bayesian information criterion (Schwarz 1978) after
     ``trial`` iterations is taken. ``members`` of that order go on for ``iterations``, and half as many on long runs.
-    The output is their mean, in which one counts less the higher its criterion is; each has its own hidden states
-    and its own gain K.
+    The output is their mean, in which one counts less the higher its criterion is, and one that goes astray under
+    the recorded controls in reverse not at all; each has its own hidden states and its own gain K.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"members": 3, "trial": 8, "iterations": 15, "hidden": 6, "horizon": 300, "most_steps": 3000}
+        "quick": {"members": 3, "trial": 8, "iterations": 15, "horizon": 300, "most_steps": 3000}
     }
     limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("members", "hidden", "trial")}
 
     order: int | None = None
     members: int = 6
-    hidden: int = 8
+    hidden: int = 6
     trial: int = 15
     iterations: int = 40
     horizon: int = 1000
@@ -75,6 +77,8 @@ class NonlinearStateSpace(StateSpaceModel):
         observers = lesson.observers(trained)
         errors = [lesson.from_history(trained.spaces[[i]], own) for i, own in enumerate(observers)]
         found = criterion(np.array(errors), trained.spaces, lesson)
+        astray = lesson.escapes(trained.spaces, observers)
+        found = found + np.where(astray & ~astray.all(), ASTRAY, 0.0)
         weights = np.exp(-SHARPNESS * (found - found.min()))
         kept = np.flatnonzero(weights > NEGLIGIBLE).tolist()
         self.adopt(

@@ -13,13 +13,15 @@ from model_zoo.hidden.observer import Observer, observer
 from model_zoo.hidden.records import Record, Scales, Segments, records
 from model_zoo.hidden.shooting import FAR, Spaces, Trained, train
 from model_zoo.hidden.subspace import Subspace, linear_space
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.data import Dataset
 
 SHORT, MIDDLE = 100, 300
 """Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius from which a linear space is unstable, and what it is then brought to."""
+MOST_BACKWARDS, BEYOND = 3000, 2.0
+"""Steps under controls in reverse, and how many times the largest recorded output is too far."""
 LOST = 1.0
 """A root mean square residual, in deviations, from which a training begins anew at the linear start."""
 
@@ -134,6 +136,18 @@ class Lesson:
         counts = self.long.counts[:, history + 1 :, None]
         off = (runs - outputs[:, history + 1 :]) ** 2 * counts
         return float(off.sum() / max(counts.sum() * ny, 1.0))
+
+    def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
+        """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls, backwards in time.
+
+        These are controls as the system met them, in an order that was not trained: what is unstable shows.
+        """
+        longest = max(self.parts, key=len)
+        centre = np.append(np.zeros(longest.outputs.shape[1]), 1.0)
+        starts = np.stack([own.first @ centre for own in observers])[:, None]
+        runs = spaces.run(starts, longest.controls[None, MOST_BACKWARDS::-1])[:, 0, :, : longest.outputs.shape[1]]
+        limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
+        return np.asarray((np.abs(runs) > limit).any(axis=(1, 2)))
 
 
 def radius(space: Spaces) -> float:
