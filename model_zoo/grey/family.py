@@ -13,7 +13,7 @@ from model_zoo.grey.estimation import Estimate, LeastSquares
 from model_zoo.grey.observer import observed
 from model_zoo.grey.parameter import Box, Hidden, Parameter
 from model_zoo.grey.segments import Segments
-from model_zoo.grey.structure import Structure, delay_shares
+from model_zoo.grey.structure import Structure
 from model_zoo.grey.uncertainty import Sureness, open_questions, sureness
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -296,31 +296,9 @@ class GreyBox(DynamicsModel):
         return np.concatenate([band, REST_BAND * np.array(width)])
 
     def kernel(self) -> DynamicsKernel | None:
-        from model_zoo.kernels.grey import LawOverLanes
-        from sysid_evo.engine.kernels import Predictor, runge_kutta_predictor, stepping_kernel, turning_frame
+        from model_zoo.grey.compiled import structure_kernel
 
-        structure = self.structure
-        rows, layout, n_own = structure.actuator_rows, structure.layout, len(structure.own)
-        law = LawOverLanes(
-            structure.law,
-            structure.law_rows,
-            structure.controls,
-            tuple(range(rows.start, rows.stop)),
-            n_own,
-            structure.extended.nx,
-            self.system.nu,
-            structure.delay,
-        )
-        lags = self.parameters_[n_own : n_own + len(structure.controls)] if structure.lagged else np.empty(0)
-        shares = delay_shares(self.parameters_[-1], structure.delay) if structure.delay else []
-        own = np.concatenate([self.parameters_[:n_own], 1.0 / lags, np.array(shares, dtype=float)])
-        rate = turning_frame(Predictor(law, own if len(own) else np.zeros(1), 0), structure.extended)
-        if rate is None:
-            return None
-        after = runge_kutta_predictor(rate, structure.extended, substeps=self.substeps, n_carry=layout.size)
-        return stepping_kernel(
-            after, structure.extended, output="next_state", lags=(0, structure.delay), rest_band=self._extended_band
-        )
+        return structure_kernel(self.structure, self.parameters_, rest_band=self._extended_band)
 
 
 def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:

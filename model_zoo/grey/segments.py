@@ -7,11 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from model_zoo.channels.standard import positive
+from model_zoo.grey.compiled import kernel_parameters, structure_kernel
 from model_zoo.grey.observer import follow
 from model_zoo.grey.structure import Structure
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.cross_validation import recording
 from sysid_evo.data import Dataset, Windows
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
 
 FEWEST = 60
@@ -58,25 +61,40 @@ class Segments:
         return len(self.windows)
 
     def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
-        """Return free runs (H, nx, P, W) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W)."""
-        w, nx = self.windows, structure.system.nx
-        low, high = (side.reshape(-1, 1, 1) for side in self.limits)
+        """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
+
+        Compiled where the motion has a compiled form and a parameter vector is the same for all windows.
+        """
+        w = self.windows
         with np.errstate(all="ignore"):
             carry = structure.start(p, w.past_states, w.past_controls, hidden)
-            batch = np.broadcast_shapes(p.shape[1:], carry.shape[1:])
-            carry = np.broadcast_to(carry, (len(carry), *batch))
-            out = np.empty((w.controls.shape[1], nx, *batch))
-            for k in range(len(out)):
-                after, past = structure.step(p, carry, w.controls[:, k].T[:, None])
-                after[:nx] = np.fmin(np.fmax(after[:nx], low), high)
-                after[nx:] = np.nan_to_num(after[nx:])
-                carry, out[k] = np.concatenate([after, past]), after[:nx]
+            carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
+            kernel = self._kernel(structure) if p.shape[2] == 1 else None
+            if kernel is None:
+                return self._stepped(structure, p, carry)
+        own = kernel_parameters(structure, p[:, :, 0].T)
+        start = np.moveaxis(carry, 0, -1)
+        return free_runs(kernel.source, kernel.n_scratch, kernel.of_candidates(own), start, w.controls, self.limits)
+
+    def _kernel(self, structure: Structure) -> DynamicsKernel | None:
+        guess = np.array([parameter.guess for parameter in structure.parameters])
+        return structure_kernel(structure, guess)
+
+    def _stepped(self, structure: Structure, p: Array, carry: Array) -> Array:
+        """Return the same in NumPy, from carries (n_carry, P, W)."""
+        controls, nx = self.windows.controls, structure.system.nx
+        low, high = (side.reshape(-1, 1, 1) for side in self.limits)
+        out = np.empty((*carry.shape[1:], controls.shape[1], nx))
+        for k in range(controls.shape[1]):
+            after, past = structure.step(p, carry, controls[:, k].T[:, None])
+            after[:nx] = np.fmin(np.fmax(after[:nx], low), high)
+            after[nx:] = np.nan_to_num(after[nx:])
+            carry, out[:, :, k] = np.concatenate([after, past]), np.moveaxis(after[:nx], 0, -1)
         return out
 
     def errors(self, structure: Structure, p: Array, hidden: Array) -> Array:
         """Return the errors (P, W, H * nx) of these runs in units of ``scale``, of angles the shortest way round."""
-        runs = np.moveaxis(self.runs(structure, p, hidden), (0, 1), (2, 3))  # (P, W, H, nx)
-        off = structure.system.difference(runs, self.windows.states) / self.scale
+        off = structure.system.difference(self.runs(structure, p, hidden), self.windows.states) / self.scale
         return off.reshape(*off.shape[:2], -1)
 
     def followed(self, structure: Structure, p: Array) -> Array:
