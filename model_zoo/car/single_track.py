@@ -94,9 +94,9 @@ def pushed(state: Any, control: Any, p: Any, front: Any, rear: Any) -> Any:
     drag = (p[P.drag_linear] + p[P.drag_quadratic] * abs(u)) * u
     rolling = p[P.rolling_resistance] * math.tanh(u / AT_REST)
     across = front * math.cos(angle)
-    turning = p[P.front_axle] * across - p[P.rear_axle] * rear
+    turning = (p[P.front_axle] * across - p[P.rear_axle] * rear) / (p[P.gyration_radius] * p[P.gyration_radius])
     along = traction(state, control, p) - drag - rolling - front * math.sin(angle)
-    return along, across + rear, turning / (p[P.gyration_radius] * p[P.gyration_radius])
+    return along, across + rear, turning
 
 
 def traction(state: Any, control: Any, p: Any) -> Any:

@@ -16,7 +16,8 @@ def structure_kernel(
 ) -> DynamicsKernel | None:
     """Return the kernel of a structure with parameters (n,); None if the motion has no compiled form.
 
-    With ``rest_band`` (n,), an extended state that rests stays at rest; ``extra`` is added to the rates.
+    With ``rest_band`` (n,), an extended state that rests stays at rest; ``extra`` is added to the rates
+    of the measured ones.
     """
     system, rows = structure.extended, structure.actuator_rows
     law = LawOverLanes(
@@ -30,7 +31,7 @@ def structure_kernel(
         structure.delay,
     )
     own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
-    rate = turning_frame(own if extra is None else added(extra, own, system.nx), system)
+    rate = turning_frame(own if extra is None else added(own, extra, structure.system.nx), system)
     if rate is None:
         return None
     after = runge_kutta_predictor(rate, system, substeps=structure.substeps, n_carry=structure.layout.size)

@@ -11,12 +11,14 @@ from scipy.optimize import least_squares
 
 from model_zoo.grey.segments import Segments
 from model_zoo.grey.structure import Structure
-from sysid_evo.arrays import Array, IntArray
+from sysid_evo.arrays import Array
 
-STEP = 1e-5
-"""Of the width of the bounds: the step of a difference quotient."""
+STEP = 1e-3
+"""Of the width of the bounds: the step of a difference quotient, far above the rounding of float32."""
 LOOSE = 0.02
 """Weight of the prior of a hidden start, whose deviation is a quarter of its range, against one error."""
+VAGUE = 0.5
+"""Standard deviation of a guess in the cube: what the data leave open stays near it, and the search converges."""
 NOISE = 0.1
 """What an error is taken for until it is known, in spreads of the state."""
 WORST = 1e3
@@ -74,14 +76,12 @@ class LeastSquares:
         return np.array([h.initial for h in hidden]), np.array([0.25 * (h.high - h.low) for h in hidden])
 
     @cached_property
-    def _measured(self) -> tuple[IntArray, Array, Array]:
-        """Which parameters have a prior, where it is, and its standard deviation, in the cube."""
-        box = self.structure.box
-        which = [i for i, p in enumerate(self.structure.parameters) if p.spread is not None]
-        guesses = np.array([p.guess for p in self.structure.parameters])
-        spreads = np.array([p.spread or 0.0 for p in self.structure.parameters])
-        places = box.places(guesses)
-        return np.array(which, dtype=np.int64), places[which], (spreads / box.slopes(places))[which]
+    def _guesses(self) -> tuple[Array, Array]:
+        """Where each parameter is guessed to be in the cube, and the standard deviation of that guess, (n,) each."""
+        parameters, box = self.structure.parameters, self.structure.box
+        places = box.places(np.array([p.guess for p in parameters]))
+        known = np.array([p.spread or np.inf for p in parameters]) / box.slopes(places)
+        return places, np.minimum(known, VAGUE)
 
     def cost(self, places: Array) -> Array:
         """Return the mean square error (P,) at places (P, n), hidden states followed through the history."""
@@ -114,8 +114,8 @@ class LeastSquares:
             loss="soft_l1" if self.robust else "linear",
             f_scale=ROBUST_AT * size,
             max_nfev=evaluations,
-            xtol=1e-7,
-            ftol=1e-7,
+            xtol=1e-5,
+            ftol=1e-5,
             gtol=1e-9,
         )
         errors, jacobian, by_hidden = self._parts(found.x)
@@ -161,11 +161,11 @@ class LeastSquares:
     def _priors(self, x: Array) -> Array:
         """Return what pulls to what was known before: measured parameters, no offsets, hidden states at rest."""
         places, offsets, zeta = self._split(x)
-        which, guesses, spreads = self._measured
+        guesses, spreads = self._guesses
         weight = self.noise * np.sqrt(self.inflation)
         return np.concatenate(
             [
-                weight * (places[which] - guesses) / spreads,
+                weight * (places - guesses) / spreads,
                 (weight * offsets / np.where(self.spreads > 0.0, self.spreads, 1.0)).ravel(),
                 LOOSE * zeta.ravel(),
             ]
@@ -202,14 +202,10 @@ class LeastSquares:
         return np.concatenate([jacobian.reshape(-1, len(x)), self._prior_jacobian(x)])
 
     def _prior_jacobian(self, x: Array) -> Array:
-        which, _, spreads = self._measured
-        n, k, hidden = self.n, self.n_groups * len(self.varied), len(x) - self.n - self.n_groups * len(self.varied)
-        found = np.zeros((len(which) + k + hidden, len(x)))
-        weight = self.noise * np.sqrt(self.inflation)
-        found[np.arange(len(which)), which] = weight / spreads
-        offsets = np.arange(k)
+        _, spreads = self._guesses
+        k = self.n_groups * len(self.varied)
+        hidden = len(x) - self.n - k
         each = np.where(self.spreads > 0.0, self.spreads, 1.0)
-        found[len(which) + offsets, n + offsets] = weight / np.tile(each, self.n_groups)[: len(offsets)]
-        rest = np.arange(hidden)
-        found[len(which) + k + rest, n + k + rest] = LOOSE
-        return found
+        weight = self.noise * np.sqrt(self.inflation)
+        pulls = [weight / spreads, np.tile(weight / each, self.n_groups)[:k], np.full(hidden, LOOSE)]
+        return np.diag(np.concatenate(pulls))

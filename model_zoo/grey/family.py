@@ -12,13 +12,16 @@ import numpy as np
 from model_zoo.grey.estimation import Estimate, LeastSquares
 from model_zoo.grey.observer import observed
 from model_zoo.grey.parameter import Box, Hidden, Parameter
+from model_zoo.grey.residual import Residual, conditioned, inputs_of, learned_shape
 from model_zoo.grey.segments import Segments
 from model_zoo.grey.structure import Structure
 from model_zoo.grey.uncertainty import Sureness, open_questions, sureness
+from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import REST_BAND, DynamicsModel
 from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.lags import CarryLayout
 from sysid_evo.progress import Counter, Progress
@@ -31,9 +34,13 @@ SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""
 SCREENED = 48
 """Places of the cube that are looked at, the best of which are starts."""
-FIRST_EVALUATIONS, LAST_EVALUATIONS = 25, 40
+FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
 PAST = 20
 """Samples before a segment from which its actuators and hidden states begin in a fit, if the episodes are so long."""
+SHARES = (0.0, 0.5, 1.0)
+"""Of a residual, that may be kept."""
+BETTER = 0.98
+"""None of it is kept unless free runs are better by this factor."""
 HIDDEN_SHARE = 0.3
 """Of the segments, if each has hidden states of its own to be estimated, which takes longer."""
 KEPT = 2
@@ -59,6 +66,10 @@ class GreyBox(DynamicsModel):
     segments the hidden states at its start are estimated too). With ``robust`` errors beyond 1.5 deviations count
     linearly. Integrated by Runge and Kutta's method, ``substeps`` to a sample.
 
+    With ``residual`` a radial network of ``residual_points`` bumps learns what the physics leave of each step; it is
+    nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
+    of time better.
+
     ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
     come from the gradients of whole blocks of time (clustered standard errors). ``undetermined_`` are sentences on
     what the data leave open. `parameters_table` has all of it.
@@ -71,7 +82,7 @@ class GreyBox(DynamicsModel):
     hidden: ClassVar[tuple[Hidden, ...]] = ()
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120}}
     limits: ClassVar[dict[str, Limit]] = {
-        **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay")},
+        **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay", "residual_points")},
         "history": at_least(0),
         "seconds": Limit(0.0, open_below=True),
     }
@@ -85,6 +96,8 @@ class GreyBox(DynamicsModel):
     robust: bool = False
     substeps: int = 1
     history: int = 5
+    residual: bool = False
+    residual_points: int = 60
     rest_hold: bool = False
     most_steps: int | None = 100_000
 
@@ -168,6 +181,8 @@ class GreyBox(DynamicsModel):
             last = replace(last, noise=sure.noise, inflation=sure.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
         self._learn(last, best)
+        if self.residual:
+            self._learn_residual(dataset, rng, told)
         return self
 
     @property
@@ -214,6 +229,46 @@ class GreyBox(DynamicsModel):
         self.residual_spread_ = np.sqrt(np.mean(errors**2, axis=(0, 1))) * problem.segments.scale
         self.parameters_ = box.values(best.places)
 
+    def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
+        """Learn what the physics leave, and keep as much of it as free runs in held-out blocks of time want."""
+        learned, held = time_blocks(dataset)
+        shape, noise = learned_shape(self.structure, *self._left_of(learned), self.residual_points, rng, told)
+        tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
+        windows = judging_windows(held, self.n_lags)
+        for share in SHARES:
+            told()
+            self._keep(tried.times(share))
+            errors.append(simulation_error(self, windows))
+        better = np.array(errors) * np.where(np.array(SHARES) == 0.0, BETTER, 1.0)
+        self.residual_share_ = SHARES[int(np.argmin(better))]
+        self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
+        self._keep(conditioned(shape, noise, *self._left_of(dataset)).times(self.residual_share_))
+
+    def _keep(self, residual: Residual) -> None:
+        self.residual_points_, self.residual_lengths_ = residual.points, residual.lengths
+        self.residual_weights_ = residual.weights
+
+    def _left_of(self, dataset: Dataset) -> tuple[Array, Array]:
+        """Return what a residual sees (N, n) at single steps, and what the physics leave of their rates (N, nx)."""
+        windows = dataset.windows(1, history=self.n_lags, moving=True)
+        windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
+        physics = self._alone()
+        carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+        after = physics.step(carry, control)[:, : self.system.nx]
+        return inputs_of(self.structure)(carry, control), self.system.difference(
+            windows.states[:, 0], after
+        ) / self.system.dt
+
+    def _alone(self) -> Self:
+        """Return the physics of this model without the residual."""
+        return self.variant(residual=False, rest_hold=False)
+
+    @property
+    def _residual(self) -> Residual | None:
+        if not self.residual or not hasattr(self, "residual_weights_"):
+            return None
+        return Residual(self.residual_points_, self.residual_lengths_, self.residual_weights_)
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The names of ``parameters_``: those of the law, then those of what is switched on."""
@@ -243,6 +298,12 @@ class GreyBox(DynamicsModel):
     @property
     def fit_note(self) -> str:
         said = [super().fit_note, *getattr(self, "undetermined_", [])]
+        if hasattr(self, "residual_share_"):
+            kept, without = self.residual_errors_
+            said.append(
+                f"{100 * self.residual_share_:.0f} % of the residual is kept: N over a second in held-out blocks is "
+                f"{kept:.3f}, {without:.3f} without it"
+            )
         return "; ".join(sentence for sentence in said if sentence)
 
     @property
@@ -269,8 +330,15 @@ class GreyBox(DynamicsModel):
             return structure.start(self.parameters_[:, None], states, controls, hidden).T.copy()
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        structure, residual, extra = self.structure, self._residual, None
+        if residual is not None:
+            features, held = inputs_of(structure), carry[:, structure.extended.nx :]
+
+            def extra(x: Array) -> Array:
+                return residual(features(np.concatenate([x.T, held], axis=1), control)).T
+
         with np.errstate(all="ignore"):
-            after, past = self.structure.step(self.parameters_[:, None], carry.T, control.T)
+            after, past = structure.step(self.parameters_[:, None], carry.T, control.T, extra)
         return np.concatenate([self._held(carry, control, after.T), past.T], axis=1)
 
     def _held(self, carry: Array, control: Array, after: Array) -> Array:
@@ -298,7 +366,9 @@ class GreyBox(DynamicsModel):
     def kernel(self) -> DynamicsKernel | None:
         from model_zoo.grey.compiled import structure_kernel
 
-        return structure_kernel(self.structure, self.parameters_, rest_band=self._extended_band)
+        structure, residual = self.structure, self._residual
+        extra = None if residual is None else residual.predictor(structure)
+        return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
 
 
 def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:

@@ -74,7 +74,15 @@ class Segments:
                 return self._stepped(structure, p, carry)
         own = kernel_parameters(structure, p[:, :, 0].T)
         start = np.moveaxis(carry, 0, -1)
-        return free_runs(kernel.source, kernel.n_scratch, kernel.of_candidates(own), start, w.controls, self.limits)
+        return free_runs(
+            kernel.source,
+            kernel.n_scratch,
+            kernel.of_candidates(own),
+            start,
+            w.controls,
+            self.limits,
+            precision=kernel.precision,
+        )
 
     def _kernel(self, structure: Structure) -> DynamicsKernel | None:
         guess = np.array([parameter.guess for parameter in structure.parameters])

@@ -149,7 +149,7 @@ class Structure:
     ) -> tuple[Array, Array]:
         """Return the next extended state (n, ...) and the earlier controls from a carry (n_carry, ...).
 
-        ``extra`` is what is added to the rates of an extended state.
+        ``extra`` is what is added to the rates of the measured states (nx, ...) in an extended state.
         """
         nx, nu = self.extended.nx, self.system.nu
         past = carry[nx:]
@@ -158,7 +158,9 @@ class Structure:
 
         def rate(x: Array) -> Array:
             found = self.rates(x, commanded, p)
-            return found if extra is None else found + extra(x)
+            if extra is not None:
+                found[: self.system.nx] += extra(x)
+            return found
 
         after = carry[:nx]
         for _ in range(self.substeps):

@@ -64,6 +64,7 @@ def model_card(path: Path) -> dict[str, Any]:
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions,
         "equations": list(model.equations()) if hasattr(model, "equations") else [],
+        **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
         "timings": {**manifest.timings, **speed(model)},
     }
 
@@ -99,7 +100,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
     for key, value in card.items():
-        if key in ("description", "hyper_parameters", "equations"):
+        if key in ("description", "hyper_parameters", "equations", "parameters"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{name} {item}" for name, item in value.items())
@@ -112,7 +113,20 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     parts += [Text(""), _hyper_parameters(card["hyper_parameters"])]
     if card.get("equations"):
         parts += [Text(""), *map(Text, card["equations"])]
+    if card.get("parameters"):
+        parts += [Text(""), _parameters(card["parameters"])]
     return parts
+
+
+def _parameters(rows: list[dict[str, Any]]) -> Table:
+    """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("parameter", "value", "standard error", "unit", ""):
+        table.add_column(column, justify="right" if column in ("value", "standard error") else "left")
+    for row in rows:
+        remark = "" if row["determined"] else "not determined"
+        table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
+    return table
 
 
 def _reflowed(description: str) -> str:

@@ -15,7 +15,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model, models
 from sysid_evo.store import load_model, save_model
 from sysid_evo.testing import run_checks
-from tests.model_zoo.grey.plants import Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum
+from tests.model_zoo.grey.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 
 QUICK: dict[str, Any] = {"starts": 2, "windows": 80}
 
@@ -66,7 +66,7 @@ def test_a_pressure_that_nobody_measures_is_found_with_its_parameters_and_from_a
     "family, options, dataset",
     [
         ("grey_pendulum", {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hold": True}, pendulum),
-        ("grey_cylinder", {}, cylinder),
+        ("grey_cylinder", {"residual": True, "residual_points": 12}, cylinder),
     ],
 )
 def test_a_grey_box_keeps_the_contract_compiled_too(family: str, options: dict[str, Any], dataset: Any) -> None:
@@ -153,3 +153,29 @@ def test_a_channel_that_is_not_there_or_not_described_is_named(swinging: Dataset
 
     with pytest.raises(IncompatibleSystem, match="says nothing of angle"):
         Part().fit(swinging)
+
+
+def spring(**options: Any) -> Dataset:
+    """Return a pendulum with a stop that the law does not know: beyond 0.8 rad it is pushed back."""
+
+    def rate(x: Any, u: float) -> list[float]:
+        stop = 30.0 * max(abs(x[0]) - 0.8, 0.0) * (1.0 if x[0] > 0.0 else -1.0)
+        return [x[1], -9.0 * np.sin(x[0]) - 0.5 * x[1] + 4.0 * u - stop]
+
+    return recorded(PENDULUM, rate, [0.5, 0.0], noise=(0.003, 0.01), **options)
+
+
+def test_a_residual_learns_what_the_law_lacks_and_is_nothing_far_from_the_data() -> None:
+    learned, fresh = spring(), spring(seed=1)
+    physics = Pendulum(**QUICK).fit(learned, rng=0)
+    model = Pendulum(residual=True, **QUICK).fit(learned, rng=0)
+    np.testing.assert_array_equal(model.parameters_, physics.parameters_)
+    assert -model.score(fresh) < -0.7 * physics.score(fresh)
+    assert "100 % of the residual is kept" in model.fit_note
+    far = np.array([[0.5, 400.0]])
+    np.testing.assert_allclose(model.step(far, np.zeros((1, 1))), physics.step(far, np.zeros((1, 1))), rtol=1e-9)
+
+
+def test_a_residual_of_a_law_that_lacks_nothing_is_not_kept(swinging: Dataset) -> None:
+    model = Pendulum(residual=True, **QUICK).fit(swinging, rng=0)
+    assert model.residual_share_ == 0.0
