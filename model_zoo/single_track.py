@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from model_zoo.car.family import CarFamily
 from model_zoo.car.single_track import MAGIC, PARAMETERS, pacejka_rate, tanh_rate
 from model_zoo.grey import GreyBox, Parameter
 from sysid_evo import PlanarBody, System, register_model
+from sysid_evo.data.measured import Measured
 from sysid_evo.errors import IncompatibleSystem
+
+ANOTHER_DAY = 0.2
+"""Share by which what a manoeuvre says is off elsewhere."""
 
 
 @register_model("single_track")
@@ -42,6 +46,25 @@ class SingleTrack(GreyBox, CarFamily):
     def declared(self) -> tuple[Parameter, ...]:
         return (*PARAMETERS, *MAGIC) if self.tyre == "pacejka" else PARAMETERS
 
+    def guesses_from(self, found: Mapping[str, Measured]) -> Mapping[str, tuple[float, float]]:
+        """Return losses from coasting, thrust from the acceleration at rest, loss of thrust from the top speed.
+
+        On another day they are some fifth off, so that no prior is narrower.
+        """
+        guesses: dict[str, tuple[float, float]] = {}
+        for name, said in (("rolling_resistance", "rolling resistance forward"), ("drag_linear", "drag forward")):
+            if said in found:
+                guesses[name] = _believed(found[said].value, found[said].error)
+        rolling, drag = (guesses.get(name, (0.0, 0.0))[0] for name in ("rolling_resistance", "drag_linear"))
+        for way in ("forward", "backward"):
+            start, top = found.get(f"acceleration from rest {way}"), found.get(f"top speed {way}")
+            if start is not None:
+                thrust = start.value + rolling
+                guesses[f"thrust_{way}"] = _believed(thrust, start.error)
+                if top is not None and way == "forward" and rolling:
+                    guesses["back_emf"] = _believed((thrust - rolling) / top.value - drag, start.error / top.value)
+        return guesses
+
     def check_system(self, system: System) -> None:
         CarFamily.check_system(self, system)
         assert isinstance(system.motion, PlanarBody)
@@ -58,3 +81,8 @@ class SingleTrack(GreyBox, CarFamily):
         assert lateral is not None
         names = system.control_names
         return (forward, lateral, yaw_rate), (names.index(self.drive), names.index(self.steer))
+
+
+def _believed(value: float, error: float) -> tuple[float, float]:
+    """Return a guess that is not negative, and its standard deviation."""
+    return max(value, 0.0), max(error, ANOTHER_DAY * abs(value), 0.01)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -19,6 +19,7 @@ from model_zoo.grey.uncertainty import Sureness, open_questions, sureness
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
+from sysid_evo.data.measured import Measured, measured
 from sysid_evo.dynamics import REST_BAND, DynamicsModel
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.free_run import judging_windows, simulation_error
@@ -70,6 +71,8 @@ class GreyBox(DynamicsModel):
     nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
     of time better.
 
+    Episodes of manoeuvres that measure (`sysid_evo.data.measured`) give guesses and priors, see `guesses_from`.
+
     ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
     come from the gradients of whole blocks of time (clustered standard errors). ``undetermined_`` are sentences on
     what the data leave open. `parameters_table` has all of it.
@@ -115,6 +118,14 @@ class GreyBox(DynamicsModel):
         """Return the parameters of `law`; ``parameters``, unless a family has a choice of several."""
         return self.parameters
 
+    def guesses_from(self, found: Mapping[str, Measured]) -> Mapping[str, tuple[float, float]]:
+        """Return guess and standard deviation of parameters, by name, from what manoeuvres say; none by default.
+
+        ``found`` has the names of `sysid_evo.data.measured`, such as ``drag forward``; of one that was measured more
+        often, the last.
+        """
+        return {}
+
     def places(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return where the states and the controls of `law` stand in ``system``. Raises `IncompatibleSystem`."""
         return (
@@ -155,8 +166,19 @@ class GreyBox(DynamicsModel):
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
 
+    def _informed(self, structure: Structure, dataset: Dataset) -> Structure:
+        """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
+        guesses = self.guesses_from({one.name: one for one in measured(dataset)})
+        self.informed_ = [parameter.name for parameter in structure.own if parameter.name in guesses]
+        own = tuple(
+            replace(parameter, guess=min(max(guess, parameter.low), parameter.high), spread=spread)
+            for parameter in structure.own
+            for guess, spread in [guesses.get(parameter.name, (parameter.guess, parameter.spread))]
+        )
+        return replace(structure, own=own)
+
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        structure = self._structure_on(dataset.system)
+        structure = self._informed(self._structure_on(dataset.system), dataset)
         total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + KEPT * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
 
@@ -298,6 +320,8 @@ class GreyBox(DynamicsModel):
     @property
     def fit_note(self) -> str:
         said = [super().fit_note, *getattr(self, "undetermined_", [])]
+        if getattr(self, "informed_", []):
+            said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
         if hasattr(self, "residual_share_"):
             kept, without = self.residual_errors_
             said.append(

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_parameters import CarParameters
+from hardware.recording.measuring import measuring
 from hardware.recording.scripted import record_dataset
+from hardware.robot import find_robot
 from model_zoo.car.single_track import MAGIC, PARAMETERS, magic, pacejka_rate, tanh_rate
 from model_zoo.single_track import SingleTrack
+from sysid_evo.data import Dataset
+from sysid_evo.data.measured import measured
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot
@@ -67,3 +71,21 @@ def test_a_car_whose_sideways_speed_is_not_measured_is_refused() -> None:
     system = System(states, (Channel("drive"), Channel("steer")), 0.05, PlanarBody(lateral=None))
     with pytest.raises(IncompatibleSystem, match="needs the lateral speed"):
         SingleTrack().check_system(system)
+
+
+def test_manoeuvres_in_the_data_give_guesses_and_priors(learned: SingleTrack) -> None:
+    """A fifth of the value at best: they are of another day. Without such episodes there are none."""
+    robot = find_robot("emulated_car")
+    episodes = [
+        episode
+        for kind in ("step", "coast_down")
+        for episode in robot.record_manoeuvres(measuring(robot.system, kind), seed=0).dataset.episodes
+    ]
+    data = Dataset(robot.system, tuple(episodes))
+    guesses = SingleTrack().guesses_from({one.name: one for one in measured(data)})
+    assert set(guesses) == {"rolling_resistance", "drag_linear", "thrust_forward", "thrust_backward", "back_emf"}
+    assert guesses["thrust_forward"][0] == pytest.approx(CarParameters().thrust_forward, rel=0.3)
+    assert all(spread >= 0.2 * value for value, spread in guesses.values())
+    model = SingleTrack(tyre="tanh", starts=1, windows=40).fit(data, rng=0)
+    assert "manoeuvres gave first guesses of thrust_forward" in model.fit_note
+    assert "manoeuvres" not in learned.fit_note
