@@ -11,6 +11,7 @@ import numpy as np
 
 from model_zoo.grey.estimation import Estimate, LeastSquares
 from model_zoo.grey.observer import observed
+from model_zoo.grey.offsets import with_offsets
 from model_zoo.grey.parameter import Box, Hidden, Parameter
 from model_zoo.grey.residual import Residual, conditioned, inputs_of, learned_shape
 from model_zoo.grey.segments import Segments
@@ -21,7 +22,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.data.measured import Measured, measured
 from sysid_evo.dynamics import REST_BAND, DynamicsModel
-from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.lags import CarryLayout
@@ -71,6 +72,10 @@ class GreyBox(DynamicsModel):
     nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
     of time better.
 
+    The parameters named in ``offsets`` may differ from recording to recording (another battery, another floor). Their
+    differences are shrunk to nothing as far as the data do not ask for them (random effects), the model predicts with
+    what is common, and `offsets_table` tells the rest.
+
     Episodes of manoeuvres that measure (`sysid_evo.data.measured`) give guesses and priors, see `guesses_from`.
 
     ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
@@ -101,6 +106,7 @@ class GreyBox(DynamicsModel):
     history: int = 5
     residual: bool = False
     residual_points: int = 60
+    offsets: list[str] | None = None
     rest_hold: bool = False
     most_steps: int | None = 100_000
 
@@ -132,6 +138,15 @@ class GreyBox(DynamicsModel):
             _named(self, "state", self.states, system.state_names),
             _named(self, "control", self.controls, system.control_names),
         )
+
+    def check_parameters(self) -> None:
+        super().check_parameters()
+        known = [parameter.name for parameter in self.declared()]
+        for name in self.offsets or []:
+            if name not in known:
+                raise InvalidArgument(
+                    f"{type(self).__name__}: offsets: there is no parameter {name!r}; there are {', '.join(known)}"
+                )
 
     def check_system(self, system: System) -> None:
         states, controls = self.places(system)
@@ -202,6 +217,8 @@ class GreyBox(DynamicsModel):
             sure = self._sureness(last, best)
             last = replace(last, noise=sure.noise, inflation=sure.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
+        if self.offsets is not None and len(last.segments.groups) > 1:
+            best = self._learn_offsets(last, best, self._sureness(last, best))
         self._learn(last, best)
         if self.residual:
             self._learn_residual(dataset, rng, told)
@@ -233,6 +250,28 @@ class GreyBox(DynamicsModel):
     def _sureness(problem: LeastSquares, best: Estimate) -> Sureness:
         known = known_variances(problem.structure.parameters, best.places)
         return sureness(best.errors, best.jacobian, best.by_hidden, problem.segments.order, known=known)
+
+    def _learn_offsets(self, problem: LeastSquares, best: Estimate, sure: Sureness) -> Estimate:
+        """Return the estimate of what is common; keep what differs from recording to recording, in units."""
+        box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
+        varied = [names.index(name) for name in self.offsets or []]
+        found = with_offsets(problem, best, sure, varied)
+        common = box.values(found.estimate.places)
+        of_each = np.repeat(found.estimate.places[None], len(problem.segments.groups), axis=0)
+        of_each[:, varied] += found.estimate.offsets
+        self.offsets_ = (box.values(of_each) - common)[:, varied]
+        self.offset_spreads_ = found.spreads * box.slopes(found.estimate.places)[varied]
+        self.recordings_ = list(problem.segments.groups)
+        return found.estimate
+
+    def offsets_table(self) -> list[dict[str, Any]]:
+        """Return by how much each parameter of ``offsets`` is more or less in each recording, with its unit."""
+        units = {parameter.name: parameter.unit for parameter in self.declared()}
+        return [
+            {"recording": recording, "parameter": name, "offset": float(offset), "unit": units[name]}
+            for recording, row in zip(getattr(self, "recordings_", []), getattr(self, "offsets_", []), strict=True)
+            for name, offset in zip(self.offsets or [], row, strict=True)
+        ]
 
     def _learn(self, problem: LeastSquares, best: Estimate) -> None:
         structure = problem.structure
@@ -322,6 +361,11 @@ class GreyBox(DynamicsModel):
         said = [super().fit_note, *getattr(self, "undetermined_", [])]
         if getattr(self, "informed_", []):
             said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
+        if hasattr(self, "offset_spreads_"):
+            units = {parameter.name: parameter.unit for parameter in self.declared()}
+            spreads = zip(self.offsets or [], self.offset_spreads_, strict=True)
+            each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in spreads)
+            said.append(f"from recording to recording there differ {each} (standard deviation)")
         if hasattr(self, "residual_share_"):
             kept, without = self.residual_errors_
             said.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,16 +60,28 @@ class Segments:
     def __len__(self) -> int:
         return len(self.windows)
 
+    def __getitem__(self, rows: IntArray) -> Segments:
+        """Return some of the windows."""
+        return replace(self, windows=self.windows[rows], group=self.group[rows], order=self.order[rows])
+
     def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
         """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
 
-        Compiled where the motion has a compiled form and a parameter vector is the same for all windows.
+        Compiled where the motion has a compiled form. Where parameters differ from window to window, they are the same
+        in all of a group.
         """
         w = self.windows
+        if p.shape[2] > 1:
+            out = np.empty((p.shape[1], *w.states.shape))
+            for number in range(len(self.groups)):
+                rows = np.flatnonzero(self.group == number)
+                if len(rows):
+                    out[:, rows] = self[rows].runs(structure, p[:, :, rows[:1]], hidden[:, :, rows])
+            return out
         with np.errstate(all="ignore"):
             carry = structure.start(p, w.past_states, w.past_controls, hidden)
             carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
-            kernel = self._kernel(structure) if p.shape[2] == 1 else None
+            kernel = self._kernel(structure)
             if kernel is None:
                 return self._stepped(structure, p, carry)
         own = kernel_parameters(structure, p[:, :, 0].T)

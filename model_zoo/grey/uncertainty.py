@@ -50,7 +50,8 @@ def sureness(errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, 
     blocks = max(min(FEWEST_BLOCKS, windows), min(BLOCKS, windows // 4))
     sums = np.array([gradients[rows].sum(axis=0) for rows in np.array_split(np.argsort(order, kind="stable"), blocks)])
     sums -= sums.mean(axis=0)
-    meat = sums.T @ sums * blocks / max(1, blocks - 1) + np.diag(1.0 / known)
+    few = blocks / max(blocks - n, 0.5 * blocks)  # as many gradients as parameters add up to nothing at the optimum
+    meat = few * sums.T @ sums * blocks / max(1, blocks - 1) + np.diag(1.0 / known)
     inverse = np.linalg.pinv(bread, hermitian=True)
     covariance = inverse @ meat @ inverse
     naive = np.clip(np.diag(inverse), 1e-300, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -76,14 +77,14 @@ def test_a_grey_box_keeps_the_contract_compiled_too(family: str, options: dict[s
 
 
 def test_standard_errors_cover_the_truth_as_often_as_they_say() -> None:
-    """In 20 recordings, 3 parameters are off by less than 2 standard errors 57 times on average; 48 is 4 deviations."""
+    """In 14 recordings, 3 parameters are off by less than 2 standard errors 40 times on average; 34 is 4 deviations."""
     inside = 0
-    for seed in range(20):
+    for seed in range(14):
         model = Pendulum(starts=1, windows=60).fit(pendulum(seed=seed, steps=150), rng=0)
         off = np.abs(model.parameters_ - [9.0, 0.5, 2.0]) / model.standard_errors_
         inside += int((off < 2.0).sum())
         assert (model.standard_errors_ < [0.2, 0.1, 0.1]).all()
-    assert inside >= 48
+    assert inside >= 34
 
 
 def test_what_the_data_do_not_determine_is_named(swinging: Dataset) -> None:
@@ -179,3 +180,41 @@ def test_a_residual_learns_what_the_law_lacks_and_is_nothing_far_from_the_data()
 def test_a_residual_of_a_law_that_lacks_nothing_is_not_kept(swinging: Dataset) -> None:
     model = Pendulum(residual=True, **QUICK).fit(swinging, rng=0)
     assert model.residual_share_ == 0.0
+
+
+GAINS = (1.6, 1.8, 2.0, 2.2, 2.4, 2.0)
+
+
+def several(gains: tuple[float, ...] = GAINS) -> Dataset:
+    """Return recordings of pendulums that are the same but for the gain of their motors."""
+    episodes = []
+    for number, gain in enumerate(gains):
+
+        def rate(x: Any, u: float, gain: float = gain) -> list[float]:
+            return [x[1], -9.0 * np.sin(x[0]) - 0.5 * x[1] + gain * u]
+
+        short = recorded(PENDULUM, rate, [1.0, 0.0], noise=(0.01, 0.03), seed=number, steps=200, episodes=1)
+        episodes.append(replace(short.episodes[0], name=f"day-{number}"))
+    return Dataset(PENDULUM, tuple(episodes))
+
+
+def test_what_differs_from_recording_to_recording_is_told_and_the_common_value_predicts() -> None:
+    model = Pendulum(offsets=["gain", "friction"], **QUICK).fit(several(), rng=0)
+    assert found(model)["gain"] == pytest.approx(2.0, abs=0.06)
+    rows = [row["offset"] for row in model.offsets_table() if row["parameter"] == "gain"]
+    np.testing.assert_allclose(rows, np.array(GAINS) - 2.0, atol=0.08)
+    spreads = dict(zip(("gain", "friction"), model.offset_spreads_, strict=True))
+    assert spreads["gain"] == pytest.approx(np.std(GAINS), rel=0.3)
+    assert spreads["friction"] < 0.05
+    assert "there differ gain by 0.2" in model.fit_note
+    assert all(row["unit"] for row in model.offsets_table())
+
+
+def test_where_nothing_differs_offsets_shrink_to_nothing() -> None:
+    model = Pendulum(offsets=["gain"], **QUICK).fit(several((2.0,) * 6), rng=0)
+    assert np.abs(model.offsets_).max() < 0.03
+
+
+def test_an_offset_of_what_is_no_parameter_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="there is no parameter 'grip'; there are stiffness, friction, gain"):
+        Pendulum(offsets=["grip"])
