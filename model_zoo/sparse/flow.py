@@ -32,7 +32,7 @@ class ContinuousSparse(SparsePolynomial):
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
         features = self.features_of(system, lags)
         seen, measured = features(carry, data.control), features(data.carry, data.control)
-        found = Regression(seen, rate, measured, data.state, integrals(dataset))
+        found = Regression(seen, rate, measured, data.state, integrals(dataset), self.sampled(dataset, lags))
         return found[np.flatnonzero(between_limits(system, data.after))]
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
