@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.integrals import between_limits, integrals, next_state, next_state_predictor
 from model_zoo.sparse.polynomial import equation, evaluate
+from model_zoo.sparse.stability import Stability, stability
 from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -122,6 +124,16 @@ class PolynomialFamily(DynamicsModel):
         exponents = self.exponents_[:, [*of_carry, *of_control]]
         sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control), one_code=True)
         return of_functions(sums, [found[i] for i in of_carry], [found[i] for i in of_control])
+
+    @cached_property
+    def stability(self) -> Stability:
+        """How disturbances grow and how free runs end; found when it is asked for."""
+        return stability(self)
+
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, and of an equation that runs away."""
+        return ", and ".join(part for part in (super().fit_note, self.stability.sentence) if part)
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
