@@ -5,11 +5,12 @@ from evaluation.prediction.bootstrap import Interval
 from evaluation.prediction.cases import MeasuredCases, measured_cases
 from evaluation.prediction.persistence import Persistence
 from evaluation.prediction.protocol import PredictionProtocol
-from evaluation.prediction.scores import Difference, Divergence, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction.scores import Coverage, Difference, Divergence, ErrorScore, ModelPrediction, Prediction
 from evaluation.prediction.storage import load_prediction, save_prediction
 
 __all__ = [
     "PERSISTENCE",
+    "Coverage",
     "Difference",
     "Divergence",
     "ErrorScore",

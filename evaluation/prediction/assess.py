@@ -9,6 +9,7 @@ import numpy as np
 from evaluation.prediction import metrics
 from evaluation.prediction.bootstrap import BlockErrors, interval
 from evaluation.prediction.cases import MeasuredCases, measured_cases
+from evaluation.prediction.coverage import interval_coverage, without_noise
 from evaluation.prediction.forecasts import NEVER, Forecasts, forecast
 from evaluation.prediction.persistence import Persistence
 from evaluation.prediction.protocol import PredictionProtocol
@@ -62,7 +63,7 @@ def assess_model(
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
-    forecasts = forecast(model, cases)
+    forecasts = forecast(without_noise(model), cases)
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     if model.n_lags > cases.protocol.history:
         notes.append(
@@ -76,6 +77,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         free_run=_free_run(forecasts, cases),
         curve=_curve(forecasts, cases),
         divergence=_divergence(forecasts, cases),
+        coverage=interval_coverage(model, cases),
         free_states=forecasts.free_runs,
         notes=tuple(notes),
     )

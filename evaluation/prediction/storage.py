@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from evaluation.prediction.bootstrap import Interval
-from evaluation.prediction.scores import Divergence, ErrorScore, ModelPrediction
+from evaluation.prediction.scores import Coverage, Divergence, ErrorScore, ModelPrediction
 from sysid_evo.errors import ArtefactError
 from sysid_evo.files import write_atomically
 
@@ -27,6 +27,7 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
     for i, score in enumerate(_all_scores(prediction)):
         tensors.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
         scores.append({"horizon": score.horizon, "samples": score.samples, "interval": _plain(score.interval)})
+    tensors.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
     divergence = prediction.divergence
     value = {
         "name": prediction.name,
@@ -40,6 +41,9 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
             "median_time": divergence.median_time,
             "free_run_times": list(divergence.free_run_times),
         },
+        "coverage": [
+            {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
+        ],
         "notes": list(prediction.notes),
     }
     payload = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()})
@@ -66,6 +70,9 @@ def load_prediction(path: Path) -> ModelPrediction:
             divergence=None
             if divergence is None
             else Divergence(divergence["share"], divergence["median_time"], tuple(divergence["free_run_times"])),
+            coverage=tuple(
+                Coverage(**held, inside=tensors[f"coverage.{i}"]) for i, held in enumerate(value["coverage"])
+            ),
             free_states=tuple(tensors[f"free_states.{i}"] for i in range(value["free_runs"])),
             notes=tuple(value["notes"]),
         )

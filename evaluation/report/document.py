@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.exploitability import ModelExploitability
-from evaluation.prediction import Difference, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction import Coverage, Difference, ErrorScore, ModelPrediction, Prediction
 from evaluation.report.contents import Report
 from evaluation.report.verdict import verdict
 from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, TransferSummary
@@ -74,6 +74,7 @@ def _model(model: ModelPrediction, system: System) -> dict[str, Any]:
         "free_run": None if model.free_run is None else _score(model.free_run, system),
         "curve": model.curve,
         "divergence": None if model.divergence is None else asdict(model.divergence),
+        "coverage": [_coverage(held, system) for held in model.coverage],
         "notes": model.notes,
     }
 
@@ -98,6 +99,18 @@ def _score(score: ErrorScore, system: System) -> dict[str, Any]:
         "n": score.n,
         "interval": list(score.interval),
         "channels": channels,
+    }
+
+
+def _coverage(held: Coverage, system: System) -> dict[str, Any]:
+    return {
+        "steps": held.horizon,
+        "seconds": held.horizon * system.dt,
+        "samples": held.samples,
+        "aim": held.share,
+        "mean": held.mean,
+        "honest": held.honest,
+        "channels": dict(zip(system.state_names, held.inside, strict=True)),
     }
 
 

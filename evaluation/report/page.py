@@ -17,6 +17,7 @@ from evaluation.report.tables import (
     channel_list,
     channel_sheet,
     controller_sheet,
+    coverage_sheet,
     episode_sheet,
     exploitability_sheet,
     failure_sheet,
@@ -147,7 +148,7 @@ def _prediction(report: Report) -> Section:
     channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [prediction_sheet(prediction), *pictures, *channels],
+        [*_present(prediction_sheet(prediction), coverage_sheet(prediction)), *pictures, *channels],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

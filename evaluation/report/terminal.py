@@ -88,7 +88,8 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
 def _sheets(report: Report) -> list[Sheet]:
     sheets = []
     if report.prediction is not None:
-        sheets.append(sheets_of.prediction_sheet(report.prediction))
+        coverage = sheets_of.coverage_sheet(report.prediction)
+        sheets += [sheets_of.prediction_sheet(report.prediction), *([coverage] if coverage is not None else [])]
         ends = (main_horizon(report.prediction), *report.prediction.horizons[-1:])
         chosen = [horizon for horizon in dict.fromkeys(ends) if horizon in report.prediction.horizons]
         sheets += [sheets_of.channel_sheet(report.prediction, horizon) for horizon in chosen]

@@ -12,9 +12,9 @@ from model_zoo.channels.features import Features
 from model_zoo.channels.integrals import between_limits, integrals, next_state, next_state_predictor
 from model_zoo.sparse.polynomial import equation, evaluate
 from model_zoo.sparse.stability import Stability, stability
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Regression:
         return Regression(self.regressors[rows], self.targets[rows], measured, states, self.added, sample)
 
 
-class PolynomialFamily(DynamicsModel):
+class PolynomialFamily(Uncertain):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
     The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
@@ -128,7 +128,7 @@ class PolynomialFamily(DynamicsModel):
     @cached_property
     def stability(self) -> Stability:
         """How disturbances grow and how free runs end; found when it is asked for."""
-        return stability(self)
+        return stability(self.variant(stochastic=False))
 
     @property
     def fit_note(self) -> str:

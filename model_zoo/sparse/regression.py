@@ -202,7 +202,7 @@ class SparsePolynomial(PolynomialFamily):
         """What the polynomial sees of (carry, control): of a library's functions those that it has a term of."""
         if self.library is None:
             return super().features
-        return Features(self.system, self.lags, tuple(self.functions_))
+        return Features(self.system, self.lags, tuple(self.used_functions_))
 
     def terms_of(self, system: System, lags: tuple[int, int], degree: int) -> IntArray:
         """Return the exponents (T, n) of the candidate terms over `features_of`."""
@@ -216,7 +216,7 @@ class SparsePolynomial(PolynomialFamily):
         features = self.features_of(self.system, self.lags)
         plain, used = len(features.plain_names), np.sum(exponents, axis=0) > 0
         kept = np.flatnonzero(used | (np.arange(len(used)) < plain))
-        self.functions_ = [features.functions[i - plain] for i in kept if i >= plain]
+        self.used_functions_ = [features.functions[i - plain] for i in kept if i >= plain]
         return kept
 
     def library_of(self, data: Regression, lags: tuple[int, int], degree: int) -> Library:
@@ -267,14 +267,17 @@ class SparsePolynomial(PolynomialFamily):
         settings = self._settings(dataset)
         counter = Counter(progress, trials(settings) * FOLDS + 1)
         judged = self._judged(dataset, settings, counter) if len(settings) > 1 else {}
-        self.degree_, self.threshold_, lags = best(
+        degree, threshold, lags = best(
             settings, lambda setting: judged[setting][0], size=lambda setting: judged[setting][1]
         )
         self.keep_lags(lags)
-        self.learn(dataset, self.degree_, self.threshold_, rng, counter)
-        if self.library is not None:
-            self.degree_ = int(self.exponents_.sum(axis=1).max())
+        if self.library is None:
+            self.degree_ = degree
+        if self.optimizer is None:
+            self.threshold_ = threshold
+        self.learn(dataset, degree, threshold, rng, counter)
         counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def _judged(

@@ -9,12 +9,13 @@ from evaluation.report.tables.controllers import (
     probe_sheet,
     transfer_sheet,
 )
-from evaluation.report.tables.prediction import channel_sheet, prediction_sheet
+from evaluation.report.tables.prediction import channel_sheet, coverage_sheet, prediction_sheet
 
 __all__ = [
     "channel_list",
     "channel_sheet",
     "controller_sheet",
+    "coverage_sheet",
     "episode_sheet",
     "exploitability_sheet",
     "finalist_sheet",
