@@ -104,6 +104,7 @@ def _sheets(report: Report) -> list[Sheet]:
     if report.prediction is not None:
         sheets.append(sheets_of.prediction_sheet(report.prediction))
         found = (
+            sheets_of.coverage_sheet(report.prediction),
             sheets_of.difference_sheet(report.prediction),
             sheets_of.region_sheet(report.prediction),
             sheets_of.residual_sheet(report.prediction),
