@@ -61,6 +61,32 @@ class EpisodeFold:
             yield np.flatnonzero(~held), np.flatnonzero(held)
 
 
+@dataclass(frozen=True)
+class ConditionFold:
+    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
+
+    def get_n_splits(
+        self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
+    ) -> int:
+        """Return the number of conditions, as scikit-learn asks for it."""
+        return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
+        dataset = as_dataset(X, "ConditionFold")
+        if len(dataset.conditions) < 2:
+            raise InvalidData(
+                f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
+                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
+            )
+        of_each = np.array([episode.condition for episode in dataset], dtype=object)
+        for condition in dataset.conditions:
+            held = of_each == condition
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
 def recording(name: str) -> str:
     """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
     return name.split("[")[0]

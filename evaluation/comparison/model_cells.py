@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.prediction import (
+    FORM,
     PERSISTENCE,
     ModelPrediction,
     Persistence,
@@ -123,7 +124,7 @@ class PredictCell(Cell):
         return (self.data,) if self.model is None else (self.data, self.model)
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"form": FORM, "protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
 
     def compute(self, work: Work) -> ModelPrediction:
         parts = work.result(self.data)

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from sysid_evo.cli import (
+    adapting,
     comparing,
     driving,
     evolving,
@@ -47,6 +48,7 @@ app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
 app.command("tune")(tuning.tune)
+app.command("adapt")(adapting.adapt)
 app.command("evolve")(evolving.evolve)
 app.command("exploit")(exploiting.exploit)
 app.command("coevolve")(racing.coevolve)

@@ -242,6 +242,24 @@ class DynamicsModel(Dynamics, Estimator):
         data = as_dataset(dataset, f"{type(self).__name__}.score")
         return -simulation_error(self, judging_windows(data, self.n_lags))
 
+    def adapt(
+        self,
+        dataset: Dataset,
+        *,
+        training: Dataset | None = None,
+        rng: np.random.Generator | int | None = None,
+        progress: Progress | bool | None = None,
+    ) -> DynamicsModel:
+        """Return this model adapted to 10 to 30 s of another condition: one of the family ``adapted`` around it.
+
+        It is this model, unchanged, where a gate finds no correction much better; its `fit_note` says what was
+        decided. With the ``training`` data of this model a refit with the new seconds is tried as well. Raises
+        `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one free run.
+        """
+        from sysid_evo.adaptation import adapted
+
+        return adapted(self, dataset, training=training, rng=rng, progress=progress)
+
     def predictor(self) -> Predictor | None:
         """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
         return None

@@ -1,50 +1,60 @@
-"""Robots with one wrong habit planted into them, and trajectories of driving them."""
+"""Recordings of a made-up machine with one fault planted, and without."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.data import Trajectory
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.data import Dataset
+from sysid_evo.system import Channel, System
 
-Habit = Callable[[Array, Array, Array], Array]
-"""What becomes of the next state (B, nx), given the state before and the control."""
-TRIALS, STEPS = 8, 500
-
-
-class Planted(Dynamics):
-    """``base`` with a ``habit``: it changes the state that every step leads to."""
-
-    def __init__(self, base: Dynamics, habit: Habit) -> None:
-        self.base, self.habit = base, habit
-        self.system, self.n_carry, self.n_lags, self.n_draws = base.system, base.n_carry, base.n_lags, base.n_draws
-
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return self.base.start(states, controls, draws)
-
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        nx = self.system.nx
-        after = self.base.step(carry, control)
-        return np.concatenate([self.habit(carry[:, :nx], control, after[:, :nx]), after[:, nx:]], axis=1)
+MACHINE = System(
+    states=(Channel("speed", "m/s"), Channel("turn", "rad/s")),
+    controls=(Channel("push", low=-1.0, high=1.0), Channel("steer", low=-1.0, high=1.0)),
+    dt=0.05,
+    name="machine",
+)
+DECAY, GAIN = np.array([0.92, 0.8]), np.array([0.12, 0.5])
 
 
-def driven(dynamics: Dynamics, *, seed: int = 1, let_go: bool = False) -> list[Trajectory]:
-    """Drive from rest with commands that are held for 0.3 to 1.2 s; with ``let_go`` from anywhere and without any."""
-    rng, system = np.random.default_rng(seed), dynamics.system
-    holds = rng.integers(6, 25, (TRIALS, STEPS, 1))
-    at = np.minimum(np.argmax(np.cumsum(holds, axis=1) > np.arange(STEPS)[:, None, None].T, axis=1), STEPS - 1)
-    raw = rng.choice([-1.0, 0.0, 1.0], (TRIALS, STEPS, system.nu))
-    commands = np.take_along_axis(raw, np.broadcast_to(at.reshape(TRIALS, STEPS, 1), raw.shape), axis=1)
-    controls = system.actuate(0.0 * commands if let_go else commands)
-    begin = rng.uniform(-2.5, 2.5, (TRIALS, system.nx)) * let_go
-    history = np.repeat(begin[:, None], dynamics.n_lags + 1, axis=1)
-    carry = dynamics.start(history, np.tile(system.neutral_control, (TRIALS, dynamics.n_lags, 1)))
-    states = [begin]
-    for k in range(STEPS):
-        carry = dynamics.step(carry, controls[:, k])
-        states.append(carry[:, : system.nx])
-    runs = np.stack(states, axis=1)
-    return [Trajectory(runs[i], controls[i], system.dt, name=str(i)) for i in range(TRIALS)]
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong: the plain machine has none of it.
+
+    ``late`` steps pass before push acts; ``drift`` is the size of a slow push that nobody measures; ``measured`` the
+    standard deviation of the noise on measured states; ``bend`` how strongly speed bends the answer to steer; ``grip``
+    the share of steer that works in the last recording; with ``dead`` steer does nothing below a speed of 0;
+    ``push`` the largest push; ``loud`` how many times louder the noise is above a speed of 0.5.
+    """
+
+    late: int = 0
+    drift: float = 0.0
+    measured: float = 0.0
+    bend: float = 0.0
+    grip: float = 1.0
+    dead: bool = False
+    push: float = 1.0
+    loud: float = 1.0
+
+
+def drive(
+    fault: Fault = Fault(), seed: int = 0, *, episodes: int = 3, steps: int = 800, noise: float = 0.02
+) -> Dataset:
+    """Return recordings of the machine under random controls that are held for five steps."""
+    rng = np.random.default_rng(seed)
+    states, controls = [], []
+    for number in range(episodes):
+        u = np.repeat(rng.uniform(-1.0, 1.0, (steps // 5 + 1, 2)), 5, axis=0)[:steps] * [fault.push, 1.0]
+        x, drift = np.zeros((steps + 1, 2)), 0.0
+        grip = fault.grip if number == episodes - 1 else 1.0
+        for k in range(steps):
+            push = u[max(k - fault.late, 0), 0]
+            speed = x[k, 0]
+            steer = u[k, 1] * grip * (0.0 if fault.dead and speed < 0.0 else 1.0) * (1.0 + fault.bend * speed)
+            drift = 0.95 * drift + np.sqrt(1.0 - 0.95**2) * fault.drift * rng.standard_normal()
+            size = noise * (fault.loud if speed > 0.5 else 1.0)
+            x[k + 1] = DECAY * x[k] + GAIN * [push, steer] + [drift, 0.0] + size * rng.standard_normal(2)
+        states.append(x + fault.measured * rng.standard_normal(x.shape))
+        controls.append(u)
+    return Dataset.from_arrays(MACHINE, states, controls, names=[f"day {number + 1}" for number in range(episodes)])

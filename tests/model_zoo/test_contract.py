@@ -19,6 +19,9 @@ SMALL: dict[str, dict[str, Any]] = {
     "neural_ode_history": SMALL_NETWORK,
     "hybrid_ode": SMALL_NETWORK,
     "torch_ode": {"hidden": [8], "updates": 20, "horizon": 3, "control_lags": 1},
+    "delay_embedding": {"family": "linear"},
+    "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 100},
+    "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
     "gaussian_process": {"inducing": 40},
     "evolved3": {"generations": 30},
     "parametrised": {"generations": 60},
@@ -27,6 +30,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "candidates": [f"linear(state_lags=1, control_lags=2, ridge={ridge})" for ridge in (0.0, 1.0)],
         "gate": 9.0,
     },
+    "single_track": {"starts": 1, "windows": 40},
 }
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
