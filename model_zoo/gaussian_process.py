@@ -43,6 +43,7 @@ class GaussianProcess(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
     periodic = True
     precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {

@@ -47,6 +47,7 @@ class Parametrised(CarFamily):
     """
 
     knowledge = "grey"
+    structure = "physics"
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 300},

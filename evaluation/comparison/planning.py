@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from evaluation.comparison.advice_cells import AdviseCell
 from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
 from evaluation.comparison.columns import Column, runner_of
 from evaluation.comparison.condition_cells import ConditionsCell
@@ -57,6 +58,7 @@ class Comparison:
     data: Cell
     fits: dict[str, FitCell]
     predictions: dict[str, PredictCell]
+    advice: AdviseCell
     matrix: Matrix | None = None
     exploitability: ExploitCell | None = None
     conditions: Mapping[str, ConditionsCell] = field(default_factory=dict)
@@ -136,13 +138,15 @@ def plan_comparison(
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
             recorded=_is_recorded(data),
         )
-        exploitability = ExploitCell(matrix, data)
+        exploitability = ExploitCell(matrix, data, experiment.seed)
+    advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
+    wanted.append(advice)
     again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
     plan = Plan.of(wanted, remarks=remarks, again=again)
-    return Comparison(settled, plan, data, fits, predictions, matrix, exploitability, without)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
 
 
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:

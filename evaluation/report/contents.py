@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from evaluation.advice import ModelAdvice
 from evaluation.exploitability import ModelExploitability
 from evaluation.prediction import ModelPrediction, Prediction, measured_cases
 from evaluation.prediction.conditions import ConditionErrors
@@ -93,6 +94,7 @@ class Report:
     prediction: Prediction | None = None
     matrix: TransferMatrix | None = None
     exploitability: tuple[ModelExploitability, ...] = ()
+    advice: ModelAdvice | None = None
     failures: tuple[Failure, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -127,6 +129,7 @@ class Report:
             prediction=_prediction(comparison, store),
             matrix=matrix,
             exploitability=() if found is None or matrix is None else found,
+            advice=store.outcome(comparison.advice).value,
             failures=tuple(_failures(comparison, store)),
             settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
             versions=versions(),

@@ -43,6 +43,7 @@ class PolynomialFamily(DynamicsModel):
     in its own `regression`, `left_sides`, `next_state` and `predictor`. With functions there is no compiled form.
     """
 
+    structure = "polynomial"
     periodic = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:

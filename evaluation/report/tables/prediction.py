@@ -52,7 +52,7 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
         rows.append((model.name, *cells))
     start = "from sample" if horizon is None else "from measured states,"
     protocol = prediction.cases.protocol
-    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
+    begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
     return Sheet(
         title=f"Error per channel, {horizon_name(prediction, horizon)}",
         columns=("model", *heads),
