@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from model_zoo.channels.standard import root_mean_square
 from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import EpisodeFold, recording
@@ -118,11 +117,11 @@ def growth_on_unseen_recordings(
 ) -> Array:
     """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
 
-    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest: a recording
-    differs from others by the battery, the tyres or the floor, which blocks of the same recording share. The factor
-    is the geometric mean over the recordings held out in turn, at least 1. With ``steps``, those after so many of them,
-    (len(steps), nx), and the root mean square over recordings, in which one that is unlike the others weighs more;
-    steps that no block is long enough for have the factor of the longest.
+    With ``steps``, the factors after so many of them, (len(steps), nx); those that no block is long enough for have
+    that of the longest. Both are the ``share`` quantile of the error after one second of what ``fit`` learns from
+    the rest:
+    a recording differs from others by the battery, the tyres or the floor, which blocks of the same
+    recording share. The factor is the geometric mean over the recordings held out in turn, at least 1.
     """
     groups = unseen_recordings(dataset)
     if not groups:
@@ -138,8 +137,7 @@ def growth_on_unseen_recordings(
             continue
         seen_before = np.quantile(np.concatenate(within), share, axis=0)
         never_seen = np.maximum([np.quantile(errors, share, axis=0) for errors in across], np.finfo(float).tiny)
-        typical = np.exp(np.mean(np.log(never_seen), axis=0)) if steps is None else root_mean_square(never_seen)
-        factor = typical / np.where(seen_before > 0, seen_before, np.inf)
+        factor = np.exp(np.mean(np.log(never_seen), axis=0)) / np.where(seen_before > 0, seen_before, np.inf)
         factors.append(np.maximum(factor, 1.0))
     return factors[0] if steps is None else np.stack(factors)
 
