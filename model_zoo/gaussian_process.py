@@ -45,6 +45,7 @@ class GaussianProcess(Uncertain):
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
     periodic = True
     precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {

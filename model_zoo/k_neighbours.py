@@ -17,6 +17,7 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -43,6 +44,11 @@ class KNeighbours(Uncertain):
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
+    searched: ClassVar[dict[str, Searched]] = {
+        "neighbours": Within(3, 60, log=True),
+        "control_weight": Within(0.2, 5.0, log=True),
+    }
     periodic = True
     precision = "float64"  # who the neighbours are hangs on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}

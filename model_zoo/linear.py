@@ -13,6 +13,7 @@ from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
+from sysid_evo.searched import Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -29,6 +30,8 @@ class Linear(Uncertain):
     """
 
     knowledge = "black"
+    structure = "polynomial"
+    searched: ClassVar[dict[str, Searched]] = {"ridge": Within(1e-6, 100.0, log=True)}
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     ridge: float = 0.0

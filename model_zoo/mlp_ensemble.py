@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
-from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
+from model_zoo.validation.held_out import best, lag_candidates, trials
 from model_zoo.validation.horizons import (
     HORIZONS,
     MOST_WINDOWS,
@@ -24,9 +24,11 @@ from model_zoo.validation.spread import conformal_scale, growth_on_unseen_record
 from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import OneOf, Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -57,8 +59,14 @@ class MlpEnsemble(Uncertain):
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24, 24], [96, 96])),
+        "horizon": Within(5, 40, log=True),
+    }
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,

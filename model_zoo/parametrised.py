@@ -49,6 +49,7 @@ class Parametrised(CarFamily, Uncertain):
     """
 
     knowledge = "grey"
+    structure = "physics"
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 300},

@@ -8,7 +8,10 @@ import numpy as np
 
 from evaluation.prediction.bootstrap import Interval, interval
 from evaluation.prediction.cases import MeasuredCases
+from evaluation.prediction.episodes import EpisodeError
 from evaluation.prediction.metrics import mean_over_channels
+from evaluation.prediction.regions import RegionError
+from evaluation.prediction.residuals import Residuals
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 
@@ -85,8 +88,9 @@ class Divergence:
 class ModelPrediction:
     """All prediction scores of one model, or the ``reason`` why there are none.
 
-    ``curve`` (H,) is N after each step up to the longest horizon; ``free_states`` are the predicted
-    states (T, nx) of each free run; ``coverage`` is that of the intervals at every horizon, of a model that gives a
+    ``curve`` (H,) is N after each step up to the longest horizon, ``curve_interval`` (2, H) its interval at each of
+    them; ``free_states`` are the predicted states (T, nx) of each free run. ``regions`` are those of
+    the near horizon, the worst first. ``coverage`` is that of the intervals at every horizon, of a model that gives a
     spread. Errors are those of the run without noise.
     """
 
@@ -95,7 +99,11 @@ class ModelPrediction:
     at: tuple[ErrorScore, ...] = ()
     free_run: ErrorScore | None = None
     curve: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    curve_interval: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
     divergence: Divergence | None = None
+    residuals: Residuals | None = field(default=None, repr=False)
+    regions: tuple[RegionError, ...] = field(default=(), repr=False)
+    episodes: tuple[EpisodeError, ...] = field(default=(), repr=False)
     coverage: tuple[Coverage, ...] = ()
     free_states: tuple[Array, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from evaluation.labels import percent
 from evaluation.prediction import PERSISTENCE, ErrorScore, ModelPrediction, Prediction
 
-SECOND = 1.0
 N_IN_WORDS = "the mean error in standard deviations"
 USELESS = 1.0
 """From this N on, the mean of the recording would have been no worse a prediction."""
@@ -13,9 +12,7 @@ USELESS = 1.0
 
 def main_horizon(prediction: Prediction) -> int | None:
     """Return the longest scored horizon of at most one second, in steps; None (free run) without any."""
-    horizons = prediction.cases.horizons
-    near = [h for h in horizons if h * prediction.cases.system.dt <= SECOND + 1e-9]
-    return max(near) if near else min(horizons, default=None)
+    return prediction.cases.main_horizon
 
 
 def horizon_name(prediction: Prediction, horizon: int | None) -> str:

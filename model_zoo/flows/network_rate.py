@@ -15,6 +15,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import OneOf, Searched, Within
 
 if TYPE_CHECKING:
     from model_zoo.flows.training import Physics
@@ -31,17 +32,25 @@ class NetworkRate(Uncertain):
     Of a periodic state the network sees sine and cosine.
 
     ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
-    measured states (multiple shooting); the weights that simulate held-out blocks of time best over
-    one second are kept (early stopping). ``initial`` physical parameters of the known part are trained
-    with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
+    measured states (multiple shooting) with ``input_noise`` (in units of the one-step change); the weights that
+    simulate held-out blocks of time best over one second are kept (early stopping). ``initial`` physical parameters of
+    the known part are trained with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24], [64, 64])),
+        "horizon": Within(5, 40, log=True),
+        "learning_rate": Within(2e-3, 2e-2, log=True),
+    }
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
         "learning_rate": above(0),
+        "input_noise": at_least(0),
     }
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
     initial: ClassVar[Array] = np.empty(0)
@@ -58,6 +67,7 @@ class NetworkRate(Uncertain):
     updates: int = 500
     horizon: int = 20
     learning_rate: float = 6e-3
+    input_noise: float = 0.05
     rest_hold: bool = False
     most_steps: int | None = 100_000
 
@@ -66,7 +76,13 @@ class NetworkRate(Uncertain):
         from model_zoo.networks.multistep import Plan
         from model_zoo.networks.trainings import Trainings
 
-        plan = Plan(self.one_step_updates, self.updates, self.horizon, learning_rate=self.learning_rate)
+        plan = Plan(
+            self.one_step_updates,
+            self.updates,
+            self.horizon,
+            learning_rate=self.learning_rate,
+            input_noise=self.input_noise,
+        )
         final = replace(plan, check_every=50)
         one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
         search = replace(plan, one_step_updates=one_step_updates, updates=updates)

@@ -49,6 +49,7 @@ class PolynomialFamily(Uncertain):
     in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
     """
 
+    structure = "polynomial"
     periodic = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:

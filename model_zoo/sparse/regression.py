@@ -26,6 +26,7 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import Searched, Within
 from sysid_evo.system import System
 
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
@@ -145,6 +146,11 @@ class SparsePolynomial(PolynomialFamily):
 
     knowledge = "dark grey"
     requires = ("pysindy",)
+    searched: ClassVar[dict[str, Searched]] = {
+        "degree": Within(1, 3),
+        "threshold": Within(0.003, 1.0, log=True),
+        "ridge": Within(1e-6, 0.1, log=True),
+    }
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))

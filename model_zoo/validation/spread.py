@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
-from sysid_evo.cross_validation import EpisodeFold, recording
+from sysid_evo.cross_validation import EpisodeFold, recording, time_blocks
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import STRIDE, judging_windows

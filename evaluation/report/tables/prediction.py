@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from evaluation.labels import percent
 from evaluation.prediction import Coverage, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction.conditions import ConditionErrors
 from evaluation.report.predicting import N_IN_WORDS, horizon_name
 from evaluation.report.sheets import Sheet, lines, number, three_digits
 
@@ -72,7 +75,7 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
         rows.append((model.name, *cells))
     start = "from sample" if horizon is None else "from measured states,"
     protocol = prediction.cases.protocol
-    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
+    begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
     return Sheet(
         title=f"Error per channel, {horizon_name(prediction, horizon)}",
         columns=("model", *heads),
@@ -83,6 +86,29 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
         ),
         details=horizon is not None,
     )
+
+
+def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
+    """N within and across conditions, side by side; None if none was left out."""
+    found = next(iter(conditions.values()), ())
+    if not found:
+        return None
+    return Sheet(
+        title="Error N within and across conditions",
+        columns=("model", *(errors.condition or "no name" for errors in found)),
+        rows=tuple(
+            (label, *(f"{_known(errors.within)} → {_known(errors.across)}" for errors in of_model))
+            for label, of_model in conditions.items()
+        ),
+        note=(
+            f"After {found[0].horizon} steps, in the test part of each condition. Left: learned from the training "
+            "parts of all conditions; right: of all but this one."
+        ),
+    )
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else three_digits(value)
 
 
 def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
