@@ -41,7 +41,9 @@ def test_the_page_lists_them_all_and_says_on_what_the_model_was_judged() -> None
 def test_the_terminal_lists_them_all_once() -> None:
     lines = printed(tables(advised()))
     assert lines.count(" - Sentence 3.") == 1
-    assert advice_lines(ModelAdvice("linear", ())) == []
+    assert advice_lines(ModelAdvice("", ())) == []
+    nothing = ModelAdvice("linear", (), "the test part")
+    assert printed(advice_lines(nothing)) == ["Nothing stands out that limits linear. Judged on the test part."]
 
 
 def test_the_document_holds_it_and_gives_it_back() -> None:
