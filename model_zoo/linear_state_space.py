@@ -8,8 +8,9 @@ import numpy as np
 
 from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson
-from model_zoo.validation.held_out import best, time_blocks, trials
+from model_zoo.validation.held_out import best, trials
 from sysid_evo import Dataset, register_model
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress

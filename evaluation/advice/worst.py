@@ -15,7 +15,7 @@ RESAMPLES = 300
 
 def weak_region(evidence: Evidence) -> Remark | None:
     """Return the region where the error is clearly larger than elsewhere, see `region_errors`."""
-    history = max(PredictionProtocol.history, evidence.model.n_lags)
+    history = max(PredictionProtocol.first, evidence.model.n_lags)
     protocol = PredictionProtocol(history=history, first=history, resamples=RESAMPLES)
     cases = measured_cases(evidence.training, evidence.judged, protocol)
     steps = cases.near_horizon
