@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.prediction import (
+    FORM,
     PERSISTENCE,
     ModelPrediction,
     Persistence,
@@ -71,7 +72,8 @@ class FitCell(Cell):
         return (self.data,)
 
     def inputs(self) -> dict[str, Any]:
-        return {"model": models.identity(self.spec), "seed": self.seed}
+        used = [models.identity(name) for name in make_model(self.spec).uses()]
+        return {"model": models.identity(self.spec), "seed": self.seed, **({"uses": used} if used else {})}
 
     def compute(self, work: Work) -> DynamicsModel:
         training = work.result(self.data).training
@@ -93,7 +95,8 @@ class FitCell(Cell):
         return load_model(path)
 
     def seconds(self) -> float:
-        return FIT_SECONDS.get(self.preset, 2.0)
+        budget = models.parameters(self.spec.name).get("budget")
+        return float(self.spec.parameters.get("budget", budget or FIT_SECONDS.get(self.preset, 2.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,7 @@ class PredictCell(Cell):
         return (self.data,) if self.model is None else (self.data, self.model)
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"form": FORM, "protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
 
     def compute(self, work: Work) -> ModelPrediction:
         parts = work.result(self.data)

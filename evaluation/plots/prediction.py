@@ -15,6 +15,8 @@ from sysid_evo.arrays import Array
 from sysid_evo.system import System
 
 FLOOR = 1e-3
+BAND = 0.13
+"""How opaque an interval is drawn."""
 
 
 def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
@@ -25,7 +27,7 @@ def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
 
 
 def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
-    """Draw N after every step, from measured states, for each model."""
+    """Draw N after every step, from measured states, for each model, with its interval as a band."""
     ax = axes_or_new(ax)
     dt = prediction.cases.system.dt
     drawn = []
@@ -34,6 +36,10 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
             seconds = dt * np.arange(1, len(model.curve) + 1)
             curve = np.maximum(model.curve, FLOOR)
             ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
+            if model.curve_interval.shape[1] == len(curve):
+                low, high = np.maximum(model.curve_interval, FLOOR)
+                colour = model_style(prediction, model.name)["color"]
+                ax.fill_between(seconds, low, high, color=colour, alpha=BAND, linewidth=0.0)
             drawn.append(curve[np.isfinite(curve)])
     for horizon in prediction.cases.horizons:
         ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)

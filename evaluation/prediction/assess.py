@@ -7,11 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from evaluation.prediction import metrics
-from evaluation.prediction.bootstrap import BlockErrors, interval
+from evaluation.prediction.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
 from evaluation.prediction.cases import MeasuredCases, measured_cases
+from evaluation.prediction.coverage import interval_coverage, without_noise
+from evaluation.prediction.episodes import episode_errors
 from evaluation.prediction.forecasts import NEVER, Forecasts, forecast
+from evaluation.prediction.metrics import mean_over_channels
 from evaluation.prediction.persistence import Persistence
 from evaluation.prediction.protocol import PredictionProtocol
+from evaluation.prediction.regions import region_errors
+from evaluation.prediction.residuals import analyse, step_errors
 from evaluation.prediction.scores import Divergence, ErrorScore, ModelPrediction, Prediction
 from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
@@ -62,23 +67,41 @@ def assess_model(
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
-    forecasts = forecast(model, cases)
+    forecasts = forecast(without_noise(model), cases)
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
-    if model.n_lags > cases.protocol.history:
-        notes.append(
-            f"{name} wants {model.n_lags} earlier samples and got {cases.protocol.history}: "
-            "the rest was padded with the first state and neutral controls"
-        )
+    notes += _short_of_history(name, model, cases)
+    curve, curve_interval = _curve(forecasts, cases)
+    horizon = cases.near_horizon
     return ModelPrediction(
         name=name,
         family=family,
         at=tuple(_at_horizon(forecasts, cases, horizon) for horizon in cases.horizons),
         free_run=_free_run(forecasts, cases),
-        curve=_curve(forecasts, cases),
+        curve=curve,
+        curve_interval=curve_interval,
         divergence=_divergence(forecasts, cases),
+        residuals=analyse(step_errors(model, cases.test, first=cases.protocol.first)),
+        regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
+        episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
+        coverage=interval_coverage(model, cases),
         free_states=forecasts.free_runs,
         notes=tuple(notes),
     )
+
+
+def _short_of_history(name: str, model: DynamicsModel, cases: MeasuredCases) -> list[str]:
+    """Return what there is to say where fewer samples were given than the model wants."""
+    limit, padded = cases.protocol.history, "was padded with the first state and neutral controls"
+    if limit is not None:
+        few = model.n_lags > limit
+        return [f"{name} wants {model.n_lags} earlier samples and got {limit}: the rest {padded}"] if few else []
+    early = int((cases.windows.start < model.n_lags).sum())
+    if model.n_lags <= cases.protocol.first:
+        return []
+    return [
+        f"{name} wants {model.n_lags} earlier samples: for {early} of {len(cases.windows)} windows and the free runs, "
+        f"which begin earlier in their record, the rest {padded}"
+    ]
 
 
 def _at_horizon(forecasts: Forecasts, cases: MeasuredCases, horizon: int) -> ErrorScore:
@@ -120,13 +143,25 @@ def _score(
     )
 
 
-def _curve(forecasts: Forecasts, cases: MeasuredCases) -> Array:
-    """Return N (H,) after every step; nan at a step where no target moves."""
+def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
+    """Return N (H,) after every step, nan at a step where no target moves, and its interval (2, H)."""
     errors = cases.system.difference(forecasts.windows, cases.windows.states)
-    squares = np.where(cases.moving[:, :, None], errors**2, 0.0).sum(axis=0)
-    count = cases.moving.sum(axis=0)[:, None]
-    mean = np.divide(squares, count, out=np.full_like(squares, np.nan), where=count > 0)
-    return metrics.mean_over_channels(np.sqrt(mean) / np.where(cases.std > 0, cases.std, np.nan))
+    squares = np.where(cases.moving[:, :, None], errors**2, 0.0)
+    steps, nx = squares.shape[1:]
+    columns = np.concatenate([squares, cases.moving[:, :steps, None]], axis=2)
+    sums = block_sums(columns.reshape(len(squares), steps * (nx + 1)), cases.window_block)
+    scale = np.where(cases.std > 0, cases.std, np.nan)
+
+    def curves(summed: Array) -> Array:
+        parts = summed.reshape(len(summed), steps, nx + 1)
+        squares, counts = parts[..., :-1], parts[..., -1:]
+        mean = np.divide(squares, counts, out=np.full(squares.shape, np.nan), where=counts > 0)
+        return mean_over_channels(np.sqrt(mean) / scale)
+
+    picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
+    drawn = curves(resampled_sums(sums, picks))
+    band = [interval(column, cases.protocol.confidence) for column in drawn.T]
+    return curves(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
 
 
 def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:

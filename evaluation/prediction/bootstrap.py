@@ -60,6 +60,25 @@ class BlockErrors:
         return mean_over_channels(self.rmse(picks) / scale)
 
 
+def block_sums(values: Array, blocks: IntArray) -> Array:
+    """Return ``values`` (N, C) summed over the rows of each block, (K, C); ``blocks`` (N,) numbers them in order."""
+    if not len(values):
+        return np.empty((0, values.shape[1]))
+    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(blocks, prepend=blocks[0] - 1)), axis=0))
+
+
+def resampled_sums(values: Array, picks: IntArray) -> Array:
+    """Return the sums (R, C) of ``values`` (K, C) over the blocks of each of R draws, (R, K)."""
+    few = max(1, PICKS // max(1, picks.shape[1]))
+    sums = np.empty((len(picks), values.shape[1]))
+    for begin in range(0, len(picks), few):
+        part = picks[begin : begin + few]
+        places = part + len(values) * np.arange(len(part))[:, None]
+        times = np.bincount(places.ravel(), minlength=len(values) * len(part)).reshape(len(part), len(values))
+        sums[begin : begin + few] = times @ values
+    return sums
+
+
 def draw_blocks(blocks: int, resamples: int, seed: int) -> IntArray:
     """Return ``resamples`` draws of ``blocks`` from as many, with replacement."""
     rng = np.random.default_rng(seed)

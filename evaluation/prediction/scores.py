@@ -8,9 +8,15 @@ import numpy as np
 
 from evaluation.prediction.bootstrap import Interval, interval
 from evaluation.prediction.cases import MeasuredCases
+from evaluation.prediction.episodes import EpisodeError
 from evaluation.prediction.metrics import mean_over_channels
+from evaluation.prediction.regions import RegionError
+from evaluation.prediction.residuals import Residuals
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
+
+HONEST = 0.05
+"""By how much a coverage may miss its aim."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,29 @@ class ErrorScore:
 
 
 @dataclass(frozen=True)
+class Coverage:
+    """How many measured states lay in a model's intervals ``horizon`` steps after a measured start.
+
+    ``inside`` (nx,) is the share for each channel, of ``samples`` targets; the intervals are to hold ``share``.
+    """
+
+    horizon: int
+    samples: int
+    share: float
+    inside: Array
+
+    @property
+    def mean(self) -> float:
+        """The mean share over channels."""
+        return float(np.mean(self.inside))
+
+    @property
+    def honest(self) -> bool:
+        """Whether that share is within five hundredths of what the intervals are to hold."""
+        return abs(self.mean - self.share) <= HONEST
+
+
+@dataclass(frozen=True)
 class Divergence:
     """How often and when simulations reached the model's envelope or the guard.
 
@@ -59,8 +88,10 @@ class Divergence:
 class ModelPrediction:
     """All prediction scores of one model, or the ``reason`` why there are none.
 
-    ``curve`` (H,) is N after each step up to the longest horizon; ``free_states`` are the predicted
-    states (T, nx) of each free run.
+    ``curve`` (H,) is N after each step up to the longest horizon, ``curve_interval`` (2, H) its interval at each of
+    them; ``free_states`` are the predicted states (T, nx) of each free run. ``regions`` are those of
+    the near horizon, the worst first. ``coverage`` is that of the intervals at every horizon, of a model that gives a
+    spread. Errors are those of the run without noise.
     """
 
     name: str
@@ -68,7 +99,12 @@ class ModelPrediction:
     at: tuple[ErrorScore, ...] = ()
     free_run: ErrorScore | None = None
     curve: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    curve_interval: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
     divergence: Divergence | None = None
+    residuals: Residuals | None = field(default=None, repr=False)
+    regions: tuple[RegionError, ...] = field(default=(), repr=False)
+    episodes: tuple[EpisodeError, ...] = field(default=(), repr=False)
+    coverage: tuple[Coverage, ...] = ()
     free_states: tuple[Array, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
     reason: str = ""

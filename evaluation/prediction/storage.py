@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +13,33 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from evaluation.prediction.bootstrap import Interval
-from evaluation.prediction.scores import Divergence, ErrorScore, ModelPrediction
+from evaluation.prediction.episodes import EpisodeError
+from evaluation.prediction.regions import Region, RegionError
+from evaluation.prediction.residuals import Residuals
+from evaluation.prediction.scores import Coverage, Divergence, ErrorScore, ModelPrediction
 from sysid_evo.errors import ArtefactError
 from sysid_evo.files import write_atomically
 
 ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
+RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
+FORM = 2
+"""Raised whenever stored scores hold something else than before."""
 
 
 def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
     """Write the scores of a model to ``path`` with two suffixes; return the files."""
-    tensors = {"curve": prediction.curve}
+    tensors = {"curve": prediction.curve, "curve_interval": prediction.curve_interval}
+    residuals = prediction.residuals
+    if residuals is not None:
+        tensors.update({f"residuals.{name}": getattr(residuals, name) for name in RESIDUALS})
+    for i, episode in enumerate(prediction.episodes):
+        tensors.update({f"episode.{i}.n": episode.n, f"episode.{i}.fit": episode.fit})
     tensors.update({f"free_states.{i}": states for i, states in enumerate(prediction.free_states)})
     scores = []
     for i, score in enumerate(_all_scores(prediction)):
         tensors.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
         scores.append({"horizon": score.horizon, "samples": score.samples, "interval": _plain(score.interval)})
+    tensors.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
     divergence = prediction.divergence
     value = {
         "name": prediction.name,
@@ -40,6 +53,12 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
             "median_time": divergence.median_time,
             "free_run_times": list(divergence.free_run_times),
         },
+        "residuals": None if residuals is None else residuals.samples,
+        "regions": [_region_to_json(region) for region in prediction.regions],
+        "episodes": [episode.name for episode in prediction.episodes],
+        "coverage": [
+            {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
+        ],
         "notes": list(prediction.notes),
     }
     payload = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()})
@@ -63,9 +82,21 @@ def load_prediction(path: Path) -> ModelPrediction:
             at=tuple(score for score in scores if score.horizon is not None),
             free_run=next((score for score in scores if score.horizon is None), None),
             curve=tensors["curve"],
+            curve_interval=tensors["curve_interval"],
             divergence=None
             if divergence is None
             else Divergence(divergence["share"], divergence["median_time"], tuple(divergence["free_run_times"])),
+            residuals=None
+            if value["residuals"] is None
+            else Residuals(value["residuals"], **{name: tensors[f"residuals.{name}"] for name in RESIDUALS}),
+            regions=tuple(_region_of(region) for region in value["regions"]),
+            episodes=tuple(
+                EpisodeError(name, tensors[f"episode.{i}.n"], tensors[f"episode.{i}.fit"])
+                for i, name in enumerate(value["episodes"])
+            ),
+            coverage=tuple(
+                Coverage(**held, inside=tensors[f"coverage.{i}"]) for i, held in enumerate(value["coverage"])
+            ),
             free_states=tuple(tensors[f"free_states.{i}"] for i in range(value["free_runs"])),
             notes=tuple(value["notes"]),
         )
@@ -78,9 +109,21 @@ def _all_scores(prediction: ModelPrediction) -> tuple[ErrorScore, ...]:
 
 
 def _score(number: int, value: dict[str, Any], tensors: dict[str, Any]) -> ErrorScore:
-    low, high = (float("nan") if limit is None else limit for limit in value["interval"])
     arrays = {name: tensors[f"score.{number}.{name}"] for name in ARRAYS}
-    return ErrorScore(value["horizon"], value["samples"], interval=Interval(low, high), **arrays)
+    return ErrorScore(value["horizon"], value["samples"], interval=_interval(value["interval"]), **arrays)
+
+
+def _region_to_json(found: RegionError) -> dict[str, Any]:
+    return {**asdict(found), "interval": _plain(found.interval)}
+
+
+def _region_of(value: dict[str, Any]) -> RegionError:
+    fields = {**value, "region": Region(**value["region"]), "interval": _interval(value["interval"])}
+    return RegionError(**fields)
+
+
+def _interval(limits: list[float | None]) -> Interval:
+    return Interval(*(float("nan") if limit is None else limit for limit in limits))
 
 
 def _plain(interval: Interval) -> list[float | None]:

@@ -4,7 +4,7 @@ from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, Mod
 from evaluation.report.document import to_json
 from evaluation.report.overview import drive_command
 from evaluation.report.save import save_report
-from evaluation.report.terminal import brief, tables
+from evaluation.report.terminal import advice_lines, brief, tables
 from evaluation.report.verdict import Finding, tells_nothing, verdict
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Finding",
     "ModelSummary",
     "Report",
+    "advice_lines",
     "brief",
     "drive_command",
     "save_report",

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from evaluation.advice import advice_to_json
 from evaluation.exploitability import ModelExploitability
-from evaluation.prediction import Difference, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
+from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
 from evaluation.report.verdict import verdict
 from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, TransferSummary
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
-SCHEMA = "sysid-evo/report/2"
+SCHEMA = "sysid-evo/report/3"
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -36,11 +38,17 @@ def to_json(report: Report) -> dict[str, Any]:
         "notes": report.notes,
         "models": [asdict(model) for model in report.models],
         "prediction": None if report.prediction is None else _prediction(report.prediction),
+        **(
+            {"conditions": {label: [asdict(one) for one in errors] for label, errors in report.conditions.items()}}
+            if report.conditions
+            else {}
+        ),
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
+        "advice": None if report.advice is None else advice_to_json(report.advice),
         "failures": [asdict(failure) for failure in report.all_failures],
         "settings": report.settings,
         "versions": report.versions,
@@ -58,14 +66,14 @@ def _prediction(prediction: Prediction) -> dict[str, Any]:
         "windows": len(cases.windows),
         "std": dict(zip(cases.system.state_names, cases.std, strict=True)),
         "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
-        "models": [_model(model, cases.system) for model in prediction.models],
+        "models": [_model(model, cases.horizons, cases.system) for model in prediction.models],
         "differences": [
             _difference(difference) for horizon in prediction.horizons for difference in prediction.differences(horizon)
         ],
     }
 
 
-def _model(model: ModelPrediction, system: System) -> dict[str, Any]:
+def _model(model: ModelPrediction, horizons: Sequence[int], system: System) -> dict[str, Any]:
     return {
         "name": model.name,
         "family": model.family,
@@ -73,8 +81,42 @@ def _model(model: ModelPrediction, system: System) -> dict[str, Any]:
         "horizons": [_score(score, system) for score in model.at],
         "free_run": None if model.free_run is None else _score(model.free_run, system),
         "curve": model.curve,
+        "curve_interval": model.curve_interval,
+        "residuals": None if model.residuals is None else _residuals(model.residuals, system),
+        "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
+        "episodes": [_episode(episode, horizons, system) for episode in model.episodes],
         "divergence": None if model.divergence is None else asdict(model.divergence),
+        "coverage": [_coverage(held, system) for held in model.coverage],
         "notes": model.notes,
+    }
+
+
+def _residuals(found: Residuals, system: System) -> dict[str, Any]:
+    channels = {
+        name: {
+            "white": found.white[i],
+            "white_p": found.white_p[i],
+            "autocorrelation": found.autocorrelation[:, i],
+            "band": found.band[:, i],
+            "controls": {
+                control: {
+                    "p": found.cross_p[j, i],
+                    "correlation": found.cross[:, j, i],
+                    "band": found.cross_band[:, j, i],
+                }
+                for j, control in enumerate(system.control_names)
+            },
+        }
+        for i, name in enumerate(system.state_names)
+    }
+    return {"samples": found.samples, "control_lags": list(range(-AHEAD, LAGS + 1)), "channels": channels}
+
+
+def _episode(episode: EpisodeError, horizons: Sequence[int], system: System) -> dict[str, Any]:
+    return {
+        "name": episode.name,
+        "n": {str(horizon): n for horizon, n in zip(horizons, episode.n, strict=True)},
+        "fit_percent": dict(zip(system.state_names, episode.fit, strict=True)),
     }
 
 
@@ -98,6 +140,18 @@ def _score(score: ErrorScore, system: System) -> dict[str, Any]:
         "n": score.n,
         "interval": list(score.interval),
         "channels": channels,
+    }
+
+
+def _coverage(held: Coverage, system: System) -> dict[str, Any]:
+    return {
+        "steps": held.horizon,
+        "seconds": held.horizon * system.dt,
+        "samples": held.samples,
+        "aim": held.share,
+        "mean": held.mean,
+        "honest": held.honest,
+        "channels": dict(zip(system.state_names, held.inside, strict=True)),
     }
 
 

@@ -14,18 +14,26 @@ from evaluation.report.pictures import Picture
 from evaluation.report.replay import Replay, replay
 from evaluation.report.sheets import Sheet
 from evaluation.report.tables import (
+    advice_sheet,
     channel_list,
     channel_sheet,
+    condition_sheet,
     controller_sheet,
+    coverage_sheet,
+    difference_sheet,
+    episode_error_sheet,
     episode_sheet,
     exploitability_sheet,
     failure_sheet,
     finalist_sheet,
+    fit_sheet,
     key_sheet,
     measure_sheet,
     model_sheet,
     prediction_sheet,
     probe_sheet,
+    region_sheet,
+    residual_sheet,
     transfer_sheet,
 )
 from evaluation.report.transferring import unknown
@@ -80,6 +88,8 @@ def to_html(report: Report) -> str:
 
 def sections(report: Report) -> Iterable[Section]:
     """Yield the parts of the page after the verdict, leaving out those that have nothing to show."""
+    if report.advice is not None and report.advice.remarks:
+        yield Section("Advice", [advice_sheet(report.advice)])
     if report.prediction is not None:
         yield _prediction(report)
     if report.matrix is not None and report.transfer is not None:
@@ -144,10 +154,21 @@ def _prediction(report: Report) -> Section:
         draw.horizon_picture(prediction) if prediction.cases.horizons else None,
         draw.free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
     )
+    compared = _present(difference_sheet(prediction))
+    where = _present(
+        region_sheet(prediction), residual_sheet(prediction), episode_error_sheet(prediction), fit_sheet(prediction)
+    )
     channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [prediction_sheet(prediction), *pictures, *channels],
+        [
+            prediction_sheet(prediction),
+            *_present(coverage_sheet(prediction), condition_sheet(report.conditions)),
+            *compared,
+            *pictures,
+            *where,
+            *channels,
+        ],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

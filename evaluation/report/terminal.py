@@ -9,13 +9,14 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from evaluation.advice import ModelAdvice
 from evaluation.labels import folded
 from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
 from evaluation.report.overview import drive_command, overview_sheet
 from evaluation.report.predicting import main_horizon
 from evaluation.report.sheets import Sheet
-from evaluation.report.verdict import verdict
+from evaluation.report.verdict import SAID, limits_question, verdict
 
 WIDTH = 80
 GAP = 2
@@ -38,8 +39,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
         reasons = [_indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [_indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
-    if (sheet := overview_sheet(report)) is not None:
-        parts += to_rich(sheet)
+    for sheet in (overview_sheet(report), sheets_of.condition_sheet(report.conditions)):
+        parts += [] if sheet is None else to_rich(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
         parts.append(Text.assemble(("Drive with the chosen controller: ", "bold"), command, overflow="fold"))
@@ -49,6 +50,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
 def tables(report: Report) -> list[RenderableType]:
     """Return the verdict and all main tables as rich renderables, each at most 80 columns wide."""
     parts = _verdict(report)
+    if report.advice is not None and len(report.advice.remarks) > SAID:
+        parts += advice_lines(report.advice)
     for sheet in _sheets(report):
         parts += to_rich(sheet)
     if report.exploitability:
@@ -56,6 +59,17 @@ def tables(report: Report) -> list[RenderableType]:
     if report.notes:
         parts.append(Group(Text("Notes", style="bold"), *(Text(f"- {note}") for note in report.notes)))
     return parts
+
+
+def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
+    """Return what limits a model as a list, the most important first; nothing where there is nothing to say."""
+    if not advice.remarks:
+        return []
+    bullets = Table.grid(padding=(0, 1))
+    for remark in advice.remarks:
+        bullets.add_row(Text(" -"), Text(remark.sentence))
+    judged = Padding(Text(f"Judged on {advice.judged_on}.", style="dim"), (0, 0, 0, 1))
+    return [Text(limits_question(advice), style="bold cyan"), bullets, judged]
 
 
 def to_rich(sheet: Sheet) -> list[RenderableType]:
@@ -89,14 +103,25 @@ def _sheets(report: Report) -> list[Sheet]:
     sheets = []
     if report.prediction is not None:
         sheets.append(sheets_of.prediction_sheet(report.prediction))
+        found = (
+            sheets_of.coverage_sheet(report.prediction),
+            sheets_of.difference_sheet(report.prediction),
+            sheets_of.region_sheet(report.prediction),
+            sheets_of.residual_sheet(report.prediction),
+            sheets_of.episode_error_sheet(report.prediction),
+            sheets_of.fit_sheet(report.prediction),
+        )
+        sheets += [sheet for sheet in found if sheet is not None]
         ends = (main_horizon(report.prediction), *report.prediction.horizons[-1:])
         chosen = [horizon for horizon in dict.fromkeys(ends) if horizon in report.prediction.horizons]
         sheets += [sheets_of.channel_sheet(report.prediction, horizon) for horizon in chosen]
+    if (conditions := sheets_of.condition_sheet(report.conditions)) is not None:
+        sheets.append(conditions)
     if report.matrix is not None and report.transfer is not None:
         sheets.append(sheets_of.transfer_sheet(report.matrix))
         sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))
-        found = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
-        sheets += [sheet for sheet in found if sheet is not None]
+        measured = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
+        sheets += [sheet for sheet in measured if sheet is not None]
     if report.exploitability:
         sheets.append(sheets_of.exploitability_sheet(report.exploitability))
         if report.exploitability[0].probes:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from evaluation.advice import ModelAdvice
 from evaluation.report.contents import Report
 from evaluation.report.predicting import predicting, scored
 from evaluation.report.transferring import recommended, transferring, unknown
+
+SAID = 2
+"""Remarks of the advice that the verdict repeats."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +34,20 @@ def verdict(report: Report) -> tuple[Finding, ...]:
             findings.append(Finding("What to use?", recommended(report.matrix, report.transfer)))
             if open_questions := unknown(report.transfer):
                 findings.append(Finding("What is not known?", open_questions))
+    if report.advice is not None and report.advice.remarks:
+        said = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
+        findings.append(Finding(limits_question(report.advice), said))
     if report.all_failures:
         count = len(report.all_failures)
         findings.append(
             Finding("What failed?", (f"{count} {'part' if count == 1 else 'parts'}; the reasons are listed below.",))
         )
     return tuple(findings)
+
+
+def limits_question(advice: ModelAdvice) -> str:
+    """Return the question that the advice answers."""
+    return f"What limits {advice.model}, and what to record next?"
 
 
 def tells_nothing(report: Report) -> bool:

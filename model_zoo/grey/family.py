@@ -17,8 +17,8 @@ from model_zoo.grey.residual import Residual, conditioned, inputs_of, learned_sh
 from model_zoo.grey.segments import Segments
 from model_zoo.grey.structure import Structure
 from model_zoo.grey.uncertainty import Sureness, open_questions, sureness
-from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
 from sysid_evo.data.measured import Measured, measured
 from sysid_evo.dynamics import REST_BAND, DynamicsModel
@@ -84,6 +84,7 @@ class GreyBox(DynamicsModel):
     """
 
     knowledge = "grey"
+    structure = "physics"
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
@@ -176,7 +177,7 @@ class GreyBox(DynamicsModel):
         )
 
     @property
-    def structure(self) -> Structure:
+    def integrated(self) -> Structure:
         """What is integrated, with no more earlier controls than the delay that was found."""
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
@@ -293,7 +294,7 @@ class GreyBox(DynamicsModel):
     def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
         """Learn what the physics leave, and keep as much of it as free runs in held-out blocks of time want."""
         learned, held = time_blocks(dataset)
-        shape, noise = learned_shape(self.structure, *self._left_of(learned), self.residual_points, rng, told)
+        shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, told)
         tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
         windows = judging_windows(held, self.n_lags)
         for share in SHARES:
@@ -316,7 +317,7 @@ class GreyBox(DynamicsModel):
         physics = self._alone()
         carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
         after = physics.step(carry, control)[:, : self.system.nx]
-        return inputs_of(self.structure)(carry, control), self.system.difference(
+        return inputs_of(self.integrated)(carry, control), self.system.difference(
             windows.states[:, 0], after
         ) / self.system.dt
 
@@ -333,7 +334,7 @@ class GreyBox(DynamicsModel):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The names of ``parameters_``: those of the law, then those of what is switched on."""
-        return tuple(parameter.name for parameter in self.structure.parameters)
+        return tuple(parameter.name for parameter in self.integrated.parameters)
 
     def parameters_table(self) -> list[dict[str, Any]]:
         """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it."""
@@ -376,14 +377,14 @@ class GreyBox(DynamicsModel):
 
     @property
     def layout(self) -> CarryLayout:
-        return self.structure.layout
+        return self.integrated.layout
 
     @property
     def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
         return max(self.layout.control_lags, self.history if self._remembers else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        structure, hidden = self.structure, np.empty((0, len(states)))
+        structure, hidden = self.integrated, np.empty((0, len(states)))
         with np.errstate(all="ignore"):
             if structure.hidden:
                 hidden = observed(
@@ -398,7 +399,7 @@ class GreyBox(DynamicsModel):
             return structure.start(self.parameters_[:, None], states, controls, hidden).T.copy()
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        structure, residual, extra = self.structure, self._residual, None
+        structure, residual, extra = self.integrated, self._residual, None
         if residual is not None:
             features, held = inputs_of(structure), carry[:, structure.extended.nx :]
 
@@ -414,7 +415,7 @@ class GreyBox(DynamicsModel):
         band = self._extended_band
         if band is None:
             return after
-        system, layout = self.structure.extended, self.layout
+        system, layout = self.integrated.extended, self.layout
         idle = system.neutral_control
         still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
         still &= (control == idle).all(axis=1)
@@ -427,14 +428,14 @@ class GreyBox(DynamicsModel):
         band = self.rest_band
         if band is None:
             return None
-        more = self.structure.extended.states[self.system.nx :]
+        more = self.integrated.extended.states[self.system.nx :]
         width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
         return np.concatenate([band, REST_BAND * np.array(width)])
 
     def kernel(self) -> DynamicsKernel | None:
         from model_zoo.grey.compiled import structure_kernel
 
-        structure, residual = self.structure, self._residual
+        structure, residual = self.integrated, self._residual
         extra = None if residual is None else residual.predictor(structure)
         return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
 

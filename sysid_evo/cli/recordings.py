@@ -24,6 +24,10 @@ def import_(
     logs: Logs,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
     columns: Columns = None,
+    condition: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=PATTERN: logs whose names fit were recorded in this condition, as wet='rain_*'."),
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """Turn log files into a data set: check, prepare, store.
@@ -33,10 +37,12 @@ def import_(
     """
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.data import read_recording
+    from sysid_evo.data.conditions import parsed
 
     load_plugins(plugin)
+    patterns = parsed("--condition", condition or [])
     recording = read_recording(logs, columns=columns)
-    dataset = recording.dataset()
+    dataset = recording.dataset().labelled(patterns)
     dataset.save(folder)
     _tell(dataset.notes, recording.doubts)
     out.print(episode_table(dataset))

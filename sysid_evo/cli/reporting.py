@@ -46,11 +46,11 @@ def report_again(run: Path) -> Report | None:
         tell(remark, label="note: ", style="dim")
     if not any(store.done(fit) for fit in comparison.fits.values()):
         return None
-    assess = comparison.exploitability
-    if assess is not None:
-        tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
-        if all(needed.digest in tried for needed in assess.needs):
-            execute(Plan.of([assess]), store, only=[assess])
+    for assess in (*comparison.predictions.values(), comparison.exploitability, comparison.advice):
+        if assess is not None:
+            tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
+            if all(needed.digest in tried for needed in assess.needs):
+                execute(Plan.of([assess]), store, only=[assess])
     return finished(comparison, store)
 
 

@@ -140,7 +140,11 @@ def test_a_run_goes_on_where_it_was_and_gives_the_same_report(tmp_path: Path) ->
     run_in(tmp_path, "linear", "nearest_neighbour", observer=watching)
     judged_anew = {"choose linear", "run linear on linear", "polish recommended", "run recommended on linear"}
     computed = {title for title in watching.computed if "nearest_neighbour" not in title}
-    assert computed == {"assess exploitability", *judged_anew}  # and nothing is evolved or fitted again
+    assert computed == {
+        "assess exploitability",
+        "advise on the models",
+        *judged_anew,
+    }  # and nothing is evolved or fitted again
 
 
 def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_path: Path) -> None:
@@ -367,7 +371,7 @@ def test_what_was_assessed_without_a_cell_is_assessed_again_when_the_cell_is_the
     monkeypatch.undo()
     watching = Watching()
     execute(comparison.plan, Store(tmp_path), observer=watching)
-    assert watching.computed == {"run linear on nearest_neighbour", "assess exploitability"}
+    assert watching.computed == {"run linear on nearest_neighbour", "assess exploitability", "advise on the models"}
     assert without_timings(finished(comparison, Store(tmp_path))) != without_timings(first)
     fresh = Store(tmp_path / "fresh")
     execute(comparison.plan, fresh)

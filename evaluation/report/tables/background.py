@@ -6,11 +6,24 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from evaluation.advice import ModelAdvice
 from evaluation.labels import percent
 from evaluation.report.contents import Report
 from evaluation.report.sheets import Sheet, listed, number
 
 SHOWN_EPISODES = 40
+
+
+def advice_sheet(advice: ModelAdvice) -> Sheet:
+    """What limits the best model, and what to record next."""
+    rows = tuple((remark.topic, remark.sentence) for remark in advice.remarks)
+    return Sheet(
+        f"What limits {advice.model}",
+        ("topic", "what was found, and what to do"),
+        rows,
+        note=f"The most important first. Judged on {advice.judged_on}.",
+        prose=True,
+    )
 
 
 def failure_sheet(report: Report) -> Sheet:

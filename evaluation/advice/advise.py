@@ -1,0 +1,111 @@
+"""What limits a fitted model, and what to record next: a short list, the most important first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from evaluation.advice.commands import dead_command
+from evaluation.advice.coverage import missing_excitation, other_states
+from evaluation.advice.evidence import Evidence
+from evaluation.advice.generalising import halved, overfit, too_few_data
+from evaluation.advice.memory import hidden_state, late_controls
+from evaluation.advice.noise import noise_floor
+from evaluation.advice.remark import MOST, ModelAdvice, Remark
+from evaluation.advice.shift import shift
+from evaluation.advice.worst import weak_region
+from evaluation.exploitability.steps import Steps
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidData
+
+FEWEST = 20
+"""Windows of the part held back below which there is nothing to judge on."""
+HELD_BACK = 0.25
+"""Share of the end of each episode that a copy is judged on where there is no test part."""
+EXPLAINS = {
+    "shift": ("hidden state", "noise"),
+    "late controls": ("noise", "shift"),
+    "form": ("shift", "hidden state"),
+    "hidden state": ("noise",),
+    "noisy states": ("noise",),
+}
+"""What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
+to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
+LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
+    noise_floor,
+    late_controls,
+    hidden_state,
+    shift,
+    missing_excitation,
+    other_states,
+    dead_command,
+    weak_region,
+    overfit,
+)
+
+
+def advise_model(
+    model: DynamicsModel,
+    training: Dataset,
+    test: Dataset | None = None,
+    *,
+    visited: Iterable[Trajectory] = (),
+    name: str = "",
+    seed: int = 0,
+) -> ModelAdvice:
+    """Say what limits a fitted ``model`` and what to record next, at most five sentences.
+
+    ``test`` are recordings that it has not learned from. Without them a copy is fitted in its quick form to three
+    quarters of each episode and judged on the rest, unless the family takes long (`DynamicsModel.resumable`): that one
+    is judged on its own training data. ``visited`` is what controllers do in models and on robots.
+    """
+    name = name or type(model).__name__
+    where, judged_on = Evidence(name, model, training, test), "the test part"
+    if test is None:
+        where, judged_on = _held_back(where, seed)
+    trajectories = list(visited)
+    if trajectories:
+        where = replace(where, visited=Steps.of(training.system, trajectories))
+    remarks = [remark for look in LOOKS if (remark := look(where)) is not None]
+    if where.test is not None and not where.model.resumable and (more := _with_half(where, seed)) is not None:
+        remarks.append(more)
+    ordered = sorted(_not_explained(remarks), key=lambda remark: -remark.weight)
+    return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
+
+
+def _not_explained(remarks: list[Remark]) -> list[Remark]:
+    """Return the remarks without those whose cause another one names."""
+    explained = {topic for remark in remarks for topic in EXPLAINS.get(remark.topic, ())}
+    return [remark for remark in remarks if remark.topic not in explained]
+
+
+def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
+    """Return the evidence on a copy with a part held back, or as it is, and what it is judged on."""
+    if evidence.model.resumable:
+        return evidence, "its own training data"
+    try:
+        training, test = evidence.training.split(HELD_BACK)
+        copy = quick_copy(evidence.model).fit(training, rng=np.random.default_rng(seed))
+        found = replace(evidence, model=copy, training=training, test=test)
+        short = len(found.test_windows.errors) < FEWEST
+    except InvalidData:
+        short = True
+    if short:
+        return evidence, "its own training data"
+    return found, "the last quarter of each episode, which a quick copy of it has not learned from"
+
+
+def _with_half(evidence: Evidence, seed: int) -> Remark | None:
+    try:
+        half = evidence.model.unfitted().fit(halved(evidence.training), rng=np.random.default_rng(seed))
+    except InvalidData:
+        return None
+    return too_few_data(evidence, half)
+
+
+def quick_copy(model: DynamicsModel) -> DynamicsModel:
+    """Return the model, unfitted, with what its quick preset changes."""
+    return model.unfitted().set_params(**type(model).presets.get("quick", {}))

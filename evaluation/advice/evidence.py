@@ -1,0 +1,129 @@
+"""What remarks are made from: a fitted model, its data, and what it gets wrong in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from evaluation.exploitability.steps import Steps
+from evaluation.prediction import PredictionProtocol, Residuals, StepErrors, analyse, measured_cases, step_errors
+from evaluation.prediction.bootstrap import BlockErrors
+from sysid_evo.arrays import Array, IntArray
+from sysid_evo.cross_validation import recording
+from sysid_evo.data import Dataset
+from sysid_evo.data.linear_fit import acting_controls
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.system import System
+
+MOST_WINDOWS = 1200
+"""Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
+STRIDE, FIRST = 4, 5
+BLOCK_WINDOWS = 15
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Errors (N, nx), predicted minus measured, at the end of windows that start in ``states`` (N, nx).
+
+    ``pushes`` (N, m) are the mean acting controls of each window, ``recordings`` (N,) the name of the recording that it
+    comes from, ``blocks`` (N,) number bootstrap blocks of consecutive windows.
+    """
+
+    errors: Array
+    states: Array
+    pushes: Array
+    recordings: np.ndarray
+    blocks: IntArray
+
+    def n(self, std: Array) -> float:
+        """Return N, the mean over channels of RMSE in units of ``std`` (nx,)."""
+        return float(np.mean(np.sqrt(np.mean(self.errors**2, axis=0)) / std))
+
+    def drawn_n(self, std: Array, resamples: int = 500, seed: int = 0) -> Array:
+        """Return N of each draw of blocks, (resamples,); the same draws for the same windows."""
+        return BlockErrors.of(self.errors, self.blocks).resampled_n(std, resamples, seed)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A fitted ``model``, called ``name``, what it was fitted to and what it is judged on.
+
+    Without ``test`` it is judged on the training data, which tells nothing of what it does elsewhere. ``visited`` are
+    the steps that controllers take in models and on robots, None where none were evolved.
+    """
+
+    name: str
+    model: DynamicsModel
+    training: Dataset
+    test: Dataset | None = None
+    visited: Steps | None = None
+
+    @property
+    def system(self) -> System:
+        return self.training.system
+
+    @property
+    def judged(self) -> Dataset:
+        """The test part, or what stands for it."""
+        return self.training if self.test is None else self.test
+
+    @cached_property
+    def horizon(self) -> int:
+        """The main horizon of the report, in steps."""
+        return measured_cases(self.training, self.judged, PredictionProtocol()).main_horizon or 1
+
+    @cached_property
+    def std(self) -> Array:
+        """The spread (nx,) of the moving samples judged on; 1 where there is none."""
+        moving = np.concatenate([e.states[rows] for e, rows in zip(self.judged, self.judged.moving, strict=True)])
+        std = self.system.spread(moving)
+        return np.where(std > 0.0, std, 1.0)
+
+    @cached_property
+    def steps(self) -> StepErrors:
+        """What is wrong one step ahead."""
+        return step_errors(self.model, self.judged)
+
+    @cached_property
+    def residuals(self) -> Residuals:
+        return analyse(self.steps)
+
+    @cached_property
+    def test_windows(self) -> WindowErrors:
+        """What is wrong at the main horizon, on the data judged on."""
+        return window_errors(self.model, self.judged, self.horizon)
+
+    @cached_property
+    def training_windows(self) -> WindowErrors:
+        """What is wrong at the main horizon, on the training data."""
+        return self.test_windows if self.test is None else window_errors(self.model, self.training, self.horizon)
+
+
+def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> WindowErrors:
+    """Simulate up to `MOST_WINDOWS` windows, evenly spread, and return the errors at their end."""
+    system = dataset.system
+    places = dataset.window_places(horizon, stride=STRIDE, history=model.n_lags, first=FIRST, moving=True)
+    count = len(places)
+    rows = np.arange(count)
+    if count > MOST_WINDOWS:
+        rows = np.linspace(0, count - 1, MOST_WINDOWS).round().astype(np.int64)
+    windows = places[rows]
+    if not len(windows):
+        none = np.empty((0, system.nx))
+        return WindowErrors(none, none, np.empty((0, system.nu)), np.empty(0, dtype=object), np.empty(0, np.int64))
+    predicted = model.simulate(windows.past_states, windows.past_controls, windows.controls)[:, -1]
+    errors = system.difference(predicted, windows.states[:, -1])
+    usable = np.isfinite(errors).all(axis=1)
+    before = np.concatenate([windows.start_states[:, None], windows.states[:, :-1]], axis=1)
+    pushes = [acting_controls(system, x, u).mean(axis=0) for x, u in zip(before, windows.controls, strict=True)]
+    names = np.array([recording(name) for name in dataset.names], dtype=object)
+    blocks = windows.episode * (count + 1) + (windows.start // (STRIDE * BLOCK_WINDOWS))
+    return WindowErrors(
+        errors[usable],
+        system.wrapped(windows.start_states)[usable],
+        np.array(pushes)[usable],
+        names[windows.episode][usable],
+        blocks[usable],
+    )

@@ -1,0 +1,151 @@
+"""Where in the space of states and controls a model's error is larger than elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.prediction.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
+from evaluation.prediction.cases import MeasuredCases
+from evaluation.prediction.metrics import mean_over_channels
+from sysid_evo.arrays import Array, BoolArray
+from sysid_evo.system import Channel, System
+
+LOW, HIGH = 20.0, 80.0
+"""Percentiles that bound the regions of a continuous channel."""
+LEVELS = 5
+"""A channel with no more values than that is cut by value."""
+NOTABLE = 1.3
+"""A region is worth a word from this many times the N of all windows on, if its interval is above 1, too."""
+FEWEST_BLOCKS = 4
+"""Blocks in which a region must occur, so that there is an interval to speak of."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the range of one channel: at or beyond a ``limit``, within a distance of neutral, or at a value.
+
+    ``kind`` is ``below``, ``above``, ``beyond`` (farther than ``limit`` from ``neutral`` on either side) or ``at``.
+    """
+
+    channel: str
+    unit: str
+    kind: str
+    limit: float
+    neutral: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """The region in words, such as ``forward_speed above 1.2 m/s``."""
+        value = f"{self.limit:.2g}{f' {self.unit}' if self.unit else ''}"
+        if self.kind == "beyond":
+            off = f"{self.channel} - {self.neutral:.2g}" if self.neutral else self.channel
+            return f"|{off}| above {value}"
+        return f"{self.channel} {self.kind} {value}"
+
+    def holds(self, values: Array) -> BoolArray:
+        """Return which of the channel's ``values`` (N,) lie inside."""
+        if self.kind == "below":
+            return np.asarray(values <= self.limit)
+        if self.kind == "above":
+            return np.asarray(values >= self.limit)
+        if self.kind == "beyond":
+            return np.asarray(np.abs(values - self.neutral) >= self.limit)
+        return np.asarray(values == self.limit)
+
+
+@dataclass(frozen=True)
+class RegionError:
+    """N of the windows that start in ``region``, a ``share`` of all: ``ratio`` times that of all of them.
+
+    ``interval`` is that of the ratio, so wide that of all regions looked at together one in twenty is outside.
+    """
+
+    region: Region
+    share: float
+    n: float
+    ratio: float
+    interval: Interval
+
+    @property
+    def words(self) -> str:
+        """Region and size of its error, in words."""
+        return f"at {self.region.words}, N is {self.ratio:.1f} times that of all windows"
+
+
+def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple[RegionError, ...]:
+    """Return N of each region, the largest first; ``predicted`` (N, H, nx) are the simulated windows.
+
+    A window lies where its start state and its first control do.
+    """
+    scored = cases.moving[:, horizon - 1]
+    errors = cases.system.difference(predicted[:, horizon - 1], cases.windows.states[:, horizon - 1])
+    squares = np.where(scored[:, None], errors**2, 0.0)
+    counts = scored.astype(np.float64)[:, None]
+    blocks = cases.window_block
+    columns, places = [np.concatenate([squares, counts], axis=1)], []
+    start, control = cases.windows.start_states, cases.windows.controls[:, 0]
+    for region, inside in candidate_regions(cases.system, start, control):
+        chosen = inside & scored
+        if len(np.unique(blocks[chosen])) >= FEWEST_BLOCKS:
+            places.append((region, float(chosen.sum() / scored.sum())))
+            columns.append(columns[0] * chosen[:, None])
+    if not places:
+        return ()
+    sums = block_sums(np.concatenate(columns, axis=1), blocks)
+    picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
+    whole, *each = _n(sums.sum(axis=0)[None], cases)[0]
+    drawn = _n(resampled_sums(sums, picks), cases)
+    confidence = 1.0 - (1.0 - cases.protocol.confidence) / len(places)
+    found = [
+        RegionError(region, share, n, n / whole, interval(_ratio(drawn[:, number], drawn[:, 0]), confidence))
+        for number, ((region, share), n) in enumerate(zip(places, each, strict=True), start=1)
+        if whole > 0.0 and np.isfinite(n)
+    ]
+    return tuple(sorted(found, key=lambda one: -one.ratio))
+
+
+def worst_region(regions: tuple[RegionError, ...]) -> RegionError | None:
+    """Return the region with the largest N of those that are clearly above all windows; None if there is none."""
+    return next((one for one in regions if one.interval.low > 1.0 and one.ratio >= NOTABLE), None)
+
+
+def candidate_regions(system: System, states: Array, controls: Array) -> Iterator[tuple[Region, BoolArray]]:
+    """Yield regions of each channel and which of the rows (N,) lie inside."""
+    wrapped = system.wrapped(states)
+    for channel, values in (
+        *zip(system.states, wrapped.T, strict=True),
+        *zip(system.controls, controls.T, strict=True),
+    ):
+        for region in _regions(channel, values):
+            yield region, region.holds(values)
+
+
+def _regions(channel: Channel, values: Array) -> Iterator[Region]:
+    different = np.unique(values)
+    if len(different) < 2:
+        return
+    if len(different) <= LEVELS:
+        for value in different:
+            yield Region(channel.name, channel.unit, "at", float(value))
+        return
+    low, high = np.percentile(values, [LOW, HIGH])
+    yield Region(channel.name, channel.unit, "below", float(low))
+    yield Region(channel.name, channel.unit, "above", float(high))
+    if low < channel.neutral < high:
+        size = float(np.percentile(np.abs(values - channel.neutral), HIGH))
+        yield Region(channel.name, channel.unit, "beyond", size, channel.neutral)
+
+
+def _n(sums: Array, cases: MeasuredCases) -> Array:
+    """Return N (R, regions) from sums of squares and counts, (R, regions * (nx + 1))."""
+    parts = sums.reshape(len(sums), -1, cases.system.nx + 1)
+    squares, counts = parts[..., :-1], parts[..., -1:]
+    mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
+    return mean_over_channels(np.sqrt(mean) / np.where(cases.std > 0, cases.std, np.nan))
+
+
+def _ratio(top: Array, bottom: Array) -> Array:
+    return np.divide(top, bottom, out=np.full_like(top, np.nan), where=bottom > 0.0)

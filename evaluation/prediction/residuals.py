@@ -1,0 +1,176 @@
+"""What is left one step ahead: whether it is white noise, and whether the controls still show in it.
+
+A model that knows all there is leaves white noise: no sample of it tells anything of the next, and no control
+tells anything of it. Both tests allow for noise that is louder in some states than in others, which the classic ones
+(Ljung and Box 1978) take for colour: Dalla, Giraitis and Phillips, "Robust tests for white noise and
+cross-correlation", Econometric Theory 38 (2022). The bands of cross-correlations come from sums over blocks, so that
+noise that is not white does not pass for a control that was missed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.arrays import Array, BoolArray, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+
+LAGS = 20
+"""Lags of the autocorrelation, and of controls before the step."""
+AHEAD = 5
+"""Lags of controls after the step: whoever drives by what is measured reacts there, and no model is at fault."""
+BLOCK = 2 * LAGS
+"""Steps whose products are summed into one for the bands of cross-correlations."""
+FEWEST_BLOCKS = 4
+LEVEL = 0.05
+"""Share of white, unrelated residuals that are called something else."""
+MOST_STEPS, PIECE = 20_000, 2_000
+"""Of longer data so many steps are looked at, in pieces that lie evenly over them."""
+
+
+@dataclass(frozen=True)
+class StepErrors:
+    """One-step errors, measured minus predicted, in rows that follow each other in time.
+
+    ``errors`` (M, nx) are nan where nothing was predicted; as many rows of nan as the longest lag stand between
+    episodes. ``states`` (M, nx) and ``controls`` (M, nu) are those at the start of each step.
+    """
+
+    errors: Array
+    states: Array
+    controls: Array
+
+    @property
+    def scored(self) -> BoolArray:
+        """Which rows hold an error, (M,)."""
+        return np.asarray(np.isfinite(self.errors).all(axis=1))
+
+
+def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> StepErrors:
+    """Predict every step that starts and ends in motion, from sample ``first`` or the first with enough history."""
+    system = dataset.system
+    windows = dataset.windows(1, history=model.n_lags, first=first, moving=True)
+    windows = windows[_in_pieces(len(windows))]
+    lengths = [len(episode) + 1 + LAGS for episode in dataset]
+    begins = np.cumsum([0, *lengths])
+    states, controls = np.full((begins[-1], system.nx), np.nan), np.full((begins[-1], system.nu), np.nan)
+    for begin, episode in zip(begins, dataset, strict=False):
+        states[begin : begin + len(episode) + 1] = episode.states
+        controls[begin : begin + len(episode)] = episode.controls
+    errors = np.full_like(states, np.nan)
+    if len(windows):
+        predicted = model.simulate(windows.past_states, windows.past_controls, windows.controls)[:, 0]
+        off = system.difference(windows.states[:, 0], predicted)
+        lands = np.concatenate([np.append(rows, np.zeros(LAGS, dtype=bool)) for rows in dataset.moving])
+        rows = begins[windows.episode] + windows.start
+        kept = lands[rows + 1] & np.isfinite(off).all(axis=1)
+        errors[rows[kept]] = off[kept]
+    return StepErrors(errors, states, controls)
+
+
+def _in_pieces(count: int) -> IntArray:
+    if count <= MOST_STEPS:
+        return np.arange(count)
+    begins = np.linspace(0, count - PIECE, MOST_STEPS // PIECE).round().astype(np.int64)
+    return np.asarray((begins[:, None] + np.arange(PIECE)).ravel())
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """How one-step errors hang together; ``samples`` of them, channels nx, controls nu.
+
+    ``autocorrelation`` (LAGS, nx) from lag 1 on, with the ``band`` (LAGS, nx) that 95 % of white noise keeps within;
+    ``white_p`` (nx,) is the probability that white noise shows as much at all lags together. ``cross``
+    (AHEAD + LAGS + 1, nu, nx) is the correlation with each control from ``AHEAD`` steps after the step's own to
+    ``LAGS`` steps before it, with its 95 % ``cross_band``; ``cross_p`` (nu, nx) is the probability that a control
+    that is unrelated shows as much at any lag from 0 on. Without enough samples all are nan.
+    """
+
+    samples: int
+    autocorrelation: Array
+    band: Array
+    white_p: Array
+    cross: Array
+    cross_band: Array
+    cross_p: Array
+
+    @property
+    def white(self) -> BoolArray:
+        """Which channels (nx,) leave nothing that cannot be white noise."""
+        return ~np.asarray(self.white_p < LEVEL)
+
+    def largest_lag(self, channel: int) -> int:
+        """Return the lag in steps, from 1, at which a channel's autocorrelation is farthest out of its band."""
+        return 1 + int(np.nan_to_num(np.abs(self.autocorrelation) / self.band)[:, channel].argmax())
+
+    def control_lag(self, control: int, channel: int) -> int:
+        """Return how many steps before the step's own a control shows most in a channel, from 0."""
+        past = slice(AHEAD, None)
+        size = np.abs(self.cross[past, control, channel]) / self.cross_band[past, control, channel]
+        return int(np.nan_to_num(size).argmax())
+
+    def cross_at(self, lag: int) -> Array:
+        """Return the correlation (nu, nx) with the controls ``lag`` steps before the step's own."""
+        return np.asarray(self.cross[AHEAD + lag])
+
+
+def analyse(steps: StepErrors) -> Residuals:
+    """Return autocorrelation and cross-correlation of one-step errors."""
+    errors = steps.errors - _mean(steps.errors)
+    controls = steps.controls - _mean(steps.controls)
+    autocorrelation, band, white_p = _autocorrelation(errors)
+    cross, cross_band, cross_p = _cross_correlation(errors, controls)
+    return Residuals(int(steps.scored.sum()), autocorrelation, band, white_p, cross, cross_band, cross_p)
+
+
+def _autocorrelation(errors: Array) -> tuple[Array, Array, Array]:
+    from scipy.stats import chi2
+
+    nx = errors.shape[1]
+    variance = np.nansum(errors**2, axis=0)
+    sums, sizes = np.zeros((LAGS, nx)), np.zeros((LAGS, nx))
+    for lag in range(1, LAGS + 1):
+        products = errors[lag:] * errors[:-lag]
+        sums[lag - 1], sizes[lag - 1] = np.nansum(products, axis=0), np.sqrt(np.nansum(products**2, axis=0))
+    statistic = (_ratio(sums, sizes) ** 2).sum(axis=0)
+    return _ratio(sums, variance), 1.96 * _ratio(sizes, variance), np.asarray(chi2.sf(statistic, LAGS))
+
+
+def _cross_correlation(errors: Array, controls: Array) -> tuple[Array, Array, Array]:
+    from scipy.stats import t
+
+    nx, nu, rows = errors.shape[1], controls.shape[1], len(errors)
+    lags = range(-AHEAD, LAGS + 1)
+    cross, spread = np.zeros((len(lags), nu, nx)), np.zeros((len(lags), nu, nx))
+    scored = np.isfinite(errors).all(axis=1)
+    scale = np.sqrt(np.outer(np.nansum(controls[scored] ** 2, axis=0), np.nansum(errors**2, axis=0)))
+    blocks = np.arange(rows) // BLOCK
+    used = np.unique(blocks[scored])
+    counted = len(used)
+    for place, lag in enumerate(lags):
+        moved = np.full_like(controls, np.nan)
+        moved[max(lag, 0) : rows + min(lag, 0)] = controls[max(-lag, 0) : rows - max(lag, 0)]
+        products = np.nan_to_num(moved[:, :, None] * errors[:, None, :])
+        cross[place] = _ratio(products.sum(axis=0), scale)
+        if counted < FEWEST_BLOCKS:
+            continue
+        sums = np.add.reduceat(products, np.arange(0, rows, BLOCK), axis=0)[used]
+        spread[place] = _ratio(np.sqrt(counted * sums.var(axis=0) * counted / (counted - 1)), scale)
+    if counted < FEWEST_BLOCKS:
+        return cross, np.full_like(cross, np.nan), np.full((nu, nx), np.nan)
+    freedom = counted - 1
+    largest = np.nan_to_num(_ratio(np.abs(cross), spread)[AHEAD:]).max(axis=0)
+    single = 2.0 * t.sf(largest, freedom)
+    return cross, float(t.ppf(0.975, freedom)) * spread, np.minimum(1.0, single * (LAGS + 1))
+
+
+def _mean(values: Array) -> Array:
+    known = np.isfinite(values)
+    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+
+
+def _ratio(top: Array, bottom: Array) -> Array:
+    shape = np.broadcast_shapes(top.shape, bottom.shape)
+    return np.divide(top, bottom, out=np.full(shape, np.nan), where=bottom > 0.0)

@@ -1,0 +1,136 @@
+"""Where a model's error is: by region, by episode, over the horizon; and what is stored of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.prediction import (
+    Interval,
+    Prediction,
+    PredictionProtocol,
+    Region,
+    assess_prediction,
+    load_prediction,
+    save_prediction,
+    worst_region,
+)
+from evaluation.prediction.bootstrap import BlockErrors, interval
+from evaluation.prediction.regions import candidate_regions
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.testing.examples import pendulum
+from tests.evaluation.known_models import Known, Sliding, Weak, fitted, recording
+
+PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
+
+
+class LosesGrip(Known):
+    """Wrong about steering, but only at a forward speed above 0.4 m/s."""
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        after = super().next_state(carry, control)
+        after[:, 2] += np.where(carry[:, 0] > 0.4, 0.6, 0.0) * control[:, 1]
+        return after
+
+
+def noisy(seed: int, episodes: int = 2, steps: int = 300) -> Dataset:
+    """Return the known car, measured with the same noise everywhere."""
+    data = recording(episodes, steps, seed=seed)
+    rng = np.random.default_rng(seed)
+    states = [episode.states + 0.05 * rng.standard_normal(episode.states.shape) for episode in data]
+    return Dataset.from_arrays(data.system, states, [episode.controls for episode in data])
+
+
+def assessed(model: Known, test: Dataset) -> Prediction:
+    return assess_prediction({"model": fitted(model)}, recording(), test, protocol=PROTOCOL)
+
+
+def test_the_region_where_a_model_fails_is_named_with_its_size() -> None:
+    row = assessed(LosesGrip(), noisy(2, 4)).model("model")
+    worst = worst_region(row.regions)
+    assert worst is not None
+    assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
+    assert worst.ratio > 1.3
+    assert worst.words.startswith(f"at forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
+    assert worst.n == pytest.approx(worst.ratio * row.curve[4])
+    assert worst.share == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region() -> None:
+    data = [noisy(seed, 1) for seed in range(15)]
+    found = [worst_region(assessed(Known(), test).model("model").regions) for test in data]
+    assert sum(one is not None for one in found) <= 1
+
+
+def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutral() -> None:
+    system = pendulum()
+    rng = np.random.default_rng(0)
+    states = np.column_stack([rng.uniform(-9.0, 9.0, 500), rng.uniform(2.0, 3.0, 500)])
+    controls = rng.choice([-2.0, 0.0, 2.0], (500, 1))
+    found = {region.words: inside for region, inside in candidate_regions(system, states, controls)}
+    at = [words for words in found if words.startswith("torque")]
+    assert at == ["torque at -2 N m", "torque at 0 N m", "torque at 2 N m"]
+    (beyond,) = [words for words in found if "|angle| above" in words]
+    assert found[beyond].mean() == pytest.approx(0.2, abs=0.01)
+    assert not any("|angular_speed|" in words for words in found)
+    assert found["torque at 2 N m"].sum() == (controls == 2.0).sum()
+    assert Region("tilt", "rad", "beyond", 0.5, 1.0).words == "|tilt - 1| above 0.5 rad"
+
+
+def test_each_episode_has_its_own_error() -> None:
+    easy, hard = recording(1, seed=5), noisy(6, 1)
+    test = easy.with_episodes([easy.episodes[0], replace(hard.episodes[0], name="hard")])
+    row = assessed(Known(), test).model("model")
+    assert [episode.name for episode in row.episodes] == ["episode-0", "hard"]
+    assert row.episodes[0].n.max() < 1e-9
+    assert row.episodes[1].n.min() > 0.05
+
+
+def test_the_fit_is_that_of_matlab() -> None:
+    test = recording(1, seed=5)
+    row = assessed(Weak(), test).model("model")
+    measured = test.episodes[0].states[6:]
+    off = np.linalg.norm(measured - row.free_states[0], axis=0)
+    of_the_mean = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
+    np.testing.assert_allclose(row.episodes[0].fit, 100.0 * (1.0 - off / of_the_mean))
+
+
+def test_the_interval_of_the_curve_is_that_of_the_scores() -> None:
+    row = assessed(Weak(), noisy(3)).model("model")
+    assert row.curve_interval.shape == (2, 20)
+    for score in row.at:
+        assert score.horizon is not None
+        assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.interval)
+    assert (row.curve_interval[0] < row.curve).all()
+    assert (row.curve < row.curve_interval[1]).all()
+
+
+def test_two_equally_good_models_have_no_significant_difference_nineteen_times_of_twenty() -> None:
+    rng, blocks, found = np.random.default_rng(7), np.repeat(np.arange(40), 15), []
+    for seed in range(100):
+        drawn = [
+            BlockErrors.of(np.repeat(rng.normal(size=(40, 1)), 15, axis=0), blocks).resampled_n(np.ones(1), 300, seed)
+            for _ in range(2)
+        ]
+        found.append(interval(drawn[0] - drawn[1], 0.95).spans(0.0))
+    assert 0.87 <= np.mean(found) <= 0.99
+
+
+def test_what_is_stored_comes_back(tmp_path: Path) -> None:
+    row = assessed(Sliding(), noisy(4)).model("model")
+    save_prediction(row, tmp_path / "row")
+    again = load_prediction(tmp_path / "row")
+    assert again.residuals is not None
+    assert row.residuals is not None
+    for name in ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p"):
+        np.testing.assert_array_equal(getattr(again.residuals, name), getattr(row.residuals, name))
+    assert again.residuals.samples == row.residuals.samples
+    assert again.regions == row.regions
+    assert isinstance(again.regions[0].interval, Interval)
+    np.testing.assert_array_equal(again.curve_interval, row.curve_interval)
+    assert [episode.name for episode in again.episodes] == [episode.name for episode in row.episodes]
+    np.testing.assert_array_equal(again.episodes[0].fit, row.episodes[0].fit)
