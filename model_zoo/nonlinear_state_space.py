@@ -54,7 +54,7 @@ class NonlinearStateSpace(StateSpaceModel):
     iterations: int = 40
     horizon: int = 1000
     rest_hold: bool = False
-    most_steps: int | None = 10_000
+    most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         least, long = max(FEWEST_STATES, dataset.system.nx), max(1, self.iterations // 2)
