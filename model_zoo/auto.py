@@ -91,7 +91,7 @@ class Auto(MeanOfMembers):
             return offered(dataset.system, dataset.n_steps, budget=self.budget, folds=folds)
         reasons = [(one, unusable(one, dataset.system)) for one in named(self.candidates)]
         return [one for one, reason in reasons if not reason], [
-            f"{o.spec}: {reason}" for o, reason in reasons if reason
+            f"{o.name}: {reason}" for o, reason in reasons if reason
         ]
 
     def _mean(self, models: list[DynamicsModel]) -> Self:

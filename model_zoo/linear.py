@@ -8,7 +8,8 @@ import numpy as np
 
 from model_zoo.channels.integrals import between_limits
 from model_zoo.channels.standard import deviation
-from sysid_evo import Dataset, DynamicsModel, register_model
+from model_zoo.validation.uncertain import Uncertain
+from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @register_model("linear")
-class Linear(DynamicsModel):
+class Linear(Uncertain):
     """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
@@ -52,6 +53,7 @@ class Linear(DynamicsModel):
         solution, *_ = np.linalg.lstsq(left, right, rcond=None)
         self.coefficients_ = solution / scale[:, None]
         self.intercept_ = target_centre - centre @ self.coefficients_
+        self.calibrate(dataset, rng)
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

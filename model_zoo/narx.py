@@ -72,6 +72,7 @@ class Narx(PolynomialFamily):
         compressed = Compressed.of(data, self.degree_)
         self._learn(data, self.terms_, compressed, compressed.selection(self.terms_))
         counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def _libraries(self, dataset: Dataset, pairs: list[tuple[int, int]]) -> list[tuple[tuple[int, int], int]]:

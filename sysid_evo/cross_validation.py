@@ -120,14 +120,31 @@ def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Da
 def folds_of(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
     """Return up to ``count`` pairs of what is learned from and what is held out.
 
-    Whole recordings are held out, in groups where there are more than ``count``; pieces of one stay together. Of a
-    single recording, or where one is so long that too little would be left without it, blocks of time.
+    Whole recordings are held out, in groups of about the same length where there are more than ``count``; pieces of one
+    stay together. Of a single recording, or where one is so long that too little would be left without it, blocks of
+    time.
     """
-    recordings = len({recording(name) for name in dataset.names})
-    if recordings >= 2:
-        groups = EpisodeFold(min(max(count, 2), recordings)).split(dataset)
-        pairs = [(dataset[list(seen)], dataset[list(held)]) for seen, held in groups]
+    names = [recording(name) for name in dataset.names]
+    if len(set(names)) >= 2:
+        groups = balanced(names, [len(episode) for episode in dataset], min(max(count, 2), len(set(names))))
+        rows = [np.isin(names, list(group)) for group in groups]
+        pairs = [(dataset[np.flatnonzero(~held).tolist()], dataset[np.flatnonzero(held).tolist()]) for held in rows]
         if all(seen.n_steps >= LEAST_SHARE * dataset.n_steps * (1.0 - 1.0 / len(pairs)) for seen, _ in pairs):
             return pairs[:count]
     pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
     return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
+
+
+def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[list[str]]:
+    """Return the recordings of these episodes in ``count`` groups of about the same length, in their order.
+
+    The longest first, each joins the group that is shortest by then: what was recorded one after the other, such as
+    manoeuvres of one kind, comes into different groups.
+    """
+    length = dict.fromkeys(names, 0)
+    for name, steps in zip(names, lengths, strict=True):
+        length[name] += steps
+    groups: list[list[str]] = [[] for _ in range(count)]
+    for name in sorted(length, key=lambda one: -length[one]):
+        min(groups, key=lambda group: sum(length[one] for one in group)).append(name)
+    return sorted(groups, key=lambda group: min(names.index(one) for one in group))

@@ -19,6 +19,7 @@ from evaluation.report.tables import (
     channel_sheet,
     condition_sheet,
     controller_sheet,
+    coverage_sheet,
     difference_sheet,
     episode_error_sheet,
     episode_sheet,
@@ -162,7 +163,7 @@ def _prediction(report: Report) -> Section:
         "Prediction",
         [
             prediction_sheet(prediction),
-            *_present(condition_sheet(report.conditions)),
+            *_present(coverage_sheet(prediction), condition_sheet(report.conditions)),
             *compared,
             *pictures,
             *where,

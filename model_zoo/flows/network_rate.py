@@ -10,9 +10,9 @@ import numpy as np
 from model_zoo.flows.stepping import flow_predictor, flow_step
 from model_zoo.networks.network import Network
 from model_zoo.validation.held_out import best, lag_candidates, trials
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.searched import OneOf, Searched, Within
@@ -26,7 +26,7 @@ HIDDEN = (32, 32)
 QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
 
 
-class NetworkRate(DynamicsModel):
+class NetworkRate(Uncertain):
     """A family with dx/dt = network(carry, control) + `known_rate` + rotation of the frame.
 
     Of a periodic state the network sees sine and cosine.
@@ -54,6 +54,7 @@ class NetworkRate(DynamicsModel):
     }
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
     initial: ClassVar[Array] = np.empty(0)
+    spread_groups: ClassVar[int] = 2
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
         "paper": {"one_step_updates": 3000, "updates": 1500},
@@ -106,6 +107,7 @@ class NetworkRate(DynamicsModel):
         self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
         if len(self.initial):
             self.physical_ = fitted.physical
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def known_rate(self, state: Array, control: Array) -> Array | None:

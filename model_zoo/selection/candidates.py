@@ -35,6 +35,11 @@ class Candidate:
     growing: float = 1.0
     roughly: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def name(self) -> str:
+        """What it is called: its label, if it has one of its own, or the whole spec."""
+        return self.spec.text if self.spec.label == self.spec.name else self.spec.label
+
     def model(self, **changed: Any) -> DynamicsModel:
         """Return it unfitted. Raises what the registry says where it cannot be made."""
         found: DynamicsModel = models.make(self.spec.name, **{**self.spec.parameters, **changed})
@@ -58,9 +63,10 @@ def _one(text: str, seconds: float, growing: float = 0.1, **roughly: Any) -> Can
 
 def _networks(state_lags: int, control_lags: int, input_noise: float) -> Candidate:
     """Return four lagged networks; more input noise makes them better at long horizons and worse at short ones."""
-    settings = f"state_lags={state_lags}, control_lags={control_lags}, input_noise={input_noise}"
-    training = "members=4, one_step_updates=1500, updates=600"
-    return _one(f"mlp_ensemble({settings}, {training})", 5.5, members=2)
+    settings = {"state_lags": state_lags, "control_lags": control_lags, "input_noise": input_noise}
+    training = {"members": 4, "one_step_updates": 1500, "updates": 600}
+    label = Spec("mlp_ensemble", settings).text
+    return Candidate(Spec("mlp_ensemble", {**settings, **training}, label), 5.5, 0.1, {"members": 2})
 
 
 SHIPPED: tuple[Candidate, ...] = (
@@ -100,14 +106,14 @@ def offered(system: System, steps: int, *, budget: float, folds: int) -> tuple[l
     for candidate in (*plugins(), *SHIPPED):
         reason = unusable(candidate, system)
         if reason:
-            remarks.append(f"{candidate.spec}: {reason}")
+            remarks.append(f"{candidate.name}: {reason}")
             continue
         cost = candidate.cost(system, steps, folds)
         if cost <= left or not taken:
             taken.append(candidate)
             left -= cost
         else:
-            remarks.append(f"{candidate.spec}: not tried, the budget of {budget:g} s is spent on others")
+            remarks.append(f"{candidate.name}: not tried, the budget of {budget:g} s is spent on others")
     return taken, remarks
 
 

@@ -101,7 +101,7 @@ class Choosing:
             told = zip(self.candidates, reasons, strict=True)
             raise InvalidData(
                 "auto: expected a candidate that learns and runs free, got none: "
-                + "; ".join(f"{one.spec}: {reason}" for one, reason in told if reason)
+                + "; ".join(f"{one.name}: {reason}" for one, reason in told if reason)
             )
 
 

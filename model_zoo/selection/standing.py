@@ -56,10 +56,10 @@ class Standing:
         usable = [number for number in order if not choice.reasons[number]]
         ahead = interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()
         failed = [
-            f"{one.spec}: {choice.reasons[number]}" for number, one in enumerate(candidates) if number not in known
+            f"{one.name}: {choice.reasons[number]}" for number, one in enumerate(candidates) if number not in known
         ]
         return cls(
-            candidates=[str(candidates[number].spec) for number in order],
+            candidates=[candidates[number].name for number in order],
             errors=np.stack([known[number].at for number in order]),
             shares=np.array([share.get(number, 0.0) for number in order]),
             remarks=[choice.reasons[number] or kind.get(number, above) for number in order],

@@ -65,6 +65,7 @@ def model_card(path: Path) -> dict[str, Any]:
         "versions": manifest.versions,
         "equations": list(model.equations()) if hasattr(model, "equations") else [],
         "candidates": model.standing() if hasattr(model, "standing") else [],
+        **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
         "timings": {**manifest.timings, **speed(model)},
     }
 
@@ -100,7 +101,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
     for key, value in card.items():
-        if key in ("description", "hyper_parameters", "equations", "candidates"):
+        if key in ("description", "hyper_parameters", "equations", "candidates", "parameters"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{name} {item}" for name, item in value.items())
@@ -115,6 +116,8 @@ def card_table(card: dict[str, Any]) -> list[Any]:
         parts += [Text(""), _candidates(card["candidates"])]
     if card.get("equations"):
         parts += [Text(""), *map(Text, card["equations"])]
+    if card.get("parameters"):
+        parts += [Text(""), _parameters(card["parameters"])]
     return parts
 
 
@@ -125,6 +128,17 @@ def _candidates(rows: list[dict[str, str]]) -> Table:
         table.add_column(column, overflow="fold", no_wrap=column in ("error", "weight"))
     for row in rows:
         table.add_row(*map(Text, row.values()))
+    return table
+
+
+def _parameters(rows: list[dict[str, Any]]) -> Table:
+    """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("parameter", "value", "standard error", "unit", ""):
+        table.add_column(column, justify="right" if column in ("value", "standard error") else "left")
+    for row in rows:
+        remark = "" if row["determined"] else "not determined"
+        table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
     return table
 
 

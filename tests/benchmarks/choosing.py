@@ -114,8 +114,8 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
     rivals: dict[str, list[ModelPrediction]] = {}
     for candidate in SHIPPED if alone else ():
         if not unusable(candidate, fits.training.system):
-            rivals[str(candidate.spec)] = [fits.score(candidate.spec, seed)[0] for seed in range(alone)]
-            write(f"  {line(rivals[str(candidate.spec)])}  {candidate.spec}\n")
+            rivals[candidate.name] = [fits.score(candidate.spec, seed)[0] for seed in range(alone)]
+            write(f"  {line(rivals[candidate.name])}  {candidate.name}\n")
             sys.stdout.flush()
     if rivals:
         best = min(rivals, key=lambda one: pooled(rivals[one], SECOND)[0])

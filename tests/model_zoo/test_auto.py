@@ -12,7 +12,7 @@ from model_zoo.auto import Auto
 from model_zoo.selection.candidates import SHIPPED, offered, structure_of
 from model_zoo.selection.fitting import Task, Work, fitted
 from model_zoo.selection.gate import chosen, weights_of
-from sysid_evo.cross_validation import folds_of
+from sysid_evo.cross_validation import balanced, folds_of
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import InvalidArgument, InvalidData
@@ -166,6 +166,8 @@ def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> N
     assert sorted(name for _, held in pairs for name in held.names) == sorted(data.names)
     pieces = data.with_episodes([data.episodes[0][:100], data.episodes[0][100:], data.episodes[1]])
     assert [len(held) for _, held in folds_of(pieces, 3)] == [2, 1], "pieces of one recording stay together"
+    assert balanced(["a", "b", "c", "d"], [100, 30, 30, 60], 3) == [["a"], ["b", "c"], ["d"]]
+    assert balanced(["a1", "a2", "b1", "b2"], [50] * 4, 2) == [["a1", "b1"], ["a2", "b2"]], "neighbours are parted"
     single = folds_of(data[0], 3)
     assert [seen.n_steps + held.n_steps for seen, held in single] == [200] * 3
     assert horizons_of(single, [10, 20, 60]) == [10, 20]

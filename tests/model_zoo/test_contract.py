@@ -31,6 +31,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "candidates": [f"linear(state_lags=1, control_lags=2, ridge={ridge})" for ridge in (0.0, 1.0)],
         "gate": 9.0,
     },
+    "single_track": {"starts": 1, "windows": 40},
 }
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")

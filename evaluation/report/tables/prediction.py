@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from evaluation.labels import percent
-from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction import Coverage, ErrorScore, ModelPrediction, Prediction
 from evaluation.prediction.conditions import ConditionErrors
 from evaluation.report.predicting import N_IN_WORDS, horizon_name
 from evaluation.report.sheets import Sheet, lines, number, three_digits
@@ -37,6 +37,29 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
             f"free run: each whole episode from sample {protocol.first}. "
             "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
             "clip: windows in which the simulation reached its clip, and the median time until then."
+        ),
+    )
+
+
+def coverage_sheet(prediction: Prediction) -> Sheet | None:
+    """How much the intervals of every model with a spread hold; None if there is no such model."""
+    horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
+    if not models:
+        return None
+    rows = []
+    for model in models:
+        found = {held.horizon: held for held in model.coverage}
+        cells = [found.get(horizon) for horizon in horizons]
+        rows.append((model.name, *("–" if held is None else _coverage_cell(held) for held in cells)))
+    aim = percent(models[0].coverage[0].share)
+    return Sheet(
+        title=f"What {aim} intervals hold",
+        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
+        rows=tuple(rows),
+        note=(
+            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over channels; "
+            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: too narrow "
+            "if lower, wider than need be if higher."
         ),
     )
 
@@ -95,6 +118,11 @@ def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> st
         return "–"
     low, high = score.interval
     return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+
+
+def _coverage_cell(held: Coverage) -> str:
+    each = ", ".join(f"{100 * share:.0f}" for share in held.inside)
+    return lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each)
 
 
 def _divergence(model: ModelPrediction) -> str:
