@@ -39,7 +39,7 @@ class NonlinearStateSpace(StateSpaceModel):
     of outputs on; the one with the network of the lowest Bayesian information criterion (Schwarz 1978) after
     ``trial`` iterations is taken. ``members`` of that order go on for ``iterations``, and half as many on long runs.
     The output is their mean, in which one counts less the higher its criterion is, and one that goes astray under
-    the recorded controls in reverse not at all; each has its own hidden states and its own gain K.
+    the recorded controls in another order not at all; each has its own hidden states and its own gain K.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
