@@ -102,7 +102,7 @@ class Adapted(DynamicsModel):
 
     @property
     def fit_note(self) -> str:
-        return f"adapted with {self.verdict_}" if hasattr(self, "verdict_") else super().fit_note
+        return f"took {self.verdict_}" if hasattr(self, "verdict_") else super().fit_note
 
     @property
     def lags(self) -> tuple[int, int]:

@@ -24,7 +24,7 @@ UNTRIED = 0.03
 """And of the time of a state times that of a command, where no controllers are known."""
 EDGES = (1.0, 20.0, 50.0, 80.0, 99.0)
 """Percentiles of the data at which a continuous channel is cut."""
-FEWEST = 200
+FEWEST, MOST_STEPS = 200, 20_000
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Gap:
 
 def missing_excitation(evidence: Evidence) -> Remark | None:
     """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
-    seen = Steps.moving(evidence.training)
+    seen = Steps.moving(evidence.training).thinned(MOST_STEPS)
     if evidence.visited is None or len(evidence.visited) < FEWEST:
         return _untried(evidence, seen)
     gap = largest_gap(seen, evidence.visited)
@@ -116,7 +116,7 @@ def _untried(evidence: Evidence, seen: Steps) -> Remark | None:
 
 def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
     """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
-    system = seen.system
+    system, seen, asked = seen.system, seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
     if len(seen) < FEWEST or len(asked) < FEWEST:
         return None
     regions = _regions(system, _columns(seen))

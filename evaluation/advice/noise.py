@@ -20,7 +20,7 @@ FORM = 0.2
 limits it: a tenth of the error."""
 NEIGHBOURS, APART = 4, 20
 """A pair is a step and the nearest of so many that is more than so many steps away: noise that lasts is in both."""
-FEWEST = 250
+FEWEST, MOST_PAIRS = 250, 4000
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ def estimate_noise(evidence: Evidence) -> Noise | None:
         return None
     left = steps.errors[rows][known] / evidence.std
     now, earlier, places = now[known], earlier[known], np.flatnonzero(rows)[known]
-    pairs = _nearest(standardised(np.concatenate([now, earlier], axis=1)), places)
-    floor = np.sqrt(0.5 * np.mean((left - left[pairs]) ** 2, axis=0))
+    some = np.linspace(0, len(left) - 1, min(len(left), MOST_PAIRS)).round().astype(np.int64)
+    pairs = _nearest(standardised(np.concatenate([now, earlier], axis=1))[some], places[some])
+    floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)
     return Noise(float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left))
 

@@ -62,9 +62,11 @@ def tables(report: Report) -> list[RenderableType]:
 
 
 def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
-    """Return what limits a model as a list, the most important first; nothing where there is nothing to say."""
-    if not advice.remarks:
+    """Return what limits a model as a list, the most important first; nothing where there was no model."""
+    if not advice.model:
         return []
+    if not advice.remarks:
+        return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.judged_on}.")]
     bullets = Table.grid(padding=(0, 1))
     for remark in advice.remarks:
         bullets.add_row(Text(" -"), Text(remark.sentence))

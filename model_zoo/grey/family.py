@@ -89,7 +89,7 @@ class GreyBox(DynamicsModel):
     states: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
     hidden: ClassVar[tuple[Hidden, ...]] = ()
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120, "residual_points": 60}}
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay", "residual_points")},
         "history": at_least(0),
@@ -106,7 +106,7 @@ class GreyBox(DynamicsModel):
     substeps: int = 1
     history: int = 5
     residual: bool = False
-    residual_points: int = 60
+    residual_points: int = 150
     offsets: list[str] | None = None
     rest_hold: bool = False
     most_steps: int | None = 100_000

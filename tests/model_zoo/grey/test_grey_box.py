@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from model_zoo.grey import GreyBox, Hidden, Parameter
+from sysid_evo.cli.cards import card_table, model_card
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model, models
@@ -218,3 +222,15 @@ def test_where_nothing_differs_offsets_shrink_to_nothing() -> None:
 def test_an_offset_of_what_is_no_parameter_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="there is no parameter 'grip'; there are stiffness, friction, gain"):
         Pendulum(offsets=["grip"])
+
+
+def test_the_card_of_a_stored_grey_box_prints_its_parameters(swinging: Dataset, tmp_path: Path) -> None:
+    model = HeavyPendulum(starts=1, windows=30).fit(swinging, rng=0)
+    card = model_card(save_model(model, tmp_path / "model"))
+    assert "do not determine unused" in card["note"]
+    console = Console(width=100, record=True, file=io.StringIO())
+    for part in card_table(card):
+        console.print(part)
+    printed = console.export_text()
+    assert re.search(r"stiffness +[89]\S* +0\.\d+ +1/s\^2", printed)
+    assert re.search(r"unused .* m +not determined", printed)

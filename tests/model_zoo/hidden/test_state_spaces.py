@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -68,12 +70,25 @@ def test_rest_is_left_by_a_control_and_kept_without_in_both_forms(linear: Dynami
         np.testing.assert_allclose(compiled, stepped, atol=1e-9)
 
 
-def test_networks_follow_a_spring_that_stiffens_where_a_linear_model_cannot() -> None:
-    training, fresh = recording(0, 600, bend=0.03, noise=0.01), recording(1, 600, bend=0.03)
+OWN: dict[str, dict[str, Any]] = {
+    "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 5, "iterations": 25, "horizon": 300},
+    "subnet": {"hidden": 8, "updates": 400, "horizon": 40, "batch": 64, "learning_rate": 0.01},
+}
+
+
+@pytest.mark.parametrize(
+    ("family", "steps", "share"),
+    [("nonlinear_state_space", 600, 0.3), pytest.param("subnet", 2000, 0.5, marks=pytest.mark.slow)],
+)
+def test_networks_follow_a_spring_that_stiffens_where_a_linear_model_cannot(
+    family: str, steps: int, share: float
+) -> None:
+    training, fresh = recording(0, steps, bend=0.03, noise=0.01), recording(1, 600, bend=0.03)
     run = fresh.episodes[0]
-    options = {"linear_state_space": {}, "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 5}}
-    errors = {}
-    for family, own in options.items():
-        model = make_model(family, order=2, iterations=25, horizon=300, **own).fit(training, rng=0)
-        errors[family] = np.std(model.simulate(run) - run.states[model.n_lags + 1 :])
-    assert errors["nonlinear_state_space"] < 0.3 * errors["linear_state_space"]
+
+    def error(model: DynamicsModel) -> float:
+        model.fit(training, rng=0)
+        return float(np.std(model.simulate(run) - run.states[model.n_lags + 1 :]))
+
+    linear = make_model("linear_state_space", order=2, iterations=15)
+    assert error(make_model(family, order=2, **OWN[family])) < share * error(linear)

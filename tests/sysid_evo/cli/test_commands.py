@@ -48,6 +48,7 @@ def test_compare_runs_from_recordings_to_a_report_with_a_family_from_outside(log
 def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None:
     fitted = run_here("fit", logs, "--models", "linear,nearest_neighbour", "--out", "mine", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
+    assert "Nothing stands out that limits linear. Judged on the last quarter of each" in fitted.stdout
     evolved = run_here(
         "evolve", "--run", "mine", "--against", "linear,nearest_neighbour", "--aggregate", "min",
         "--noise", "envelope(sensor=0.1, latency=1)", "--caution", "doubt(outside=2)",

@@ -179,7 +179,11 @@ def test_runs_are_listed_shown_and_compared(there: Caller, logs: Path) -> None:
     assert ended.code == 0, ended.stderr
     difference = json.loads(there("runs", "diff", "out", "second", "--json").stdout)
     assert set(difference["settings"]) == {"models", "only"}
-    assert set(difference["only_second"]) == {"fit nearest_neighbour", "predict with nearest_neighbour"}
+    assert set(difference["only_second"]) == {
+        "fit nearest_neighbour",
+        "predict with nearest_neighbour",
+        "advise on the models",
+    }
     assert "evolve linear" in difference["only_first"]
     assert "fit linear" not in difference["only_first"]
     assert "nearest_neighbour" in there("runs", "diff", "out", "second").stdout
@@ -297,6 +301,8 @@ def test_nothing_that_could_be_fitted_is_exit_code_3_too(half: tuple[Path, Ended
     assert fitted.returncode == 3, fitted.stderr
     rows = {row["model"]: row for row in json.loads(fitted.stdout)}
     assert Path(folder, rows["linear"]["file"]).is_file()
+    assert rows["linear"]["advice"]["model"] == "linear"
+    assert rows["never_fits"]["advice"] is None
     assert rows["never_fits"]["reason"] == "ArithmeticError: deep inside"
 
 
