@@ -35,6 +35,7 @@ class StateSpaceModel(DynamicsModel):
     """
 
     knowledge = "black"
+    structure = "state space"
     limits: ClassVar[dict[str, Limit]] = {"order": at_least(1), "iterations": at_least(1), "horizon": at_least(2)}
 
     @property

@@ -114,6 +114,7 @@ def test_weights_are_equal_in_each_class_of_structure_and_across_the_classes() -
         ("narx(terms=3, state_lags=0, control_lags=1)", "polynomial"),
         ("nearest_neighbour", "neighbours"),
         ("parametrised(generations=1)", "physics"),
+        ("linear_state_space(iterations=1, folds=1, order=3)", "state space"),
     ],
 )
 def test_every_model_has_a_class_of_structure(spec: str, structure: str) -> None:
