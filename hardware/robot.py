@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -80,6 +81,20 @@ class Robot(ABC):
 
         check_loop(self.system)
         return excitation(self.system, duration=duration, rng=rng)
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Drive these manoeuvres and record the answer."""
+        from hardware.recording.scripted import record_manoeuvres
+
+        return record_manoeuvres(self, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 
     def record(
         self,

@@ -8,6 +8,7 @@ points of pyproject.toml. What several families share stands in the folders besi
 - ``sparse``: polynomials of few terms (`sindy`, `sindy_bagged`, `sindy_discrete`, `narx`);
 - ``networks``: networks as arrays and their training on free runs (`mlp_ensemble`, the neural ODEs);
 - ``flows``: differential equations with a network in them (`neural_ode`, `neural_ode_history`, `hybrid_ode`);
+- ``selection``: candidates, folds, judging by free runs, gate and weights, and the mean of what is kept (`auto`);
 - ``car``: the physics of a car (`parametrised`, `hybrid_ode`);
 - ``kernels``: compiled forms of single families.
 

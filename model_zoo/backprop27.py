@@ -41,6 +41,7 @@ class Backprop27(DynamicsModel):
     """
 
     knowledge = "black"
+    structure = "network"
     periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
     limits: ClassVar[dict[str, Limit]] = {

@@ -37,6 +37,7 @@ class Evolved3(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {

@@ -13,7 +13,8 @@ from model_zoo.channels.standard import Standard, positive
 from model_zoo.processes.likelihood import factor, most_likely, quadratic_form, squared_exponential
 from model_zoo.validation.held_out import HeldOut, best, lag_candidates, trials
 from model_zoo.validation.spread import conformal_scale, unseen_parts
-from sysid_evo import Dataset, DynamicsModel, register_model
+from model_zoo.validation.uncertain import Uncertain
+from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
@@ -28,7 +29,7 @@ TRIAL_INDUCING = 120
 
 
 @register_model("gaussian_process")
-class GaussianProcess(DynamicsModel):
+class GaussianProcess(Uncertain):
     """Acceleration = linear part + Gaussian process of (carry, control), squared exponential, one length an input.
 
     The linear part, fitted first by ridge regression, is what remains far from the data.
@@ -37,12 +38,14 @@ class GaussianProcess(DynamicsModel):
     Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance
     k_** - k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Lags left at None are
     chosen by the simulation error over one second on held-out blocks of time. With ``stochastic``
-    every step adds normal noise of that variance, scaled so that 90 % intervals hold 90 % of samples
-    one second ahead in recordings held out in turn (blocks of time, if there is one recording only).
+    every step adds normal noise of that variance, scaled as `Uncertain` says on recordings held out in turn (blocks of
+    time, if there is one recording only); switched on after the fit, so that 90 % intervals hold 90 % of samples one
+    second ahead.
     Of a periodic state sine and cosine are inputs.
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
     periodic = True
     precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -54,13 +57,8 @@ class GaussianProcess(DynamicsModel):
     inducing: int = 250
     state_lags: int | None = None
     control_lags: int | None = None
-    stochastic: bool = False
     rest_hold: bool = False
     most_steps: int | None = 100_000
-
-    @property
-    def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
-        return self.system.nx if self.stochastic else 0
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
@@ -70,20 +68,22 @@ class GaussianProcess(DynamicsModel):
             lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
             self.keep_lags(lags)
             self._learn(dataset, rng, counter)
-            self.noise_scale_ = np.ones(self.system.nx)
-            cases = [
-                (self._without(seen), judging_windows(unseen, self.n_lags)) for seen, unseen in unseen_parts(dataset)
-            ]
-            self.noise_scale_ = conformal_scale(cases, rng, still=lambda: counter.advance(0))
+            parts = [(self._without(seen), unseen) for seen, unseen in unseen_parts(dataset)]
+            if self.stochastic:
+                self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
+                return self
+            self.keep_one_scale(np.ones(self.system.nx))
+            cases = [(model, judging_windows(unseen, self.n_lags)) for model, unseen in parts]
+            self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
         return self
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state = carry[:, : self.system.nx]
-        mean, variance = self.predicted(carry, control, with_variance=noise is not None)
-        after = self.system.integrate(state, mean)
-        if noise is not None:
-            after = after + self.noise_scale_ * np.sqrt(variance) * self.system.dt * noise
-        return self.remember(carry, control, self.held(carry, control, after))
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        return self.predicted(carry, control, with_variance=False)[0]
+
+    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+        mean, variance = self.predicted(carry, control)
+        after = self.system.integrate(carry[:, : self.system.nx], mean)
+        return after, np.sqrt(variance) * self.system.dt
 
     def predictor(self) -> Predictor | None:
         from sysid_evo.engine.kernels import gaussian_predictor, with_angles

@@ -35,6 +35,7 @@ class HybridOde(NetworkRate, CarFamily):
     """
 
     knowledge = "grey"
+    structure = "physics"
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
     def known_rate(self, state: Array, control: Array) -> Array:

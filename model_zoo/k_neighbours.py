@@ -12,10 +12,12 @@ from sklearn.base import clone
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import Standard, deviation
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -25,7 +27,7 @@ RIDGE = 0.03
 
 
 @register_model("k_neighbours")
-class KNeighbours(DynamicsModel):
+class KNeighbours(Uncertain):
     """The change of the state on a plane fitted to the ``neighbours`` nearest steps (locally weighted regression).
 
     The plain change in one step is used, not the acceleration: a lateral acceleration balances
@@ -42,6 +44,11 @@ class KNeighbours(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "neighbours"
+    searched: ClassVar[dict[str, Searched]] = {
+        "neighbours": Within(3, 60, log=True),
+        "control_weight": Within(0.2, 5.0, log=True),
+    }
     periodic = True
     precision = "float64"  # who the neighbours are hangs on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
@@ -62,7 +69,7 @@ class KNeighbours(DynamicsModel):
         blocks = HeldOut.of(dataset)
 
         def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
-            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1])
+            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1], stochastic=False)
             return trial.fit(part, rng=rng)
 
         self.neighbours_, chosen = best(
@@ -84,6 +91,7 @@ class KNeighbours(DynamicsModel):
             self.low_[i], self.high_[i] = -np.inf, np.inf
         self.changes_ = data.after - data.state
         counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
@@ -105,11 +113,10 @@ class KNeighbours(DynamicsModel):
         inside = np.clip(state, self.low_, self.high_)
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
-    def kernel(self) -> DynamicsKernel | None:
-        return self._compiled
-
     @cached_property
-    def _compiled(self) -> DynamicsKernel | None:
+    def _stepping_kernel(self) -> DynamicsKernel | None:
+        if self.timed:
+            return self._disturbed_kernel()
         from model_zoo.kernels.plane_through_neighbours import plane_predictor
         from sysid_evo.engine.kernels import on_top, with_angles
 

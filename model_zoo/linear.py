@@ -8,17 +8,19 @@ import numpy as np
 
 from model_zoo.channels.integrals import between_limits
 from model_zoo.channels.standard import deviation
-from sysid_evo import Dataset, DynamicsModel, register_model
+from model_zoo.validation.uncertain import Uncertain
+from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
+from sysid_evo.searched import Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
 
 
 @register_model("linear")
-class Linear(DynamicsModel):
+class Linear(Uncertain):
     """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
@@ -28,6 +30,8 @@ class Linear(DynamicsModel):
     """
 
     knowledge = "black"
+    structure = "polynomial"
+    searched: ClassVar[dict[str, Searched]] = {"ridge": Within(1e-6, 100.0, log=True)}
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     ridge: float = 0.0
@@ -49,6 +53,7 @@ class Linear(DynamicsModel):
         solution, *_ = np.linalg.lstsq(left, right, rcond=None)
         self.coefficients_ = solution / scale[:, None]
         self.intercept_ = target_centre - centre @ self.coefficients_
+        self.calibrate(dataset, rng)
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:

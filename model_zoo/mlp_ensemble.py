@@ -11,13 +11,24 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.network import Network
-from model_zoo.validation.held_out import best, lag_candidates, time_blocks, trials
+from model_zoo.validation.held_out import best, lag_candidates, trials
+from model_zoo.validation.horizons import (
+    HORIZONS,
+    MOST_WINDOWS,
+    Case,
+    horizon_scales,
+    persistent_share,
+    usable_horizon,
+)
 from model_zoo.validation.spread import conformal_scale, growth_on_unseen_recordings, rough_fits
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import OneOf, Searched, Within
 
 if TYPE_CHECKING:
     from sysid_evo.engine.kernels import Predictor
@@ -27,7 +38,7 @@ OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
 @register_model("mlp_ensemble")
-class MlpEnsemble(DynamicsModel):
+class MlpEnsemble(Uncertain):
     """The mean acceleration of ``members`` networks of state, control and lagged samples.
 
     Each member learns from the blocks of time that are left when every ``folds``-th is held out
@@ -41,15 +52,21 @@ class MlpEnsemble(DynamicsModel):
     to right, and a flag among the inputs tells which: the two sides share what is alike and may
     differ. The flag is fixed after the fit.
 
-    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step
-    residual, scaled so that 90 % intervals hold 90 % of held-out samples after one second. A fit with
-    ``stochastic`` also holds out whole recordings in turn, and widens the intervals by how much
-    more errors there are than on held-out blocks (`growth_on_unseen_recordings`).
+    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as
+    `Uncertain` says. Such a fit also holds out whole recordings in turn, and widens the intervals by how much more
+    errors there are than on held-out blocks (`growth_on_unseen_recordings`). Switched on after the fit, 90 % intervals
+    hold 90 % of held-out samples after one second.
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24, 24], [96, 96])),
+        "horizon": Within(5, 40, log=True),
+    }
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {
             "members": 3,
@@ -77,7 +94,6 @@ class MlpEnsemble(DynamicsModel):
     input_noise: float = 0.05
     folds: int = 6
     turning: list[str] | None = None
-    stochastic: bool = False
     rest_hold: bool = False
     most_steps: int | None = 100_000
 
@@ -114,8 +130,11 @@ class MlpEnsemble(DynamicsModel):
             self.keep_lags(lags)
             network, _ = trained(dataset, lags, self.members, final)
             self.weights_, self.biases_ = list(network.weights), list(network.biases)
-            growth = growth_on_unseen_recordings(roughly, dataset) if rough else np.ones(self.system.nx)
-        self._calibrate(dataset, growth, rng, lambda: counter.advance(0))
+            growth = growth_on_unseen_recordings(roughly, dataset, steps=HORIZONS) if rough else None
+        if self.stochastic:
+            self._calibrate_horizons(dataset, growth, rng, lambda: counter.advance(0))
+        else:
+            self._calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     @property
@@ -123,17 +142,17 @@ class MlpEnsemble(DynamicsModel):
         """The members: features of (carry, control) to accelerations."""
         return Network(self.weights_, self.biases_)
 
-    @property
-    def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
-        return self.system.nx if self.stochastic else 0
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        return self._members(carry, control).mean(axis=0)
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state, members = carry[:, : self.system.nx], self.network(Features(self.system, self.lags)(carry, control))
-        after = self.system.integrate(state, members.mean(axis=0))
-        if noise is not None:
-            deviation = np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
-            after = after + self.noise_scale_ * deviation * noise
-        return self.remember(carry, control, self.held(carry, control, after))
+    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+        members = self._members(carry, control)
+        after = self.system.integrate(carry[:, : self.system.nx], members.mean(axis=0))
+        return after, np.sqrt(members.var(axis=0) * self.system.dt**2 + self.residual_**2)
+
+    def _members(self, carry: Array, control: Array) -> Array:
+        """Return the accelerations (M, B, nx) of all members."""
+        return self.network(Features(self.system, self.lags)(carry, control))
 
     def predictor(self) -> Predictor | None:
         from sysid_evo.engine.kernels import network_predictor, with_angles
@@ -157,11 +176,11 @@ class MlpEnsemble(DynamicsModel):
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
 
-    def _calibrate(self, dataset: Dataset, growth: Array, rng: np.random.Generator, still: Callable[[], None]) -> None:
+    def _calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None]) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
 
-        Each member simulates the blocks that it did not learn from; its error there times ``growth``
-        (nx,), added to what the whole ensemble simulates, is the truth that the intervals must hold.
+        Each member simulates the blocks that it did not learn from; its error there, added to what the whole ensemble
+        simulates, is the truth that the intervals must hold.
         """
         parts, residuals = [], []
         together = self._deterministic(self.network)
@@ -172,6 +191,37 @@ class MlpEnsemble(DynamicsModel):
             history = windows.past_states, windows.past_controls, windows.controls
             error = windows.states - alone.simulate(*history)
             residuals.append(error[:, 0])
-            parts.append(replace(windows, states=together.simulate(*history) + growth * error))
+            parts.append(replace(windows, states=together.simulate(*history) + error))
         self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
-        self.noise_scale_ = conformal_scale([(self, part) for part in parts], rng, still=still)
+        self.keep_one_scale(conformal_scale([(self, part) for part in parts], rng, still=still))
+
+    def _calibrate_horizons(
+        self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, still: Callable[[], None]
+    ) -> None:
+        """Learn the spread as `Uncertain` has it, from the errors of each member on its held-out blocks.
+
+        They grow by ``growth`` (4, nx), how much larger errors are on recordings never seen after 1, 10, 20, 60 steps.
+        """
+        held = [time_blocks(dataset, member, self.folds)[1] for member in range(self.members)]
+        horizon = usable_horizon(held, self.n_lags)
+        steps = np.arange(1, horizon + 1)
+        factors = np.ones((len(HORIZONS), self.system.nx)) if growth is None else growth
+        times = np.stack([np.interp(steps, HORIZONS, factor) for factor in factors.T], axis=1)
+        cases, residuals, numbers = [], [], []
+        together = self._deterministic(self.network)
+        for member, part in enumerate(held):
+            still()
+            alone = self._alone(member)
+            case = Case.of(self, part, horizon, MOST_WINDOWS // self.members)
+            history = case.windows.past_states, case.windows.past_controls, case.windows.controls
+            error = case.windows.states - alone.simulate(*history)
+            moved = replace(case.windows, states=together.simulate(*history) + times * error)
+            cases.append(replace(case, windows=moved))
+            each = part.windows(1, history=self.n_lags)
+            residuals.append((each.states - alone.simulate(each.past_states, each.past_controls, each.controls))[:, 0])
+            numbers.append(each.start + 10**6 * (each.episode + 1) + 10**9 * member)
+        pooled = np.concatenate(residuals)
+        persistent = persistent_share(pooled, np.concatenate(numbers))
+        residual = np.sqrt(np.mean(pooled**2, axis=0))
+        self.keep_spread(residual, persistent, np.ones_like(factors))
+        self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, still=still))

@@ -15,6 +15,7 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import Searched, Within
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
@@ -36,6 +37,7 @@ class Narx(PolynomialFamily):
     """
 
     knowledge = "black"
+    searched: ClassVar[dict[str, Searched]] = {"degree": Within(1, 3), "terms": Within(4, 64, log=True)}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": None, "terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
@@ -70,6 +72,7 @@ class Narx(PolynomialFamily):
         compressed = Compressed.of(data, self.degree_)
         self._learn(data, self.terms_, compressed, compressed.selection(self.terms_))
         counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def _libraries(self, dataset: Dataset, pairs: list[tuple[int, int]]) -> list[tuple[tuple[int, int], int]]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from model_zoo.car.family import CarFamily, CarRoles
 from model_zoo.car.physics import PHYSICAL, accelerations
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import ModelEvolution
@@ -28,7 +30,7 @@ PARAMETERS = (
 
 
 @register_model("parametrised")
-class Parametrised(CarFamily):
+class Parametrised(CarFamily, Uncertain):
     """A car with thrust, steering, drag, static friction and top speeds; lateral speed is neglected.
 
     With forward speed u, yaw rate r, drive u1 and steer u2 (+1 = left, the paper's sign turned)::
@@ -47,6 +49,7 @@ class Parametrised(CarFamily):
     """
 
     knowledge = "grey"
+    structure = "physics"
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 300},
@@ -79,12 +82,16 @@ class Parametrised(CarFamily):
             history=self.n_lags,
         )
         self.parameters_ = np.abs(best) * scale
+        self.calibrate(dataset, rng)
         return self
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return self._next_states(self.parameters_, carry, control)
 
-    def kernel(self) -> DynamicsKernel | None:
+    @cached_property
+    def _stepping_kernel(self) -> DynamicsKernel | None:
+        if self.timed:
+            return self._disturbed_kernel()
         compiled = self._kernels(self.parameters_[None])
         return None if compiled is None else compiled[0]
 

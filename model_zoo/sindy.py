@@ -20,4 +20,5 @@ class Sindy(ContinuousSparse):
     fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range.
     """
 
+    has_weak_form = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}

@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from model_zoo.sparse.flow import ContinuousSparse
-from model_zoo.sparse.regression import Library
 from sysid_evo import Dataset, register_model
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, above, at_least
@@ -46,8 +45,8 @@ class SindyBagged(ContinuousSparse):
         for _ in range(self.bags):
             counter.advance(0)
             rows = np.concatenate([blocks[block] for block in rng.integers(0, len(blocks), len(blocks))])
-            library = Library.of(data[rows], degree)
-            coefficients = library.coefficients(threshold, self.ridge)
+            library = self.library_of(data[rows], self.lags, degree)
+            coefficients = self.solved(library, threshold)
             self.adopt(data, coefficients, library.exponents)
             fits.append(coefficients)
             errors.append(simulation_error(self, windows))

@@ -49,6 +49,7 @@ class TorchOde(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    structure = "network"
     periodic = True
     requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {

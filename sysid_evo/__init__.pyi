@@ -1,5 +1,5 @@
 from .controllers import Controller, RecurrentNetwork, View
-from .cross_validation import EpisodeFold
+from .cross_validation import ConditionFold, EpisodeFold
 from .data import Dataset, Trajectory, Transitions, Windows
 from .dynamics import Dynamics, DynamicsModel
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
@@ -47,6 +47,7 @@ __all__ = [
     "Champion",
     "Channel",
     "CheckpointFile",
+    "ConditionFold",
     "Controller",
     "ControllerEvolution",
     "Dataset",

@@ -1,4 +1,4 @@
-"""Cross-validation by recordings: scikit-learn's searches over a data set of episodes.
+"""Cross-validation by recordings or blocks of time, also for scikit-learn's searches over a data set of episodes.
 
     search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
     search.fit(dataset)
@@ -16,8 +16,15 @@ import numpy as np
 
 from sysid_evo.arrays import IntArray
 from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.fitting import as_dataset
+
+BLOCKS = 6
+SHORTEST = 30
+FOLDS = 3
+LEAST_SHARE = 0.5
+"""Of the steps that would be left if all recordings were as long: so many must be where some are held out."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,90 @@ class EpisodeFold:
             yield np.flatnonzero(~held), np.flatnonzero(held)
 
 
+@dataclass(frozen=True)
+class ConditionFold:
+    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
+
+    def get_n_splits(
+        self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
+    ) -> int:
+        """Return the number of conditions, as scikit-learn asks for it."""
+        return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
+        dataset = as_dataset(X, "ConditionFold")
+        if len(dataset.conditions) < 2:
+            raise InvalidData(
+                f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
+                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
+            )
+        of_each = np.array([episode.condition for episode in dataset], dtype=object)
+        for condition in dataset.conditions:
+            held = of_each == condition
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
 def recording(name: str) -> str:
     """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
     return name.split("[")[0]
+
+
+def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
+    """Return what is learned from and what is held out: every ``folds``-th block of time of each episode.
+
+    An episode is cut into 6 blocks, fewer if they were shorter than 30 steps; one too short to be
+    cut is only learned from. If nothing can be held out, both sides are the whole data set.
+    """
+    learned: list[Trajectory] = []
+    held: list[Trajectory] = []
+    for number, episode in enumerate(dataset.episodes):
+        blocks = min(BLOCKS, len(episode) // SHORTEST)
+        if blocks < 2:
+            learned.append(episode)
+            continue
+        edges = np.linspace(0, len(episode), blocks + 1).astype(int)
+        out = [(block + number) % min(folds, blocks) == fold % min(folds, blocks) for block in range(blocks)]
+        begin = 0
+        for block in range(1, blocks + 1):
+            if block == blocks or out[block] != out[begin]:
+                (held if out[begin] else learned).append(episode[int(edges[begin]) : int(edges[block])])
+                begin = block
+    if not held or not learned:
+        return dataset, dataset
+    return dataset.with_episodes(learned), dataset.with_episodes(held)
+
+
+def folds_of(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
+    """Return up to ``count`` pairs of what is learned from and what is held out.
+
+    Whole recordings are held out, in groups of about the same length where there are more than ``count``; pieces of one
+    stay together. Of a single recording, or where one is so long that too little would be left without it, blocks of
+    time.
+    """
+    names = [recording(name) for name in dataset.names]
+    if len(set(names)) >= 2:
+        groups = balanced(names, [len(episode) for episode in dataset], min(max(count, 2), len(set(names))))
+        rows = [np.isin(names, list(group)) for group in groups]
+        pairs = [(dataset[np.flatnonzero(~held).tolist()], dataset[np.flatnonzero(held).tolist()]) for held in rows]
+        if all(seen.n_steps >= LEAST_SHARE * dataset.n_steps * (1.0 - 1.0 / len(pairs)) for seen, _ in pairs):
+            return pairs[:count]
+    pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
+    return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
+
+
+def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[list[str]]:
+    """Return the recordings of these episodes in ``count`` groups of about the same length, in their order.
+
+    The longest first, each joins the group that is shortest by then: what was recorded one after the other, such as
+    manoeuvres of one kind, comes into different groups.
+    """
+    length = dict.fromkeys(names, 0)
+    for name, steps in zip(names, lengths, strict=True):
+        length[name] += steps
+    groups: list[list[str]] = [[] for _ in range(count)]
+    for name in sorted(length, key=lambda one: -length[one]):
+        min(groups, key=lambda group: sum(length[one] for one in group)).append(name)
+    return sorted(groups, key=lambda group: min(names.index(one) for one in group))

@@ -15,14 +15,13 @@ RESAMPLES = 300
 
 def weak_region(evidence: Evidence) -> Remark | None:
     """Return the region where the error is clearly larger than elsewhere, see `region_errors`."""
-    history = max(PredictionProtocol.history, evidence.model.n_lags)
-    protocol = PredictionProtocol(history=history, first=history, resamples=RESAMPLES)
+    lags = evidence.model.n_lags
+    protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags), resamples=RESAMPLES)
     cases = measured_cases(evidence.training, evidence.judged, protocol)
     steps = cases.near_horizon
     if steps is None:
         return None
-    windows = cases.windows
-    predicted = evidence.model.simulate(windows.past_states, windows.past_controls, windows.controls[:, :steps])
+    predicted = evidence.model.simulate(*cases.history(lags), cases.windows.controls[:, :steps])
     if not np.isfinite(predicted).all():
         return None
     worst = worst_region(region_errors(cases, predicted, steps))

@@ -7,6 +7,7 @@ from evaluation.comparison.comparing import check_run_folder, compare, finished,
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import DataCell, GivenData, Parts, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, FILE, Experiment
+from evaluation.comparison.exploit_cells import SearchCell
 from evaluation.comparison.model_cells import FitCell, PredictCell, StoredModel
 from evaluation.comparison.planning import Comparison, check_experiment, plan_comparison, unsettled
 from evaluation.comparison.recipes import controller_cell
@@ -27,6 +28,7 @@ __all__ = [
     "PredictCell",
     "RecordedData",
     "RunCell",
+    "SearchCell",
     "Split",
     "StoredModel",
     "check_experiment",

@@ -30,6 +30,9 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
 from sysid_evo.plan import Cell, Outcome, Work
 
+ASSESSMENT = 2
+"""What is found out about models: results of another number are made anew."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunCell(Cell):
@@ -134,6 +137,7 @@ class ExploitCell(Cell):
 
     matrix: Matrix
     data: Cell
+    seed: int
 
     @property
     def title(self) -> str:
@@ -145,10 +149,13 @@ class ExploitCell(Cell):
 
     @property
     def needs(self) -> tuple[Cell, ...]:
-        return (self.data, *self.matrix.champions, *self.matrix.runs)
+        models = (cell for column in self.matrix.columns for cell in column.needs)
+        return (self.data, *self.matrix.champions, *self.matrix.runs, *models)
 
     def inputs(self) -> dict[str, Any]:
         return {
+            "assessment": ASSESSMENT,
+            "seed": self.seed,
             "columns": [[column.label, column.family] for column in self.matrix.columns],
             "rows": [champion.name for champion in self.matrix.champions],
             "robot": self.matrix.robot,
@@ -163,7 +170,14 @@ class ExploitCell(Cell):
             return Outcome(value, None if value is not None else f"{cell.title} failed", 0.0)
 
         matrix = self.matrix.of(outcome)
-        return () if matrix is None else assess_exploitability(matrix, parts.training, parts.test)
+        if matrix is None:
+            return ()
+        found = {one.label: work.result(one.model) for one in self.matrix.columns if one.model is not None}
+        models = {label: model for label, model in found.items() if model is not None}
+        return assess_exploitability(matrix, parts.training, parts.test, models=models, seed=self.seed)
+
+    def seconds(self) -> float:
+        return 1.0 * len(self.matrix.columns)
 
     def save(self, value: tuple[ModelExploitability, ...], path: Path) -> list[Path]:
         return write_json([exploitability_to_json(model) for model in value], path)

@@ -99,7 +99,9 @@ class GivenData(DataCell):
         return self.dataset.system.name or "data"
 
     def inputs(self) -> dict[str, Any]:
-        return {"fingerprint": self.dataset.fingerprint, "split": self.split.inputs()}
+        named = [episode.condition for episode in self.dataset]
+        told = {"conditions": named} if any(named) else {}
+        return {"fingerprint": self.dataset.fingerprint, "split": self.split.inputs(), **told}
 
     def compute(self, work: Work) -> Parts:
         return self.split.of(self.dataset)

@@ -60,7 +60,8 @@ class Experiment(BaseModel):
 
     Everything that has a name is a text in the grammar of `Spec`. Without ``data`` (logs, or a folder
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
-    back, by default the last ``held_back`` share of each. Every model is an ensemble of one;
+    back, by default the last ``held_back`` share of each. With ``leave_out`` every family is also fitted without each
+    condition of the recordings (`Dataset.labelled`) in turn, and tested there. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
     ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
@@ -80,6 +81,7 @@ class Experiment(BaseModel):
     data: tuple[str, ...] | None = None
     columns: str | None = None
     test: tuple[str, ...] | None = None
+    leave_out: Literal["condition"] | None = None
     held_back: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
     robot: str | None = None
     minutes: Annotated[float, Field(ge=0.1)] = 6.0

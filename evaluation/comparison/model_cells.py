@@ -72,7 +72,8 @@ class FitCell(Cell):
         return (self.data,)
 
     def inputs(self) -> dict[str, Any]:
-        return {"model": models.identity(self.spec), "seed": self.seed}
+        used = [models.identity(name) for name in make_model(self.spec).uses()]
+        return {"model": models.identity(self.spec), "seed": self.seed, **({"uses": used} if used else {})}
 
     def compute(self, work: Work) -> DynamicsModel:
         training = work.result(self.data).training
@@ -94,7 +95,8 @@ class FitCell(Cell):
         return load_model(path)
 
     def seconds(self) -> float:
-        return FIT_SECONDS.get(self.preset, 2.0)
+        budget = models.parameters(self.spec.name).get("budget")
+        return float(self.spec.parameters.get("budget", budget or FIT_SECONDS.get(self.preset, 2.0)))
 
 
 @dataclass(frozen=True, eq=False)

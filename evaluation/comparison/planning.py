@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from evaluation.comparison.advice_cells import AdviseCell
 from evaluation.comparison.champion_cells import RECOMMENDED, ChampionCell, EvolveCell
 from evaluation.comparison.columns import Column, runner_of
+from evaluation.comparison.condition_cells import ConditionsCell
 from evaluation.comparison.controller_cells import ExploitCell, Matrix, RunCell
 from evaluation.comparison.data_cells import GivenData, RecordedData, Split
 from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
@@ -60,6 +61,7 @@ class Comparison:
     advice: AdviseCell
     matrix: Matrix | None = None
     exploitability: ExploitCell | None = None
+    conditions: Mapping[str, ConditionsCell] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -103,6 +105,8 @@ def plan_comparison(
         if farthest is not None:
             remarks += evolution.make_task(system).doubts(farthest)
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
+    several = _conditions(experiment, dataset)
+    without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
         still = PredictCell.persistence(data)
@@ -134,15 +138,15 @@ def plan_comparison(
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
             recorded=_is_recorded(data),
         )
-        exploitability = ExploitCell(matrix, data)
+        exploitability = ExploitCell(matrix, data, experiment.seed)
     advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
-    wanted: list[Cell] = [data, *fits.values(), *predictions.values()]
+    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
     again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
     plan = Plan.of(wanted, remarks=remarks, again=again)
-    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
 
 
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -248,6 +252,21 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
     if parts.test is not None and experiment.only != "fit":
         _check_predictable(parts.training, parts.test)
     return GivenData(dataset, split)
+
+
+def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
+    """Return how many conditions are left out in turn, 0 for none. Raises `InvalidArgument` if there is only one."""
+    if experiment.leave_out is None:
+        return 0
+    if experiment.only == "fit":
+        raise InvalidArgument("leave_out: nothing is tested with only = 'fit'; leave one out")
+    found = () if dataset is None else dataset.conditions
+    if len(found) < 2:
+        raise InvalidArgument(
+            "leave_out: expected recordings of two or more conditions, got "
+            f"{len(found)}: name them with sysid-evo import --condition NAME=PATTERN, and give the data set with --data"
+        )
+    return len(found)
 
 
 def _is_recorded(data: Cell) -> bool:

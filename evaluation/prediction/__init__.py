@@ -8,12 +8,13 @@ from evaluation.prediction.persistence import Persistence
 from evaluation.prediction.protocol import PredictionProtocol
 from evaluation.prediction.regions import Region, RegionError, worst_region
 from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
-from evaluation.prediction.scores import Difference, Divergence, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction.scores import Coverage, Difference, Divergence, ErrorScore, ModelPrediction, Prediction
 from evaluation.prediction.storage import FORM, load_prediction, save_prediction
 
 __all__ = [
     "FORM",
     "PERSISTENCE",
+    "Coverage",
     "Difference",
     "Divergence",
     "EpisodeError",

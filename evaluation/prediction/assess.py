@@ -9,6 +9,7 @@ import numpy as np
 from evaluation.prediction import metrics
 from evaluation.prediction.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
 from evaluation.prediction.cases import MeasuredCases, measured_cases
+from evaluation.prediction.coverage import interval_coverage, without_noise
 from evaluation.prediction.episodes import episode_errors
 from evaluation.prediction.forecasts import NEVER, Forecasts, forecast
 from evaluation.prediction.metrics import mean_over_channels
@@ -66,13 +67,9 @@ def assess_model(
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
-    forecasts = forecast(model, cases)
+    forecasts = forecast(without_noise(model), cases)
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
-    if model.n_lags > cases.protocol.history:
-        notes.append(
-            f"{name} wants {model.n_lags} earlier samples and got {cases.protocol.history}: "
-            "the rest was padded with the first state and neutral controls"
-        )
+    notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
     horizon = cases.near_horizon
     return ModelPrediction(
@@ -86,9 +83,25 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         residuals=analyse(step_errors(model, cases.test, first=cases.protocol.first)),
         regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
         episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
+        coverage=interval_coverage(model, cases),
         free_states=forecasts.free_runs,
         notes=tuple(notes),
     )
+
+
+def _short_of_history(name: str, model: DynamicsModel, cases: MeasuredCases) -> list[str]:
+    """Return what there is to say where fewer samples were given than the model wants."""
+    limit, padded = cases.protocol.history, "was padded with the first state and neutral controls"
+    if limit is not None:
+        few = model.n_lags > limit
+        return [f"{name} wants {model.n_lags} earlier samples and got {limit}: the rest {padded}"] if few else []
+    early = int((cases.windows.start < model.n_lags).sum())
+    if model.n_lags <= cases.protocol.first:
+        return []
+    return [
+        f"{name} wants {model.n_lags} earlier samples: for {early} of {len(cases.windows)} windows and the free runs, "
+        f"which begin earlier in their record, the rest {padded}"
+    ]
 
 
 def _at_horizon(forecasts: Forecasts, cases: MeasuredCases, horizon: int) -> ErrorScore:

@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation.prediction.protocol import PredictionProtocol
 from sysid_evo.arrays import Array, BoolArray, IntArray
-from sysid_evo.data import Dataset, Windows
+from sysid_evo.data import Dataset, Trajectory, Windows
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 
@@ -63,6 +63,32 @@ class MeasuredCases:
     def near_horizon(self) -> int | None:
         """A quarter of the main horizon, in steps: so soon after its start that a window is still where it began."""
         return None if self.main_horizon is None else max(1, round(self.main_horizon / 4))
+
+    def history(self, lags: int) -> tuple[Array, Array]:
+        """Return states (N, lags + 1, nx) and controls (N, lags, nu) before the windows, see `before`."""
+        states = np.empty((len(self.windows), lags + 1, self.system.nx))
+        controls = np.empty((len(self.windows), lags, self.system.nu))
+        for number, episode in enumerate(self.test.episodes):
+            rows = self.windows.episode == number
+            states[rows], controls[rows] = self.before(episode, self.windows.start[rows], lags)
+        return states, controls
+
+    def free_history(self, lags: int) -> list[tuple[Array, Array]]:
+        """Return the same before every free run, (1, lags + 1, nx) and (1, lags, nu)."""
+        first = np.array([self.protocol.first])
+        return [self.before(episode, first, lags) for episode in self.test.episodes if len(episode) > first[0]]
+
+    def before(self, episode: Trajectory, starts: IntArray, lags: int) -> tuple[Array, Array]:
+        """Return ``lags`` samples before each of the ``starts`` (N,); of what is not given, first state and neutral.
+
+        What is not given lies before the record, or is older than the protocol's ``history``.
+        """
+        given = starts if self.protocol.history is None else np.minimum(starts, self.protocol.history)
+        places = starts[:, None] + np.arange(-lags, 1)
+        oldest = (starts - given)[:, None]
+        controls = episode.controls[np.maximum(places[:, :-1], 0)]
+        made_up = (places[:, :-1] < oldest)[:, :, None]
+        return episode.states[np.maximum(places, oldest)], np.where(made_up, self.system.neutral_control, controls)
 
 
 def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtocol) -> MeasuredCases:
@@ -119,7 +145,7 @@ def _windows(test: Dataset, protocol: PredictionProtocol) -> tuple[Windows, tupl
         windows = test.windows(
             protocol.horizons[count - 1],
             stride=protocol.stride,
-            history=protocol.history,
+            history=protocol.given,
             first=protocol.first,
             moving=True,
         )
@@ -136,7 +162,7 @@ def _window_blocks(windows: Windows, size: int) -> IntArray:
 
 
 def _free_runs(test: Dataset, protocol: PredictionProtocol) -> tuple[FreeRun, ...]:
-    first, begin = protocol.first, protocol.first - protocol.history
+    first, begin = protocol.first, protocol.first - protocol.given
     return tuple(
         FreeRun(
             episode=episode.name,

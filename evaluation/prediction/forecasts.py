@@ -29,13 +29,10 @@ class Forecasts:
 
 def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
     """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
-    w = cases.windows
-    windows, touched = _simulate(model, w.past_states, w.past_controls, w.controls, cases.guard)
+    windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
     free_runs, free_touched = [], []
-    for run in cases.free_runs:
-        states, first = _simulate(
-            model, run.past_states[None], run.past_controls[None], run.controls[None], cases.guard
-        )
+    for run, history in zip(cases.free_runs, cases.free_history(model.n_lags), strict=True):
+        states, first = _simulate(model, *history, run.controls[None], cases.guard)
         free_runs.append(states[0])
         free_touched.append(int(first[0]))
     return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
@@ -44,12 +41,6 @@ def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
 def _simulate(
     model: DynamicsModel, past_states: Array, past_controls: Array, controls: Array, guard: Array
 ) -> tuple[Array, IntArray]:
-    missing = max(0, model.n_lags - past_controls.shape[1])
-    if missing:
-        first = np.repeat(past_states[:, :1], missing, axis=1)
-        neutral = np.tile(model.system.neutral_control, (len(past_controls), missing, 1))
-        past_states = np.concatenate([first, past_states], axis=1)
-        past_controls = np.concatenate([neutral, past_controls], axis=1)
     if not len(controls):
         return np.empty((*controls.shape[:2], past_states.shape[2])), np.empty(0, dtype=np.int64)
     states = model.simulate(past_states, past_controls, controls)

@@ -11,11 +11,11 @@ from sysid_evo.errors import InvalidArgument
 class PredictionProtocol:
     """Which windows are simulated, which errors count, and how the intervals are drawn.
 
-    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves; it
-    has ``history`` earlier samples and is simulated freely for the longest of ``horizons`` (steps)
-    under the recorded controls. The error counts *at* each horizon, not averaged over the way to
-    it, and only where the target moves. A free run starts at sample ``first`` of each episode and
-    goes on to its end.
+    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is
+    simulated freely for the longest of ``horizons`` (steps) under the recorded controls. A model is given
+    as many earlier samples as it wants, if the record has them, but ``history`` at most. The error counts *at*
+    each horizon, not averaged over the way to it, and only where the target moves. A free run starts at sample
+    ``first`` of each episode and goes on to its end.
 
     Windows overlap, so intervals come from a bootstrap over blocks: ``block_windows`` consecutive
     windows, or ``block_samples`` consecutive samples of a free run, drawn ``resamples`` times.
@@ -25,7 +25,7 @@ class PredictionProtocol:
 
     horizons: tuple[int, ...] = (1, 10, 20, 60)
     stride: int = 4
-    history: int = 5
+    history: int | None = None
     first: int = 5
     block_windows: int = 15
     block_samples: int = 100
@@ -41,7 +41,7 @@ class PredictionProtocol:
         for name in ("stride", "block_windows", "block_samples", "resamples"):
             if getattr(self, name) < 1:
                 raise InvalidArgument(f"protocol: expected {name} >= 1, got {getattr(self, name)}")
-        if not 0 <= self.history <= self.first:
+        if not 0 <= self.given <= self.first:
             raise InvalidArgument(
                 f"protocol: expected 0 <= history <= first, got history {self.history}, first {self.first}"
             )
@@ -51,10 +51,20 @@ class PredictionProtocol:
                 f"got {self.confidence} and {self.guard_multiple}"
             )
 
+    @property
+    def given(self) -> int:
+        """Earlier samples that every window has."""
+        return self.first if self.history is None else self.history
+
+    @property
+    def history_in_words(self) -> str:
+        """How much history models are given."""
+        return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
+
     def describe(self, dt: float) -> str:
         """Return the rules in one sentence; ``dt`` is in seconds."""
         return (
-            f"Free run under recorded controls from measured states with {self.history} samples of history; "
+            f"Free run under recorded controls from measured states with {self.history_in_words}; "
             f"starts every {self.stride} samples where the body moves; error at the horizon; dt {dt:g} s; "
             f"{100 * self.confidence:g} % intervals by bootstrap over blocks of {self.block_windows} windows."
         )

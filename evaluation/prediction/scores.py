@@ -15,6 +15,9 @@ from evaluation.prediction.residuals import Residuals
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 
+HONEST = 0.05
+"""By how much a coverage may miss its aim."""
+
 
 @dataclass(frozen=True)
 class ErrorScore:
@@ -46,6 +49,29 @@ class ErrorScore:
 
 
 @dataclass(frozen=True)
+class Coverage:
+    """How many measured states lay in a model's intervals ``horizon`` steps after a measured start.
+
+    ``inside`` (nx,) is the share for each channel, of ``samples`` targets; the intervals are to hold ``share``.
+    """
+
+    horizon: int
+    samples: int
+    share: float
+    inside: Array
+
+    @property
+    def mean(self) -> float:
+        """The mean share over channels."""
+        return float(np.mean(self.inside))
+
+    @property
+    def honest(self) -> bool:
+        """Whether that share is within five hundredths of what the intervals are to hold."""
+        return abs(self.mean - self.share) <= HONEST
+
+
+@dataclass(frozen=True)
 class Divergence:
     """How often and when simulations reached the model's envelope or the guard.
 
@@ -64,7 +90,8 @@ class ModelPrediction:
 
     ``curve`` (H,) is N after each step up to the longest horizon, ``curve_interval`` (2, H) its interval at each of
     them; ``free_states`` are the predicted states (T, nx) of each free run. ``regions`` are those of
-    the near horizon, the worst first.
+    the near horizon, the worst first. ``coverage`` is that of the intervals at every horizon, of a model that gives a
+    spread. Errors are those of the run without noise.
     """
 
     name: str
@@ -77,6 +104,7 @@ class ModelPrediction:
     residuals: Residuals | None = field(default=None, repr=False)
     regions: tuple[RegionError, ...] = field(default=(), repr=False)
     episodes: tuple[EpisodeError, ...] = field(default=(), repr=False)
+    coverage: tuple[Coverage, ...] = ()
     free_states: tuple[Array, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
     reason: str = ""

@@ -16,7 +16,7 @@ from evaluation.prediction.bootstrap import Interval
 from evaluation.prediction.episodes import EpisodeError
 from evaluation.prediction.regions import Region, RegionError
 from evaluation.prediction.residuals import Residuals
-from evaluation.prediction.scores import Divergence, ErrorScore, ModelPrediction
+from evaluation.prediction.scores import Coverage, Divergence, ErrorScore, ModelPrediction
 from sysid_evo.errors import ArtefactError
 from sysid_evo.files import write_atomically
 
@@ -39,6 +39,7 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
     for i, score in enumerate(_all_scores(prediction)):
         tensors.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
         scores.append({"horizon": score.horizon, "samples": score.samples, "interval": _plain(score.interval)})
+    tensors.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
     divergence = prediction.divergence
     value = {
         "name": prediction.name,
@@ -55,6 +56,9 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
         "residuals": None if residuals is None else residuals.samples,
         "regions": [_region_to_json(region) for region in prediction.regions],
         "episodes": [episode.name for episode in prediction.episodes],
+        "coverage": [
+            {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
+        ],
         "notes": list(prediction.notes),
     }
     payload = save({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()})
@@ -89,6 +93,9 @@ def load_prediction(path: Path) -> ModelPrediction:
             episodes=tuple(
                 EpisodeError(name, tensors[f"episode.{i}.n"], tensors[f"episode.{i}.fit"])
                 for i, name in enumerate(value["episodes"])
+            ),
+            coverage=tuple(
+                Coverage(**held, inside=tensors[f"coverage.{i}"]) for i, held in enumerate(value["coverage"])
             ),
             free_states=tuple(tensors[f"free_states.{i}"] for i in range(value["free_runs"])),
             notes=tuple(value["notes"]),

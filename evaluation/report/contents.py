@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from evaluation.advice import ModelAdvice
 from evaluation.exploitability import ModelExploitability
 from evaluation.prediction import ModelPrediction, Prediction, measured_cases
+from evaluation.prediction.conditions import ConditionErrors
 from evaluation.transfer import TransferMatrix, TransferSummary, summarise
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -83,7 +84,8 @@ class Report:
 
     ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
     are in seconds and the only thing that differs between two equal runs. ``controllers`` gives the file
-    of each controller, relative to the folder of the run.
+    of each controller, relative to the folder of the run. ``conditions`` are the errors of each model within and
+    across conditions, if these were left out.
     """
 
     title: str
@@ -98,6 +100,7 @@ class Report:
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
+    conditions: Mapping[str, tuple[ConditionErrors, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, comparison: Comparison, store: Store) -> Report:
@@ -131,6 +134,11 @@ class Report:
             settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
             versions=versions(),
             controllers=_controllers(comparison, store),
+            conditions={
+                label: outcome.value
+                for label, cell in comparison.conditions.items()
+                if (outcome := store.outcome(cell)).value is not None
+            },
             timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
         )
 

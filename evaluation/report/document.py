@@ -11,7 +11,7 @@ import numpy as np
 
 from evaluation.advice import advice_to_json
 from evaluation.exploitability import ModelExploitability
-from evaluation.prediction import Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
+from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
 from evaluation.report.verdict import verdict
@@ -38,6 +38,11 @@ def to_json(report: Report) -> dict[str, Any]:
         "notes": report.notes,
         "models": [asdict(model) for model in report.models],
         "prediction": None if report.prediction is None else _prediction(report.prediction),
+        **(
+            {"conditions": {label: [asdict(one) for one in errors] for label, errors in report.conditions.items()}}
+            if report.conditions
+            else {}
+        ),
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
@@ -81,6 +86,7 @@ def _model(model: ModelPrediction, horizons: Sequence[int], system: System) -> d
         "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
         "episodes": [_episode(episode, horizons, system) for episode in model.episodes],
         "divergence": None if model.divergence is None else asdict(model.divergence),
+        "coverage": [_coverage(held, system) for held in model.coverage],
         "notes": model.notes,
     }
 
@@ -134,6 +140,18 @@ def _score(score: ErrorScore, system: System) -> dict[str, Any]:
         "n": score.n,
         "interval": list(score.interval),
         "channels": channels,
+    }
+
+
+def _coverage(held: Coverage, system: System) -> dict[str, Any]:
+    return {
+        "steps": held.horizon,
+        "seconds": held.horizon * system.dt,
+        "samples": held.samples,
+        "aim": held.share,
+        "mean": held.mean,
+        "honest": held.honest,
+        "channels": dict(zip(system.state_names, held.inside, strict=True)),
     }
 
 

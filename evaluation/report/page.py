@@ -17,7 +17,9 @@ from evaluation.report.tables import (
     advice_sheet,
     channel_list,
     channel_sheet,
+    condition_sheet,
     controller_sheet,
+    coverage_sheet,
     difference_sheet,
     episode_error_sheet,
     episode_sheet,
@@ -159,7 +161,14 @@ def _prediction(report: Report) -> Section:
     channels = [channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)]
     return Section(
         "Prediction",
-        [prediction_sheet(prediction), *compared, *pictures, *where, *channels],
+        [
+            prediction_sheet(prediction),
+            *_present(coverage_sheet(prediction), condition_sheet(report.conditions)),
+            *compared,
+            *pictures,
+            *where,
+            *channels,
+        ],
         ["A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."]
         if report.matrix is not None
         else [],

@@ -81,7 +81,7 @@ def horizon_picture(prediction: Prediction) -> Picture:
     return Picture(
         "Error over the horizon",
         "N at every step of a free run under recorded controls from measured states "
-        f"({prediction.cases.protocol.history} samples of history). Bands: intervals of the block bootstrap. Vertical "
+        f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
         "lines: the horizons of the table.",
         (panel,),
         legend,

@@ -59,7 +59,30 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
     ]
     if clipped:
         answers.append(f"Simulations reach their clip: {', '.join(clipped)}.")
+    answers += [sentence for model in models if (sentence := intervals_hold(prediction, model))]
     return tuple(answers)
+
+
+def intervals_hold(prediction: Prediction, model: ModelPrediction) -> str:
+    """Return in a sentence what a model's intervals hold; empty for a model without a spread."""
+    if not model.coverage:
+        return ""
+    aim = percent(model.coverage[0].share)
+    wrong = [held for held in model.coverage if not held.honest]
+    if not wrong:
+        shares = sorted(held.mean for held in model.coverage)
+        horizons = ", ".join(str(held.horizon) for held in model.coverage)
+        return (
+            f"The {aim} intervals of {model.name} are honest: they hold {percent(shares[0])} to {percent(shares[-1])} "
+            f"after {horizons} steps."
+        )
+    parts = []
+    for held in wrong:
+        narrow = held.mean < held.share
+        amount = f"{'only ' if narrow else ''}{percent(held.mean)}"
+        verdict = "too narrow" if narrow else "wider than they need be"
+        parts.append(f"hold {amount} after {horizon_name(prediction, held.horizon)}: {verdict}")
+    return f"The {aim} intervals of {model.name} {'; they '.join(parts)}."
 
 
 def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: int | None) -> str:

@@ -39,8 +39,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
         reasons = [_indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [_indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
-    if (sheet := overview_sheet(report)) is not None:
-        parts += to_rich(sheet)
+    for sheet in (overview_sheet(report), sheets_of.condition_sheet(report.conditions)):
+        parts += [] if sheet is None else to_rich(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
         parts.append(Text.assemble(("Drive with the chosen controller: ", "bold"), command, overflow="fold"))
@@ -106,6 +106,7 @@ def _sheets(report: Report) -> list[Sheet]:
     if report.prediction is not None:
         sheets.append(sheets_of.prediction_sheet(report.prediction))
         found = (
+            sheets_of.coverage_sheet(report.prediction),
             sheets_of.difference_sheet(report.prediction),
             sheets_of.region_sheet(report.prediction),
             sheets_of.residual_sheet(report.prediction),
@@ -116,6 +117,8 @@ def _sheets(report: Report) -> list[Sheet]:
         ends = (main_horizon(report.prediction), *report.prediction.horizons[-1:])
         chosen = [horizon for horizon in dict.fromkeys(ends) if horizon in report.prediction.horizons]
         sheets += [sheets_of.channel_sheet(report.prediction, horizon) for horizon in chosen]
+    if (conditions := sheets_of.condition_sheet(report.conditions)) is not None:
+        sheets.append(conditions)
     if report.matrix is not None and report.transfer is not None:
         sheets.append(sheets_of.transfer_sheet(report.matrix))
         sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -103,6 +103,18 @@ class SensedRobot(SimulatedRobot):
         a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
         """
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
+        return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Drive these manoeuvres, each a session of its own begun where the robot is let go."""
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
         done, reason, detail = 0, Reason.PILOT, ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -82,6 +82,18 @@ class GymnasiumRobot(Robot):
 
         samples_each(self.environment, duration)
         return []
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
+        raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
 
     def record(
         self,

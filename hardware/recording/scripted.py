@@ -204,6 +204,20 @@ def record_dataset(
     """
     check_loop(robot.system)
     manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(seed))
+    return record_manoeuvres(robot, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+
+
+def record_manoeuvres(
+    robot: Connectable,
+    manoeuvres: Sequence[Manoeuvre],
+    *,
+    seed: int,
+    folder: Path | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record these manoeuvres on a robot, and prepare what was recorded, see `record_dataset`."""
+    check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if folder is None else folder
         report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)

@@ -13,8 +13,8 @@ from model_zoo.networks.multistep import Plan
 from model_zoo.networks.network import Network
 from model_zoo.networks.standardised import StandardisedModel
 from model_zoo.networks.trainings import Trainings
-from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
 
 FOLDS = 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from model_zoo.channels.features import Features
 from model_zoo.channels.integrals import between_limits, integrals, next_state, next_state_predictor
 from model_zoo.sparse.polynomial import equation, evaluate
+from model_zoo.sparse.stability import Stability, stability
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
@@ -23,7 +25,8 @@ if TYPE_CHECKING:
 class Regression:
     """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx).
 
-    ``added`` (nx,) says of which states the targets are changes.
+    ``added`` (nx,) says of which states the targets are changes. ``sample`` (N,) numbers the steps, with a gap where
+    one does not follow the one before.
     """
 
     regressors: Array
@@ -31,18 +34,22 @@ class Regression:
     measured: Array
     states: Array
     added: BoolArray
+    sample: IntArray | None = None
 
     def __getitem__(self, rows: IntArray) -> Regression:
-        return Regression(self.regressors[rows], self.targets[rows], self.measured[rows], self.states[rows], self.added)
+        sample = None if self.sample is None else self.sample[rows]
+        measured, states = self.measured[rows], self.states[rows]
+        return Regression(self.regressors[rows], self.targets[rows], measured, states, self.added, sample)
 
 
-class PolynomialFamily(DynamicsModel):
+class PolynomialFamily(Uncertain):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
     The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
-    in its own `regression`, `left_sides`, `next_state` and `predictor`. With functions there is no compiled form.
+    in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
     """
 
+    structure = "polynomial"
     periodic = True
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
@@ -66,10 +73,15 @@ class PolynomialFamily(DynamicsModel):
         """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
         used = np.flatnonzero(np.any(coefficients != 0, axis=1))
         used = used if len(used) else np.array([0])
+        seen = self.kept_features(exponents[used])
         self.coefficients_ = np.ascontiguousarray(coefficients[used])
-        self.exponents_ = np.ascontiguousarray(exponents[used])
-        self.low_, self.high_ = data.measured.min(axis=0), data.measured.max(axis=0)
+        self.exponents_ = np.ascontiguousarray(exponents[used][:, seen])
+        self.low_, self.high_ = data.measured.min(axis=0)[seen], data.measured.max(axis=0)[seen]
         self.added_ = data.added.astype(np.float64)
+
+    def kept_features(self, exponents: IntArray) -> IntArray:
+        """Return which features to go on with, those of terms with ``exponents`` (T, n) among them; by default all."""
+        return np.arange(exponents.shape[1])
 
     def polynomial(self, carry: Array, control: Array) -> Array:
         """Return the right-hand side (B, nx), its features clipped to the training range."""
@@ -88,7 +100,7 @@ class PolynomialFamily(DynamicsModel):
         from sysid_evo.engine.kernels import polynomial_predictor, with_angles, within
 
         if self.features.functions:
-            return None
+            return self._of_functions()
         seen = len(self.features.names) - self.system.nu
         levels = [
             None if channel.levels is None else np.clip(channel.levels, low, high)
@@ -97,6 +109,32 @@ class PolynomialFamily(DynamicsModel):
         sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu, levels=levels)
         clipped = within(sums, self.low_, self.high_, seen)
         return with_angles(clipped, self.system, self.lags)
+
+    def _of_functions(self) -> Predictor:
+        """Return the compiled form where some features are functions of (carry, control)."""
+        from sysid_evo.engine.kernels import polynomial_predictor
+        from sysid_evo.engine.kernels.functions import SeenRow, of_functions
+
+        rows, held = self.features.rows, self.layout.size
+        found = [
+            SeenRow(row.function, row.place if row.place < held else row.place - held, row.factor, low, high)
+            for row, low, high in zip(rows, self.low_, self.high_, strict=True)
+        ]
+        of_carry = [i for i, row in enumerate(rows) if row.place < held]
+        of_control = [i for i, row in enumerate(rows) if row.place >= held]
+        exponents = self.exponents_[:, [*of_carry, *of_control]]
+        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control), one_code=True)
+        return of_functions(sums, [found[i] for i in of_carry], [found[i] for i in of_control])
+
+    @cached_property
+    def stability(self) -> Stability:
+        """How disturbances grow and how free runs end; found when it is asked for."""
+        return stability(self.variant(stochastic=False))
+
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, and of an equation that runs away."""
+        return ", and ".join(part for part in (super().fit_note, self.stability.sentence) if part)
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""

@@ -1,4 +1,4 @@
-"""What the SINDy families share: pysindy fits, simulation of held-out blocks chooses."""
+"""What the SINDy families share: a library, an optimiser, pysindy fits, simulation of held-out blocks chooses."""
 
 from __future__ import annotations
 
@@ -12,15 +12,21 @@ import numpy as np
 
 from model_zoo.channels.features import Features
 from model_zoo.channels.standard import root_mean_square
+from model_zoo.sparse.constraints import bounded_fit, bounds
 from model_zoo.sparse.family import PolynomialFamily, Regression
+from model_zoo.sparse.libraries import WeakForm, basis_of, read_library
+from model_zoo.sparse.optimizers import counts_rows, make_optimizer, read_optimizer, run
 from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, evaluate, library_size, monomials
+from model_zoo.sparse.pysindy_objects import named_library, named_optimizer
+from model_zoo.sparse.weak import testing_functions
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.searched import Searched, Within
 from sysid_evo.system import System
 
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
@@ -41,16 +47,23 @@ class Library:
     """What a coefficient of each term and target (T, nx) is measured in."""
 
     @classmethod
-    def of(cls, data: Regression, degree: int) -> Library:
-        """Return all monomials up to ``degree``. Raises `InvalidData` if there are fewer than two steps."""
+    def of(
+        cls, data: Regression, exponents: IntArray, *, weak: WeakForm | None = None, dt: float = 0.0, rows: bool = False
+    ) -> Library:
+        """Return the monomials with ``exponents``, perhaps in the weak form, with ``rows`` of the data as they are.
+
+        Raises `InvalidData` if there are fewer than two steps.
+        """
         if len(data.regressors) < 2:
             raise InvalidData("data set: a sparse regression needs at least two steps")
         scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
-        exponents = monomials(len(scale), degree)
         terms, targets = evaluate(data.regressors / scale, exponents), data.targets / target_scale
         unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
         count = len(exponents)
-        if len(terms) > count + targets.shape[1]:
+        if weak is not None and data.sample is not None:
+            tested = testing_functions(data.sample, dt, weak)
+            terms, targets = tested @ terms, tested @ targets
+        if not rows and len(terms) > count + targets.shape[1]:
             factor: Array = np.asarray(np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r"))
             terms, targets = factor[:count, :count], factor[:count, count:]
         return cls(terms, targets, exponents, unit)
@@ -71,9 +84,49 @@ class Library:
             search.fit(self.terms, self.targets)
         return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
 
+    def found_by(self, optimizer: str, seed: int) -> Array:
+        """Return the coefficients (T, nx) of the raw quantities that an optimiser of pysindy finds."""
+        return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
+
+    def found_within(self, optimizer: str, low: Array, high: Array, ridge: float, seed: int) -> Array:
+        """Return the coefficients (T, nx) between ``low`` and ``high`` of the terms that an optimiser finds.
+
+        An optimiser that takes constraints is given them; the terms that it leaves are fitted anew within the bounds.
+        """
+        low, high = low / self.unit, high / self.unit
+        found = np.zeros_like(low)
+        for state in range(self.targets.shape[1]):
+            least, most, target = low[:, state], high[:, state], self.targets[:, state : state + 1]
+            free = ~(least == most)
+            used = np.zeros(len(free), dtype=bool)
+            if free.any():
+                rest = target - self.terms @ np.where(free, 0.0, least)[:, None]
+                search = make_optimizer(optimizer, **_as_matrices(optimizer, least[free], most[free]))
+                used[free] = run(search, self.terms[:, free], rest, seed)[:, 0] != 0
+            found[:, state] = bounded_fit(self.terms, target[:, 0], least, most, used, ridge)
+        return found * self.unit
+
+
+def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
+    """Return the constraints of one equation as ConstrainedSR3 takes them; nothing for other optimisers."""
+    spec = read_optimizer(optimizer)
+    below, above = np.isfinite(high), np.isfinite(low)
+    if spec.name != "ConstrainedSR3" or not (below.any() or above.any()):
+        return {}
+    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty, and its solver more rounds
+    each = np.eye(len(low))
+    return {
+        "constraint_lhs": np.concatenate([each[below], -each[above]]),
+        "constraint_rhs": np.concatenate([high[below], -low[above]]),
+        "inequality_constraints": True,
+        **{name: value for name, value in usual.items() if name not in spec.parameters},
+    }
+
 
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
-"""Degree, threshold, lags."""
+"""Degree (0 with a library of its own), threshold, lags."""
+SEED = 0
+"""Of optimisers that draw, while settings are tried."""
 
 
 class SparsePolynomial(PolynomialFamily):
@@ -84,29 +137,123 @@ class SparsePolynomial(PolynomialFamily):
     simulation error over one second on held-out blocks of time: the setting with the fewest terms among those
     within 5 % of the best. Settings that diverge there are never chosen if one does not. With ``lag_search="few"``
     only none, and lags that are enough for dead time and slow actuators, are tried.
+
+    ``library`` and ``optimizer`` name what pysindy's users know, with arguments (see `libraries`, `optimizers`), such
+    as "polynomial(degree=2) + fourier(n_frequencies=2)" and "SR3(reg_weight_lam=0.1)"; in Python pysindy's own
+    objects will do, which are stored as their names. An optimiser sees quantities divided by their root mean squares.
+    ``constraints`` says what is known of coefficients: "damping of yaw_rate <= 0", "steer in forward_speed = 0".
     """
 
     knowledge = "dark grey"
     requires = ("pysindy",)
+    searched: ClassVar[dict[str, Searched]] = {
+        "degree": Within(1, 3),
+        "threshold": Within(0.003, 1.0, log=True),
+        "ridge": Within(1e-6, 0.1, log=True),
+    }
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
+    has_weak_form: ClassVar[bool] = False
 
     degree: int | None = None
     threshold: float | None = None
     ridge: float = 1e-3
     functions: list[str] | None = None
+    library: str | None = None
+    optimizer: str | None = None
+    constraints: list[str] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
     most_steps: int | None = 100_000
 
+    def check_parameters(self) -> None:
+        """Turn objects of pysindy into their names, and refuse what cannot be named or does not go together."""
+        for name, named in (("library", named_library), ("optimizer", named_optimizer)):
+            given = getattr(self, name)
+            if given is not None and not isinstance(given, str):
+                setattr(self, name, named(given))
+        super().check_parameters()
+        if self.library is not None:
+            named_terms = read_library(self.library)
+            if self.degree is not None:
+                raise InvalidArgument(f"degree={self.degree}: say it in the library: polynomial(degree={self.degree})")
+            if named_terms.weak is not None and not self.has_weak_form:
+                raise InvalidArgument(f"{type(self).__name__} has no weak form; sindy has")
+        if self.optimizer is not None:
+            read_optimizer(self.optimizer)
+            if self.threshold is not None:
+                raise InvalidArgument(f"threshold: say it in the optimizer: STLSQ(threshold={self.threshold})")
+
     def check_system(self, system: System) -> None:
-        self.features_of(system, (0, 0))
+        (fewest, few), (most, many) = np.sort(self._lag_candidates(), axis=0)[[0, -1]].tolist()
+        self.features_of(system, (fewest, few))
+        if self.optimizer is not None:
+            make_optimizer(self.optimizer)
+        if self.constraints:
+            exponents = self.terms_of(system, (most, many), self.degree or max(DEGREES))
+            bounds(self.constraints, exponents, self.features_of(system, (most, many)).names, system.state_names)
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
-        return Features(system, lags, tuple(self.functions or ()))
+        asked = tuple(self.functions or ())
+        features = Features(system, lags, asked)
+        if self.library is None:
+            return features
+        return Features(system, lags, (*asked, *basis_of(self.library, features).functions))
+
+    @property
+    def features(self) -> Features:
+        """What the polynomial sees of (carry, control): of a library's functions those that it has a term of."""
+        if self.library is None:
+            return super().features
+        return Features(self.system, self.lags, tuple(self.used_functions_))
+
+    def terms_of(self, system: System, lags: tuple[int, int], degree: int) -> IntArray:
+        """Return the exponents (T, n) of the candidate terms over `features_of`."""
+        if self.library is None:
+            return monomials(len(self.features_of(system, lags).names), degree)
+        return basis_of(self.library, Features(system, lags, tuple(self.functions or ()))).exponents
+
+    def kept_features(self, exponents: IntArray) -> IntArray:
+        if self.library is None:
+            return super().kept_features(exponents)
+        features = self.features_of(self.system, self.lags)
+        plain, used = len(features.plain_names), np.sum(exponents, axis=0) > 0
+        kept = np.flatnonzero(used | (np.arange(len(used)) < plain))
+        self.used_functions_ = [features.functions[i - plain] for i in kept if i >= plain]
+        return kept
+
+    def library_of(self, data: Regression, lags: tuple[int, int], degree: int) -> Library:
+        """Return the candidate terms of ``data``."""
+        weak = None if self.library is None else read_library(self.library).weak
+        rows = self.optimizer is not None and counts_rows(self.optimizer)
+        exponents = self.terms_of(self.system, lags, degree)
+        return Library.of(data, exponents, weak=weak, dt=self.system.dt, rows=rows)
+
+    def sampled(self, dataset: Dataset, lags: tuple[int, int]) -> IntArray | None:
+        """Return the numbers (N,) of the steps that are learned from, for the weak form; None without it."""
+        if self.library is None or read_library(self.library).weak is None:
+            return None
+        history = max(lags)
+        windows = dataset.windows(1, history=history, moving=True)
+        windows = windows if len(windows) else dataset.windows(1, history=history)
+        begins = np.cumsum([0, *(len(episode) + 2 for episode in dataset.episodes)])
+        return np.asarray(begins[windows.episode] + windows.start, dtype=np.int64)
+
+    def solved(self, library: Library, threshold: float, seed: int = SEED) -> Array:
+        """Return the coefficients (T, nx) of a library."""
+        if self.optimizer is None and not self.constraints:
+            return library.coefficients(threshold, self.ridge)
+        optimizer = self.optimizer or f"STLSQ(threshold={threshold!r}, alpha={self.ridge!r})"
+        if not self.constraints:
+            return library.found_by(optimizer, seed)
+        names = self.features_of(self.system, self.lags).names
+        low, high = bounds(
+            self.constraints, library.exponents, names, self.system.state_names, as_far_as_there=self.degree is None
+        )
+        return library.found_within(optimizer, low, high, self.ridge, seed)
 
     def learn(
         self,
@@ -118,19 +265,25 @@ class SparsePolynomial(PolynomialFamily):
     ) -> None:
         """Learn the polynomial from all of ``dataset``, once degree, threshold and lags are chosen."""
         data = self.regression(dataset, self.lags)
-        library = Library.of(data, degree)
-        self.adopt(data, library.coefficients(threshold, self.ridge), library.exponents)
+        library = self.library_of(data, self.lags, degree)
+        seed = int(rng.integers(2**32)) if self.optimizer is not None else SEED
+        self.adopt(data, self.solved(library, threshold, seed), library.exponents)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
         counter = Counter(progress, trials(settings) * FOLDS + 1)
         judged = self._judged(dataset, settings, counter) if len(settings) > 1 else {}
-        self.degree_, self.threshold_, lags = best(
+        degree, threshold, lags = best(
             settings, lambda setting: judged[setting][0], size=lambda setting: judged[setting][1]
         )
         self.keep_lags(lags)
-        self.learn(dataset, self.degree_, self.threshold_, rng, counter)
+        if self.library is None:
+            self.degree_ = degree
+        if self.optimizer is None:
+            self.threshold_ = threshold
+        self.learn(dataset, degree, threshold, rng, counter)
         counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def _judged(
@@ -152,16 +305,18 @@ class SparsePolynomial(PolynomialFamily):
         self, setting: Setting, blocks: HeldOut, shared: dict[int, tuple[Regression, Library]], counter: Counter
     ) -> tuple[float, int]:
         degree, threshold, lags = setting
-        trial = self.variant(degree=degree, threshold=threshold, state_lags=lags[0], control_lags=lags[1])
+        own = {} if self.library is not None else {"degree": degree}
+        searched = {} if self.optimizer is not None else {"threshold": threshold}
+        trial = self.variant(**own, **searched, state_lags=lags[0], control_lags=lags[1])
         size = FOLDS * trial.n_carry  # what has to be remembered counts too
 
         def learned(part: Dataset) -> DynamicsModel:
             nonlocal size
             if id(part) not in shared:
                 data = trial.regression(part, lags)
-                shared[id(part)] = data, Library.of(data, degree)
+                shared[id(part)] = data, trial.library_of(data, lags, degree)
             data, library = shared[id(part)]
-            trial.adopt(data, library.coefficients(threshold, self.ridge), library.exponents)
+            trial.adopt(data, trial.solved(library, threshold), library.exponents)
             size += int(np.count_nonzero(trial.coefficients_))
             return trial
 
@@ -171,11 +326,22 @@ class SparsePolynomial(PolynomialFamily):
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
-        offered = self.few_lags if self.lag_search == "few" else self.offered_lags
-        lags = lag_candidates(self.state_lags, self.control_lags, offered)
-        every = list(product(degrees, thresholds, lags))
+        lags = self._lag_candidates()
+        every = list(
+            product(
+                (0,) if self.library is not None else degrees,
+                (0.0,) if self.optimizer is not None else thresholds,
+                lags,
+            )
+        )
 
         def terms(setting: Setting) -> int:
+            if self.library is not None:
+                return len(self.terms_of(dataset.system, setting[2], 0))
             return library_size(len(self.features_of(dataset.system, setting[2]).names), setting[0])
 
         return [setting for setting in every if terms(setting) <= MOST_TERMS[self.lag_search]] or [every[0]]
+
+    def _lag_candidates(self) -> list[tuple[int, int]]:
+        offered = self.few_lags if self.lag_search == "few" else self.offered_lags
+        return lag_candidates(self.state_lags, self.control_lags, offered)

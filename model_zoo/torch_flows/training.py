@@ -15,7 +15,7 @@ from model_zoo.channels.standard import Standard
 from model_zoo.networks.multistep import Batches, Plan, Shots, schedule, step_weights
 from model_zoo.networks.trainings import MOMENTUM, SPREAD
 from model_zoo.torch_flows.equation import SOLVER_FAILED, Equation
-from model_zoo.validation.held_out import time_blocks
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.free_run import judging_windows, relative_error

@@ -10,13 +10,11 @@ from typing import Self, TypeVar
 import numpy as np
 
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
-from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.free_run import STRIDE, judging_windows, relative_error
 
-BLOCKS = 6
-SHORTEST = 30
 FOLDS = 3
 DIVERGED = 1e6
 AS_GOOD = 0.05
@@ -24,31 +22,6 @@ AS_GOOD = 0.05
 GOOD = 0.02
 """A simulation error, in standard deviations, that is as good as none."""
 Choice = TypeVar("Choice")
-
-
-def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
-    """Return what is learned from and what is held out: every ``folds``-th block of time of each episode.
-
-    An episode is cut into 6 blocks, fewer if they were shorter than 30 steps; one too short to be
-    cut is only learned from. If nothing can be held out, both sides are the whole data set.
-    """
-    learned: list[Trajectory] = []
-    held: list[Trajectory] = []
-    for number, episode in enumerate(dataset.episodes):
-        blocks = min(BLOCKS, len(episode) // SHORTEST)
-        if blocks < 2:
-            learned.append(episode)
-            continue
-        edges = np.linspace(0, len(episode), blocks + 1).astype(int)
-        out = [(block + number) % min(folds, blocks) == fold % min(folds, blocks) for block in range(blocks)]
-        begin = 0
-        for block in range(1, blocks + 1):
-            if block == blocks or out[block] != out[begin]:
-                (held if out[begin] else learned).append(episode[int(edges[begin]) : int(edges[block])])
-                begin = block
-    if not held or not learned:
-        return dataset, dataset
-    return dataset.with_episodes(learned), dataset.with_episodes(held)
 
 
 @dataclass(frozen=True)

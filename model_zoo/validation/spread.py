@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from model_zoo.validation.held_out import time_blocks
 from sysid_evo.arrays import Array
-from sysid_evo.cross_validation import EpisodeFold, recording
+from sysid_evo.cross_validation import EpisodeFold, recording, time_blocks
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.free_run import judging_windows
+from sysid_evo.free_run import STRIDE, judging_windows
 
 SAMPLES = 30
 SHARE = 0.9
@@ -109,26 +108,46 @@ def rough_fits(dataset: Dataset) -> int:
 
 
 def growth_on_unseen_recordings(
-    fit: Callable[[Dataset], DynamicsModel], dataset: Dataset, *, share: float = SHARE
+    fit: Callable[[Dataset], DynamicsModel],
+    dataset: Dataset,
+    *,
+    share: float = SHARE,
+    steps: Sequence[int] | None = None,
 ) -> Array:
     """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
 
-    Both are the ``share`` quantile of the error after one second of what ``fit`` learns from the rest:
+    With ``steps``, the factors after so many of them, (len(steps), nx); those that no block is long enough for have
+    that of the longest. Both are the ``share`` quantile of the error after one second of what ``fit`` learns from
+    the rest:
     a recording differs from others by the battery, the tyres or the floor, which blocks of the same
     recording share. The factor is the geometric mean over the recordings held out in turn, at least 1.
     """
     groups = unseen_recordings(dataset)
     if not groups:
-        return np.ones(dataset.system.nx)
-    within = [_last_errors(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
-    across = [np.quantile(_last_errors(fit(seen), held), share, axis=0) for seen, held in groups]
-    usual, tiny = np.quantile(np.concatenate(within), share, axis=0), np.finfo(float).tiny
-    factor = np.exp(np.mean(np.log(np.maximum(across, tiny)), axis=0)) / np.where(usual > 0, usual, np.inf)
-    return np.maximum(factor, 1.0)
+        return np.ones(dataset.system.nx) if steps is None else np.ones((len(steps), dataset.system.nx))
+    inside = [(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
+    outside = [(fit(seen), held) for seen, held in groups]
+    factors: list[Array] = []
+    for step in [None] if steps is None else steps:
+        within = [_last_errors(model, held, step) for model, held in inside]
+        across = [_last_errors(model, held, step) for model, held in outside]
+        if any(len(errors) == 0 for errors in (np.concatenate(within), *across)):
+            factors.append(factors[-1] if factors else np.ones(dataset.system.nx))
+            continue
+        seen_before = np.quantile(np.concatenate(within), share, axis=0)
+        never_seen = np.maximum([np.quantile(errors, share, axis=0) for errors in across], np.finfo(float).tiny)
+        factor = np.exp(np.mean(np.log(never_seen), axis=0)) / np.where(seen_before > 0, seen_before, np.inf)
+        factors.append(np.maximum(factor, 1.0))
+    return factors[0] if steps is None else np.stack(factors)
 
 
-def _last_errors(model: DynamicsModel, held: Dataset) -> Array:
-    """Return the absolute errors (N, nx) after one second."""
-    windows = judging_windows(held, model.n_lags)
+def _last_errors(model: DynamicsModel, held: Dataset, step: int | None) -> Array:
+    """Return the absolute errors (N, nx) after so many steps; None is one second."""
+    if step is None:
+        windows = judging_windows(held, model.n_lags)
+    else:
+        windows = held.windows(step, stride=STRIDE, history=model.n_lags, moving=True)
+        if not len(windows):
+            return np.empty((0, held.system.nx))
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return np.abs(simulated[:, -1] - windows.states[:, -1])

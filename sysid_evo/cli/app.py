@@ -10,9 +10,11 @@ from typing import Annotated
 import typer
 
 from sysid_evo.cli import (
+    adapting,
     comparing,
     driving,
     evolving,
+    exploiting,
     exporting,
     models,
     names,
@@ -22,6 +24,7 @@ from sysid_evo.cli import (
     reporting,
     robots,
     runs,
+    tuning,
 )
 from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
@@ -44,7 +47,10 @@ app.command("import")(recordings.import_)
 app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)
 app.command("fit")(models.fit)
+app.command("tune")(tuning.tune)
+app.command("adapt")(adapting.adapt)
 app.command("evolve")(evolving.evolve)
+app.command("exploit")(exploiting.exploit)
 app.command("coevolve")(racing.coevolve)
 app.command("match")(racing.match)
 app.command("drive")(driving.drive)

@@ -64,6 +64,8 @@ def model_card(path: Path) -> dict[str, Any]:
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions,
         "equations": list(model.equations()) if hasattr(model, "equations") else [],
+        "candidates": model.standing() if hasattr(model, "standing") else [],
+        **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
         "timings": {**manifest.timings, **speed(model)},
     }
 
@@ -99,7 +101,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
     for key, value in card.items():
-        if key in ("description", "hyper_parameters", "equations"):
+        if key in ("description", "hyper_parameters", "equations", "candidates", "parameters"):
             continue
         if isinstance(value, dict):
             value = ", ".join(f"{name} {item}" for name, item in value.items())
@@ -110,9 +112,34 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     if card.get("description"):
         parts += [Text(""), Text(_reflowed(card["description"]))]
     parts += [Text(""), _hyper_parameters(card["hyper_parameters"])]
+    if card.get("candidates"):
+        parts += [Text(""), _candidates(card["candidates"])]
     if card.get("equations"):
         parts += [Text(""), *map(Text, card["equations"])]
+    if card.get("parameters"):
+        parts += [Text(""), _parameters(card["parameters"])]
     return parts
+
+
+def _candidates(rows: list[dict[str, str]]) -> Table:
+    """Return what a model was chosen from, a row for each candidate."""
+    table = Table(box=None, pad_edge=False)
+    for column in rows[0]:
+        table.add_column(column, overflow="fold", no_wrap=column in ("error", "weight"))
+    for row in rows:
+        table.add_row(*map(Text, row.values()))
+    return table
+
+
+def _parameters(rows: list[dict[str, Any]]) -> Table:
+    """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("parameter", "value", "standard error", "unit", ""):
+        table.add_column(column, justify="right" if column in ("value", "standard error") else "left")
+    for row in rows:
+        remark = "" if row["determined"] else "not determined"
+        table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
+    return table
 
 
 def _reflowed(description: str) -> str:

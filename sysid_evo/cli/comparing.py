@@ -51,6 +51,10 @@ def compare(
         list[Path] | None, typer.Option(help="Recordings of a robot (default: record an emulated one); repeatable.")
     ] = None,
     test: Test = None,
+    leave_out: Annotated[
+        str | None,
+        typer.Option(help="'condition': fit every family also without each condition of the data, and test it there."),
+    ] = None,
     models: Annotated[
         str | None, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas, or 'all'.")
     ] = None,
@@ -111,6 +115,7 @@ def compare(
     settings |= given(
         data=None if data is None else tuple(str(path.resolve()) for path in data),
         test=None if test is None else tuple(test),
+        leave_out=leave_out,
         models=listed("--models", models),
         ensembles=listed("--ensembles", ensembles),
         robot=robot,
@@ -252,8 +257,9 @@ def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> No
 
 
 def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outcome], *, json: bool) -> None:
-    """Print where each fitted model stands, and why one does not; then what limits the best of them."""
+    """Print where each fitted model stands, why one does not, how it learned; then what limits the best of them."""
     from rich.table import Table
+    from rich.text import Text
 
     from evaluation.advice import advice_to_json
     from evaluation.report import advice_lines
@@ -269,6 +275,7 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
                 "advice": advice_to_json(advice) if advice is not None and advice.model == label else None,
+                "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
             }
         )
     if json:
@@ -280,6 +287,9 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
     for row in rows:
         table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
     out.print(table)
+    for row in rows:
+        if row["note"]:
+            out.print(Text(f"{row['model']} {row['note']}"))
     for part in [] if advice is None else advice_lines(advice):
         out.print(part)
     labels = ",".join(str(row["model"]) for row in rows if row["file"])

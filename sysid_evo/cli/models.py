@@ -25,6 +25,8 @@ from sysid_evo.cli.options import (
 )
 
 app = typer.Typer(help="The model families.", no_args_is_help=True)
+DEFAULT = "auto"
+"""What is fitted where no family is named: who knows none yet has a choice made by the data."""
 
 
 @app.command("list")
@@ -84,7 +86,13 @@ def show_model(
 
 def fit(
     data: Annotated[list[Path], typer.Argument(help="Logs, folders of logs, or a folder written by import.")],
-    models: Annotated[str, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas.")],
+    models: Annotated[
+        str,
+        typer.Option(
+            help="Families, LABEL=NAME(parameter=value, ...), separated by commas. 'auto' tries the zoo on recordings "
+            "held out and becomes the mean of what runs free best there."
+        ),
+    ] = DEFAULT,
     test: Test = None,
     preset: Preset = "standard",
     seed: Seed = None,
@@ -95,7 +103,7 @@ def fit(
     dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
-    """Fit model families to recordings and store them in a run folder."""
+    """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
     from evaluation.comparison import Experiment
     from sysid_evo.cli.comparing import existing, run_experiment
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -23,6 +24,10 @@ def import_(
     logs: Logs,
     folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
     columns: Columns = None,
+    condition: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=PATTERN: logs whose names fit were recorded in this condition, as wet='rain_*'."),
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """Turn log files into a data set: check, prepare, store.
@@ -32,10 +37,12 @@ def import_(
     """
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.data import read_recording
+    from sysid_evo.data.conditions import parsed
 
     load_plugins(plugin)
+    patterns = parsed("--condition", condition or [])
     recording = read_recording(logs, columns=columns)
-    dataset = recording.dataset()
+    dataset = recording.dataset().labelled(patterns)
     dataset.save(folder)
     _tell(dataset.notes, recording.doubts)
     out.print(episode_table(dataset))
@@ -80,6 +87,9 @@ def record(
     ] = "emulated_car",
     seed: Seed = None,
     minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
+    manoeuvre: Annotated[
+        str | None, typer.Option(help="Instead, one that measures: step, coast_down or circle.")
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """Drive a robot through manoeuvres; store the journals of the runs (`journal/`), what the tracker saw
@@ -90,25 +100,28 @@ def record(
     """
     from hardware.loop.stops import Stops
     from hardware.preflight import check_recording
+    from hardware.recording.measuring import measuring
     from hardware.recording.scripted import save_raw
     from hardware.robot import find_robot
     from sysid_evo.cli.advice_tables import episode_table
     from sysid_evo.cli.progress import Bars
+    from sysid_evo.data.measured import measured
 
     load_plugins(plugin)
     check_new_folder(folder)
     machine = find_robot(robot)
-    check_recording(machine, folder / "journal", duration=60.0 * minutes)
+    journal = folder / "journal"
+    check_recording(machine, journal, duration=60.0 * minutes)
+    manoeuvres = None if manoeuvre is None else measuring(machine.system, manoeuvre)
     title = f"record {robot}"
     with Bars() as bars, Stops() as stops:
         bars.begin(title)
-        recorded = machine.record(
-            seed=seed or 0,
-            duration=60.0 * minutes,
-            folder=folder / "journal",
-            stops=stops,
-            progress=bars.advance,
+        drive = (
+            partial(machine.record, duration=60.0 * minutes)
+            if manoeuvres is None
+            else partial(machine.record_manoeuvres, manoeuvres)
         )
+        recorded = drive(seed=seed or 0, folder=journal, stops=stops, progress=bars.advance)
         ended = recorded.report.sentence if recorded.report.reason.is_fault else None
         bars.end(title, ended)
     dataset = recorded.dataset
@@ -117,6 +130,8 @@ def record(
     dataset.save(folder)
     _tell(dataset.notes, ())
     out.print(episode_table(dataset))
+    for one in measured(dataset):
+        out.print(str(one), highlight=False, markup=False, soft_wrap=True)
     out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
     if ended is not None:
         err.print(f"the recording was cut short: {ended}", highlight=False, markup=False, soft_wrap=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,7 +51,8 @@ class Dataset:
     """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
 
     Periodic states run on without jumps within an episode, as if they were not.
-    ``notes`` list what the preparation has to say about the recording.
+    ``notes`` list what the preparation has to say about the recording. Conditions of episodes are no part of the
+    ``fingerprint``: they change nothing in what a model learns.
     """
 
     system: System
@@ -195,6 +196,31 @@ class Dataset:
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(episode.name for episode in self.episodes)
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The conditions of the episodes, each once, in the order of the recording; "" of those without."""
+        return tuple(dict.fromkeys(episode.condition for episode in self.episodes))
+
+    def of_condition(self, *names: str) -> Dataset:
+        """Return the episodes that were recorded in one of these conditions. Raises `InvalidArgument` without any."""
+        unknown = [name for name in names if name not in self.conditions]
+        if unknown or not names:
+            raise InvalidArgument(
+                f"no episode has the condition {', '.join(map(repr, unknown)) or 'that was asked for'}; there are "
+                f"{', '.join(map(repr, self.conditions))}"
+            )
+        return self.with_episodes([episode for episode in self.episodes if episode.condition in names])
+
+    def labelled(self, patterns: Mapping[str, str]) -> Dataset:
+        """Return this data set with a condition for each episode whose name fits one of the ``patterns``, by name.
+
+        ``{"wet": "*rain*", "dry": "2024-05-*"}``; a piece such as ``log[0:400]`` goes by the name of its log. Raises
+        `InvalidArgument` if a pattern fits nothing, or two fit one episode.
+        """
+        from sysid_evo.data.conditions import labelled
+
+        return labelled(self, patterns)
 
     @cached_property
     def moving(self) -> tuple[BoolArray, ...]:

@@ -52,7 +52,7 @@ def save_dataset(dataset: Dataset, folder: Path) -> Path:
     header = {
         "schema": SCHEMA,
         "system": system.to_dict(),
-        "episodes": [{"name": e.name, "steps": len(e), "pose": e.pose is not None} for e in dataset.episodes],
+        "episodes": [_described(episode) for episode in dataset.episodes],
         "notes": list(dataset.notes),
         "fingerprint": dataset.fingerprint,
     }
@@ -82,7 +82,7 @@ def load_dataset(folder: Path) -> Dataset:
             states = _columns(data, system.state_names, rows)
             controls = _columns(data, system.control_names, rows)[:-1]
             pose = _columns(data, _pose_names(system), rows) if entry["pose"] else None
-            episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"]))
+            episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"], entry.get("condition", "")))
         del table, data
         pa.default_memory_pool().release_unused()
         dataset = Dataset(system, tuple(episodes), tuple(header["notes"]))
@@ -97,6 +97,12 @@ def load_dataset(folder: Path) -> Dataset:
     if dataset.fingerprint != header["fingerprint"]:
         raise ArtefactError(f"{folder}: the samples do not match the fingerprint in {HEADER}; the files were changed")
     return dataset
+
+
+def _described(episode: Trajectory) -> dict[str, Any]:
+    """Return what the header says of an episode; without a condition there is no such key."""
+    told = {"condition": episode.condition} if episode.condition else {}
+    return {"name": episode.name, "steps": len(episode), "pose": episode.pose is not None, **told}
 
 
 def _columns(data: Mapping[str, Array], names: Sequence[str], rows: slice) -> Array:

@@ -17,7 +17,8 @@ class Trajectory:
 
     ``states`` is (T + 1, nx), ``controls`` (T, nu): ``controls[k]`` is held from k dt to (k + 1) dt
     and takes ``states[k]`` to ``states[k + 1]``. ``dt`` is in seconds. ``pose`` is (T + 1, n_pose)
-    in the units of the system's motion, or None. A single state or control may be 1-D. Raises
+    in the units of the system's motion, or None. ``condition`` names the day, floor or battery it was recorded
+    with, if somebody said so. A single state or control may be 1-D. Raises
     `ShapeError` or `InvalidData`.
     """
 
@@ -26,6 +27,7 @@ class Trajectory:
     dt: float
     pose: Array | None = None
     name: str = ""
+    condition: str = ""
 
     def __post_init__(self) -> None:
         states = check_shape(f"states of {self.name!r}", as_columns(self.states), (None, None))
@@ -61,6 +63,7 @@ class Trajectory:
             dt=self.dt,
             pose=None if self.pose is None else self.pose[first : last + 1],
             name=f"{self.name}[{first}:{last}]",
+            condition=self.condition,
         )
 
 

@@ -21,6 +21,7 @@ from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packag
 from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, checked, declare
 from sysid_evo.lags import CarryLayout
+from sysid_evo.searched import Searched
 
 if TYPE_CHECKING:
     from sysid_evo.checkpoint import Checkpoint
@@ -54,11 +55,12 @@ class DynamicsModel(Dynamics, Estimator):
     ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
     the control is neutral, and so are the earlier controls in the carry, which may still act.
 
-    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white);
-    ``presets`` gives the hyper-parameters that change with a budget (quick, standard, paper);
-    ``limits`` what numbers they may be (types follow from the constructor's annotations);
-    ``requires`` the optional packages that `fit` imports; ``precision`` is the lowest in which the compiled form is
-    exact enough. A family is ``periodic`` if equal angles are equal to it, however many turns apart.
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` in which class
+    `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the hyper-parameters
+    that change with a budget (quick, standard, paper), ``searched`` where `sysid_evo.tuning` looks for some, ``limits``
+    what numbers they may be (types follow from the constructor); ``requires`` are optional packages that `fit` imports;
+    ``precision`` is the lowest in which the compiled form is exact enough. A family is ``periodic`` if equal angles are
+    equal to it, however many turns apart.
 
     A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
     blocks of time at random places (`sysid_evo.data.thinning`), which a `DataWarning` and `fit_note` say.
@@ -79,6 +81,8 @@ class DynamicsModel(Dynamics, Estimator):
     """
 
     knowledge: ClassVar[str] = "black"
+    structure: ClassVar[str] = ""
+    searched: ClassVar[Mapping[str, Searched]] = {}
     envelope_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {
@@ -219,6 +223,10 @@ class DynamicsModel(Dynamics, Estimator):
             f"most_steps={self.most_steps} allows"
         )
 
+    def uses(self) -> tuple[str, ...]:
+        """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
+        return ()
+
     def alternatives(self) -> tuple[Dynamics, ...]:
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
@@ -233,6 +241,24 @@ class DynamicsModel(Dynamics, Estimator):
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score")
         return -simulation_error(self, judging_windows(data, self.n_lags))
+
+    def adapt(
+        self,
+        dataset: Dataset,
+        *,
+        training: Dataset | None = None,
+        rng: np.random.Generator | int | None = None,
+        progress: Progress | bool | None = None,
+    ) -> DynamicsModel:
+        """Return this model adapted to 10 to 30 s of another condition: one of the family ``adapted`` around it.
+
+        It is this model, unchanged, where a gate finds no correction much better; its `fit_note` says what was
+        decided. With the ``training`` data of this model a refit with the new seconds is tried as well. Raises
+        `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one free run.
+        """
+        from sysid_evo.adaptation import adapted
+
+        return adapted(self, dataset, training=training, rng=rng, progress=progress)
 
     def predictor(self) -> Predictor | None:
         """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""

@@ -120,7 +120,7 @@ def main() -> None:
     by_log: dict[str, Scores] = {}
     for log in arguments.logs:
         training, test = recording(log)
-        cases = measured_cases(training, test, PredictionProtocol())
+        cases = measured_cases(training, test, PredictionProtocol(history=5))
         horizons: list[int | None] = [*cases.horizons, None]
         write(f"\n{log}: N after {', '.join(map(str, cases.horizons))} steps and over the whole file, ")
         write(f"mean of {arguments.seeds} seeds, preset {arguments.preset}\n")

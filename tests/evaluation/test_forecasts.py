@@ -37,7 +37,7 @@ class Echo(DynamicsModel):
         return carry[:, [self.reach]] + 1e4 * carry[:, [self.state_lags + self.reach]]
 
 
-def reached_back_to(*, history: int, lags: int, reach: int) -> tuple[float, float]:
+def reached_back_to(*, history: int | None, lags: int, reach: int) -> tuple[float, float]:
     """Return the state and the control that the first step from sample 20 used; both are the number of their sample."""
     numbers = np.arange(STEPS + 1.0)
     data = Dataset.from_arrays(SYSTEM, numbers, np.maximum(numbers, 0.25))
@@ -51,6 +51,12 @@ def reached_back_to(*, history: int, lags: int, reach: int) -> tuple[float, floa
 def test_a_history_that_is_long_enough_is_the_measured_one() -> None:
     assert reached_back_to(history=6, lags=6, reach=6) == (14.0, 14.0)
     assert reached_back_to(history=6, lags=4, reach=1) == (19.0, 19.0)
+
+
+def test_a_model_is_given_what_it_wants_as_far_back_as_the_record_goes() -> None:
+    assert reached_back_to(history=None, lags=12, reach=12) == (8.0, 8.0)
+    assert reached_back_to(history=None, lags=25, reach=20) == (0.0, 0.25)
+    assert reached_back_to(history=None, lags=25, reach=22) == (0.0, 0.25)
 
 
 def test_a_short_history_is_padded_with_the_first_state_and_neutral_controls() -> None:

@@ -62,7 +62,7 @@ def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **cha
         (exploited(), "linear: exploited: its controllers claim 10.0 waypoints and achieve 4.0 on the robot."),
         (exploited(), "They turn on the spot in 50 % of steps (held-out driving 1.0 %, the same on the robot 0 %)."),
         (exploited(), "10 % of what they visit lies outside the data (held-out driving 1.0 %, the same on the robot"),
-        (exploited(visited=0.0), "No probe says how."),
+        (exploited(visited=0.0), "No single step of it is wrong: small errors add up over a trial."),
         (exploited(gap=Estimate(0.5, 0.1)), "the claim holds: its controllers claim 10.0 waypoints and achieve 4.0"),
         (exploited(achieved=None, gap=Estimate(2.0, 0.1)), "claim 10.0 waypoints and achieve 8.0 on the other models."),
         (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),
@@ -81,14 +81,17 @@ def test_the_sentence_on_a_model_says_what_was_found(model: ModelExploitability,
 @pytest.mark.parametrize(
     "model, unsaid",
     [
-        (exploited(), "No probe says how."),
+        (exploited(), "No single step of it is wrong: small errors add up over a trial."),
         (exploited(), "the claim holds"),
         (exploited(), "seeds"),
         (exploited(), "One trial"),
         (exploited(visited=0.0), "They"),
         (exploited(outside=None), "outside the data"),
         (exploited(gap=Estimate(0.5, 0.1)), "exploited"),
-        (exploited(gap=Estimate(0.5, 0.1), visited=0.0), "No probe says how."),
+        (
+            exploited(gap=Estimate(0.5, 0.1), visited=0.0),
+            "No single step of it is wrong: small errors add up over a trial.",
+        ),
     ],
 )
 def test_the_sentence_on_a_model_says_nothing_else(model: ModelExploitability, unsaid: str) -> None:

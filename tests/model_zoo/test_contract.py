@@ -19,10 +19,19 @@ SMALL: dict[str, dict[str, Any]] = {
     "neural_ode_history": SMALL_NETWORK,
     "hybrid_ode": SMALL_NETWORK,
     "torch_ode": {"hidden": [8], "updates": 20, "horizon": 3, "control_lags": 1},
+    "delay_embedding": {"family": "linear"},
+    "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 100},
+    "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
+    "subnet": {"order": 3, "hidden": 4, "updates": 15, "horizon": 5, "past": 4, "batch": 16},
     "gaussian_process": {"inducing": 40},
     "evolved3": {"generations": 30},
     "parametrised": {"generations": 60},
     "backprop27": {"epochs": 100},
+    "auto": {
+        "candidates": [f"linear(state_lags=1, control_lags=2, ridge={ridge})" for ridge in (0.0, 1.0)],
+        "gate": 9.0,
+    },
+    "single_track": {"starts": 1, "windows": 40},
 }
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
@@ -30,7 +39,7 @@ TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "to
 SLOWEST = ("hybrid_ode", "torch_ode")
 """Of these, the ones that are tried on a car with --slow too."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
-SLOW_TO_LEARN = [name for name in TRAINED if name != "neural_ode"]
+SLOW_TO_LEARN = [name for name in (*TRAINED, "auto") if name != "neural_ode"]
 """Families that learn as the one left out does; how well they do is asked with --slow."""
 ONE_OF_A_KIND = [
     pytest.param(name, marks=pytest.mark.slow) if name in SLOW_TO_LEARN else name for name in models.names()

@@ -18,6 +18,8 @@ from sysid_evo.testing.models import rows_are_independent
 from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS
 from tests.model_zoo.test_contract import OFTEN, SMALL
 
+CARS = ("hybrid_ode", "parametrised", "single_track")
+
 
 def fitted(family: str, dataset: Dataset) -> DynamicsModel:
     options: dict[str, Any] = {"control_lags": 1} if family in ("linear", "nearest_neighbour") else {}
@@ -31,7 +33,7 @@ def fitted(family: str, dataset: Dataset) -> DynamicsModel:
 def test_a_family_works_on_a_small_system_or_says_why_not(family: str, case: str) -> None:
     """It runs free without leaving the envelope for good, and its compiled form is the same."""
     dataset = SMALL_SYSTEMS[case].recording()
-    if family in ("hybrid_ode", "parametrised"):
+    if family in CARS:
         with pytest.raises(IncompatibleSystem, match="describes a planar body, but the system has no motion"):
             fitted(family, dataset)
         return
@@ -46,7 +48,7 @@ def test_a_family_works_on_a_small_system_or_says_why_not(family: str, case: str
     np.testing.assert_allclose(compiled, model.step(carry, windows.controls[:, 0]), rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("family", ["hybrid_ode", "parametrised"])
+@pytest.mark.parametrize("family", CARS)
 def test_a_car_without_controls_is_refused_in_a_sentence(family: str) -> None:
     channels = (Channel("forward_speed"), Channel("lateral_speed"), Channel("yaw_rate"))
     with pytest.raises(IncompatibleSystem, match="there is no 'drive' among no controls; name it with drive="):

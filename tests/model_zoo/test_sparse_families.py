@@ -113,7 +113,7 @@ def test_coefficients_are_those_of_pysindy() -> None:
         feature_library=pysindy.PolynomialLibrary(degree=2),
     )
     theirs.fit(x / scale[:2], t=1.0, x_dot=data.targets / target_scale, u=u / scale[2:])
-    library = Library.of(data, 2)
+    library = Library.of(data, monomials(3, 2))
     coefficients, exponents = library.coefficients(0.02, 1e-3), library.exponents
     assert len(library.terms) < len(x)
     rescaled = coefficients * np.prod(scale**exponents, axis=1)[:, None] / target_scale

@@ -23,13 +23,15 @@ from evaluation.report.tables.errors import (
     region_sheet,
     residual_sheet,
 )
-from evaluation.report.tables.prediction import channel_sheet, prediction_sheet
+from evaluation.report.tables.prediction import channel_sheet, condition_sheet, coverage_sheet, prediction_sheet
 
 __all__ = [
     "advice_sheet",
     "channel_list",
     "channel_sheet",
+    "condition_sheet",
     "controller_sheet",
+    "coverage_sheet",
     "difference_sheet",
     "episode_error_sheet",
     "episode_sheet",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from evaluation.labels import percent
-from evaluation.prediction import ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction import Coverage, ErrorScore, ModelPrediction, Prediction
+from evaluation.prediction.conditions import ConditionErrors
 from evaluation.report.predicting import N_IN_WORDS, horizon_name
 from evaluation.report.sheets import Sheet, lines, number, three_digits
 
@@ -38,6 +41,29 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
     )
 
 
+def coverage_sheet(prediction: Prediction) -> Sheet | None:
+    """How much the intervals of every model with a spread hold; None if there is no such model."""
+    horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
+    if not models:
+        return None
+    rows = []
+    for model in models:
+        found = {held.horizon: held for held in model.coverage}
+        cells = [found.get(horizon) for horizon in horizons]
+        rows.append((model.name, *("–" if held is None else _coverage_cell(held) for held in cells)))
+    aim = percent(models[0].coverage[0].share)
+    return Sheet(
+        title=f"What {aim} intervals hold",
+        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
+        rows=tuple(rows),
+        note=(
+            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over channels; "
+            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: too narrow "
+            "if lower, wider than need be if higher."
+        ),
+    )
+
+
 def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
     """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
     system = prediction.cases.system
@@ -49,7 +75,7 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
         rows.append((model.name, *cells))
     start = "from sample" if horizon is None else "from measured states,"
     protocol = prediction.cases.protocol
-    begin = f"{protocol.first} of each episode" if horizon is None else f"{protocol.history} samples of history"
+    begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
     return Sheet(
         title=f"Error per channel, {horizon_name(prediction, horizon)}",
         columns=("model", *heads),
@@ -62,6 +88,29 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
     )
 
 
+def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
+    """N within and across conditions, side by side; None if none was left out."""
+    found = next(iter(conditions.values()), ())
+    if not found:
+        return None
+    return Sheet(
+        title="Error N within and across conditions",
+        columns=("model", *(errors.condition or "no name" for errors in found)),
+        rows=tuple(
+            (label, *(f"{_known(errors.within)} → {_known(errors.across)}" for errors in of_model))
+            for label, of_model in conditions.items()
+        ),
+        note=(
+            f"After {found[0].horizon} steps, in the test part of each condition. Left: learned from the training "
+            "parts of all conditions; right: of all but this one."
+        ),
+    )
+
+
+def _known(value: float | None) -> str:
+    return "–" if value is None else three_digits(value)
+
+
 def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
     if model.failed:
         return "failed"
@@ -69,6 +118,11 @@ def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> st
         return "–"
     low, high = score.interval
     return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+
+
+def _coverage_cell(held: Coverage) -> str:
+    each = ", ".join(f"{100 * share:.0f}" for share in held.inside)
+    return lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each)
 
 
 def _divergence(model: ModelPrediction) -> str:

@@ -266,6 +266,38 @@ def open_loop(
         error[candidate] = total / float(windows * nx)
 
 
+def free_runs(
+    dynamics, sizes, parameters_of, start, controls, envelope, first, last,
+    carry, control, noise, parameters, scratch, states,
+):  # fmt: skip
+    """Simulate every window for candidates ``first`` to ``last``, each from carries of its own, and keep all states.
+
+    ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the envelope.
+    """
+    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
+    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
+    for candidate in range(first, last):
+        for i in range(n_parameters):
+            parameters[i] = parameters_of[candidate * n_parameters + i]
+        for block in range((windows + LANES - 1) // LANES):
+            used = min(LANES, windows - block * LANES)
+            for lane in range(LANES):
+                window = min(block * LANES + lane, windows - 1)
+                for row in range(n_carry):
+                    carry[row * LANES + lane] = start[(candidate * windows + window) * n_carry + row]
+            for k in range(steps):
+                for lane in range(LANES):
+                    window = min(block * LANES + lane, windows - 1)
+                    for row in range(nu):
+                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
+                dynamics(carry, control, noise, parameters, scratch)
+                clip(carry, envelope, nx)
+                for lane in range(used):
+                    at = ((candidate * windows + block * LANES + lane) * steps + k) * nx
+                    for row in range(nx):
+                        states[at + row] = carry[row * LANES + lane]
+
+
 def imagine(
     dynamics, advance, sizes, dynamics_parameters, task_parameters,
     start, task_start, trial_data, controls, envelope,
@@ -390,6 +422,7 @@ CLOSED_LOOP = Signature.of(
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+FREE_RUNS = Signature.of(free_runs, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
 IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
 DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
 SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)

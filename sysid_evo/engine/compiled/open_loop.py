@@ -1,4 +1,4 @@
-"""Open loop over windows: the multi-step error of a whole population of parameter vectors."""
+"""Open loop over windows for many parameter vectors: the error at the end, or all states on the way."""
 
 from __future__ import annotations
 
@@ -19,6 +19,50 @@ from sysid_evo.engine.compiled.run import Work, compiled, spread
 @cache
 def _loop(precision: Precision) -> Any:
     return compile_kernel(KernelSource(loops.open_loop), loops.OPEN_LOOP, precision, pointer=False)
+
+
+@cache
+def _recording_loop(precision: Precision) -> Any:
+    return compile_kernel(KernelSource(loops.free_runs), loops.FREE_RUNS, precision, pointer=False)
+
+
+def free_runs(
+    source: Source,
+    n_scratch: int,
+    parameters: Array,
+    start: Array,
+    controls: Array,
+    envelope: Array,
+    *,
+    precision: Precision = "float64",
+) -> Array:
+    """Return the states (P, W, H, nx) of W windows under P parameter vectors (P, m) of the kernel ``source``.
+
+    Every vector has carries of its own to start from, ``start`` (P, W, n_carry); ``controls`` are (W, H, nu). States
+    are clipped to the ``envelope`` (2, nx); one that is not a number stays so, or becomes a limit.
+    """
+    windows, steps, nu = controls.shape
+    start = check_shape("start", start, (len(parameters), windows, None))
+    nx, real = envelope.shape[1], np.dtype(precision)
+    sizes = loops.OPEN.integers(
+        windows=windows, steps=steps, n_carry=start.shape[2], nx=nx, nu=nu, n_parameters=parameters.shape[1]
+    )
+    states = np.zeros(len(parameters) * windows * steps * nx, real)
+    given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
+    room = {"carry": start.shape[2], "control": nu, "noise": 1, "scratch": n_scratch}
+    _recording_loop(precision)(
+        *loops.FREE_RUNS.ordered(
+            dynamics=compiled(source, DYNAMICS, precision),
+            sizes=sizes,
+            first=0,
+            last=len(parameters),
+            states=states,
+            parameters=empty_lines(parameters.shape[1], real),
+            **{name: aligned(array, real) for name, array in given.items()},
+            **{name: empty_lines(n * LANES, real) for name, n in room.items()},
+        )
+    )
+    return states.astype(np.float64, copy=False).reshape(len(parameters), windows, steps, nx)
 
 
 def final_errors(

@@ -29,12 +29,14 @@ def polynomial_predictor(
     n_control: int,
     *,
     levels: Sequence[Array | None] | None = None,
+    one_code: bool = False,
 ) -> Predictor:
     """Return a predictor for y_j = sum_t C_tj prod_i z_i^P_ti with z the carry's rows, then the control's.
 
     ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), perhaps sparse. With the
     ``levels`` of the controls, None of one that has none, they are looked up instead of raised to powers.
-    Where all monomials of the states are few, see `dense_polynomial_predictor`; otherwise:
+    Where all monomials of the states are few, see `dense_polynomial_predictor`, which is compiled for every size;
+    otherwise, and with ``one_code``, the code is the same for all polynomials:
 
     Layout: the chains of state and control monomials (parent, variable); then for every output its
     number of factors, and for each factor its state monomial; then for each factor its number of
@@ -45,9 +47,10 @@ def polynomial_predictor(
         raise InvalidArgument(
             f"polynomial: expected exponents >= 0 of {n_carry} + {n_control} variables, got shape {exponents.shape}"
         )
-    dense = dense_polynomial_predictor(exponents, coefficients, n_carry, n_control, levels or [None] * n_control)
-    if dense is not None:
-        return dense
+    if not one_code:
+        dense = dense_polynomial_predictor(exponents, coefficients, n_carry, n_control, levels or [None] * n_control)
+        if dense is not None:
+            return dense
     states, controls = Chain(n_carry), Chain(n_control)
     factors: list[dict[int, list[tuple[int, float]]]] = []
     for output in range(coefficients.shape[1]):

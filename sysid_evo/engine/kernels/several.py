@@ -1,4 +1,4 @@
-"""Several kernels that step side by side from the same state, see `sysid_evo.wrappers.Switching` and `Cautious`."""
+"""Several kernels that step side by side from the same state: `sysid_evo.wrappers.Switching`, `Cautious`, a mean."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ import numpy as np
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
 from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.system import System
 
 GROUP = Layout("nx", "count", "next")
 MEMBER = Layout("at", "noise_at", "own")
 SWITCH = Layout("nx", "count", "drawn_at", "change", "chain", align=CACHE_LINE)
 DOUBT = Layout("nx", "count", "doubt_at", "weight", "chain", align=CACHE_LINE)
+MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
 
 
 def switching_kernel(
@@ -124,6 +126,74 @@ def doubted(carry, control, noise, parameters, scratch):
     for lane in range(LANES):
         doubt[lane] += weight * min(max(farthest[lane] - 1.0, 0.0), 1.0)
     copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)
+    for member in range(count):
+        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+def mean_kernel(
+    members: Sequence[DynamicsKernel],
+    system: System,
+    *,
+    places: Sequence[int],
+    noise_places: Sequence[int],
+    weights: Array,
+    rest_band: Array | None = None,
+    watched: tuple[Sequence[int], Array] = ((), np.empty(0)),
+) -> DynamicsKernel:
+    """Return the kernel of a weighted mean of next states, which every member takes over.
+
+    The carry is the state and the members' carries at ``places``. With ``rest_band`` (nx,) a state that near neutral
+    stays there under neutral control, if what stands in the ``watched`` rows of the carry, earlier controls, has the
+    values beside them, which are neutral, too.
+    """
+    nx, chain = system.nx, chained(members, system.nx, places, noise_places)
+    rows, values = watched if rest_band is not None else ((), np.empty(0))
+    rest = np.empty(0)
+    if rest_band is not None:
+        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control, rows, values])
+    numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
+    parameters = MEAN.pack(
+        numbers,
+        at_rest,
+        chain.parameters,
+        nx=nx,
+        nu=system.nu,
+        count=len(members),
+        watched=len(rows),
+        held=rest_band is not None,
+        rest=MEAN.size + len(numbers),
+        chain=MEAN.size + len(numbers) + len(at_rest),
+    )
+    source = KernelSource(averaged, {"step_all": chain.source})
+    return DynamicsKernel(source, parameters, chain.n_scratch + 1, chain.precision)
+
+
+def averaged(carry, control, noise, parameters, scratch):
+    """Step all members, take the mean of their states, or neutral where the body rests, and give it to all."""
+    nx, nu, count = int(parameters[MEAN.nx]), int(parameters[MEAN.nu]), int(parameters[MEAN.count])
+    weights, places = view(parameters, MEAN.size), view(parameters, MEAN.size + count)
+    rest, held = view(parameters, int(parameters[MEAN.rest])), parameters[MEAN.held]
+    if held > 0.0:
+        neutral, idle, watched = view(rest, nx), view(rest, 2 * nx), int(parameters[MEAN.watched])
+        rows, values = view(rest, 2 * nx + nu), view(rest, 2 * nx + nu + watched)
+        moves = splat(0.0)
+        for row in range(nu):
+            moves = moves + abs(load(control, row * LANES) - idle[row])
+        for i in range(watched):
+            moves = moves + abs(load(carry, int(rows[i]) * LANES) - values[i])
+        for row in range(nx):
+            moves = where_at_most(abs(load(carry, row * LANES) - neutral[row]), rest[row], moves, 1.0)
+        store(scratch, 0, moves)
+    step_all(carry, control, noise, view(parameters, int(parameters[MEAN.chain])), view(scratch, LANES))
+    for row in range(nx):
+        total = splat(0.0)
+        for member in range(count):
+            total = total + weights[member] * load(carry, (int(places[member]) + row) * LANES)
+        store(carry, row * LANES, total)
+    if held > 0.0:
+        for row in range(nx):
+            mean = load(carry, row * LANES)
+            store(carry, row * LANES, where_at_most(load(scratch, 0), 0.0, rest[nx + row], mean))
     for member in range(count):
         copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
 

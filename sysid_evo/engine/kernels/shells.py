@@ -15,18 +15,17 @@ from sysid_evo.system import System
 FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACHE_LINE)
 
 
-def turning_frame(
-    rate: Predictor, system: System, *, low: Array | None = None, high: Array | None = None
-) -> Predictor | None:
+def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = None) -> Predictor | None:
     """Return a predictor of dx/dt = rate + w(x), w how the motion's turning frame changes the state.
 
-    With ``low`` and ``high`` (nx,), what a state has beyond them decays with the time constant dt.
-    None if the system's motion has no compiled form.
+    With ``bounds`` (5, nx), lowest and highest state, 1 / margin, lowest and highest rate: the rate is kept within its
+    bounds; beyond those of a state, what drives it further out fades away over the margin, and the excess decays with
+    the time constant dt. None if the system's motion has no compiled form.
     """
     motion = motion_kernel(system)
     if motion is None:
         return None
-    limits = np.empty(0) if low is None or high is None else np.concatenate([low, high])
+    limits = np.empty(0) if bounds is None else np.ravel(bounds)
     parts = [padded(motion.parameters), padded(limits)]
     places = np.cumsum([FRAME.size, *(len(part) for part in parts)])
     parameters = FRAME.pack(
@@ -53,15 +52,21 @@ def prepare_turned(u, p, scratch):
 
 
 def turned(x, u, p, y, scratch):
-    """Write rate + w(x)."""
+    """Write rate + w(x), bounded where that is asked for."""
     predict(x, u, view(p, int(p[FRAME.own])), y, scratch)
+    if p[FRAME.contained] > 0.0:
+        slowest, fastest = view(p, int(p[FRAME.limits]) + 3 * NX), view(p, int(p[FRAME.limits]) + 4 * NX)
+        for row in range(NX):
+            store(y, row * LANES, min(max(load(y, row * LANES), slowest[row]), fastest[row]))
     turn(x, y, view(p, int(p[FRAME.frame])))
     if p[FRAME.contained] > 0.0:
         limits, back = view(p, int(p[FRAME.limits])), p[FRAME.per_dt]
         for row in range(NX):
-            low, high = limits[row], limits[NX + row]
-            here = load(x, row * LANES)
-            store(y, row * LANES, load(y, row * LANES) - back * (here - min(max(here, low), high)))
+            per_margin, here, total = limits[2 * NX + row], load(x, row * LANES), load(y, row * LANES)
+            above, below = max(here - limits[NX + row], 0.0), max(limits[row] - here, 0.0)
+            up = max(total, 0.0) * max(1.0 - above * per_margin, 0.0)
+            down = min(total, 0.0) * max(1.0 - below * per_margin, 0.0)
+            store(y, row * LANES, up + down - back * (above - below))
 
 
 CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)

@@ -4,8 +4,30 @@ from tests.mutation.change import Change
 
 VERDICTS = "tests/model_zoo/test_verdicts.py"
 VALIDATION = "tests/model_zoo/test_validation.py"
+AUTO = "tests/model_zoo/test_auto.py"
 
 CHANGES = (
+    Change(
+        "all members of a mean weigh alike, whatever their structure",
+        "model_zoo/selection/gate.py",
+        "1.0 / (len(count) * count[structure])",
+        "1.0 / len(structures)",
+        (AUTO,),
+    ),
+    Change(
+        "the gate is never narrowed",
+        "model_zoo/selection/gate.py",
+        "if error <= (1.0 + AS_GOOD) * lowest)",
+        "if error >= 0.0)",
+        (AUTO,),
+    ),
+    Change(
+        "what progress raises counts as a candidate that failed",
+        "model_zoo/selection/fitting.py",
+        "raise Stopped(error) from None",
+        "raise",
+        (AUTO,),
+    ),
     Change(
         "the conformal correction is left out",
         "model_zoo/validation/spread.py",
@@ -57,7 +79,7 @@ CHANGES = (
     ),
     Change(
         "blocks held out are also learned from",
-        "model_zoo/validation/held_out.py",
+        "sysid_evo/cross_validation.py",
         "(held if out[begin] else learned).append(",
         "(held if out[begin] else learned).append(episode) or learned.append(",
         (VALIDATION,),

@@ -138,7 +138,7 @@ CHANGES = (
     ),
     Change(
         "the limit of a probe is passed by one training step in a hundred",
-        "evaluation/exploitability/probes.py",
+        "evaluation/exploitability/limits.py",
         "QUANTILE = 0.999",
         "QUANTILE = 0.99",
         (TEST_EXPLOITABILITY,),

@@ -95,6 +95,22 @@ def test_models_list_names_every_family_as_table_and_as_json(tmp_path: Path) -> 
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
 
 
+def test_fit_without_models_fits_auto_and_says_what_was_chosen(logs: Path, tmp_path: Path) -> None:
+    planned = run_here("fit", logs, "--dry-run", cwd=tmp_path)
+    assert planned.returncode == 0, planned.stderr
+    assert "fit auto" in planned.stdout
+    chosen = "auto(candidates=[linear(state_lags=1), 'linear(ridge=1e5)'])"
+    fitted = run_here("fit", logs, "--models", chosen, "--out", "mine", cwd=tmp_path)
+    assert fitted.returncode == 0, fitted.stderr
+    assert "kept 1 of 2 candidates and is their mean: linear(state_lags=1) (" in " ".join(fitted.stdout.split())
+    (stored,) = (tmp_path / "mine" / "models").glob("auto-*.json")
+    card = json.loads(run_here("models", "show", stored, "--json", cwd=tmp_path).stdout)
+    assert [row["weight"] for row in card["candidates"]] == ["1.00", ""]
+    shown = run_here("models", "show", stored, cwd=tmp_path)
+    assert "linear(ridge=100000" in shown.stdout
+    assert max(map(len, shown.stdout.splitlines())) <= 80
+
+
 def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path, tmp_path: Path) -> None:
     family = run_here("models", "show", "parametrised", cwd=tmp_path)
     assert family.returncode == 0, family.stderr
@@ -110,3 +126,19 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path
     assert card["timings"]["engine"].startswith("compiled")
     shown = run_here("models", "show", stored, cwd=tmp_path)
     assert max(map(len, shown.stdout.splitlines())) <= 80
+
+
+def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(logs: Path, tmp_path: Path) -> None:
+    command = ("tune", "linear(intercept=true)", "--data", logs, "--horizon", "10", "--out", "out")
+    done = run_here(*command, "--trials", "3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("linear(intercept=true, ")
+    further = run_here(*command, "--trials", "5", "--json", cwd=tmp_path)
+    assert further.returncode == 0, further.stderr
+    found = json.loads(further.stdout)
+    assert len(found["trials"]) == 5
+    assert found["horizons"] == [10]
+    assert found["best"] == found["trials"][0]["spec"]
+    wrong = run_here(*command, "--budget", "soon", cwd=tmp_path)
+    assert wrong.returncode == 2
+    assert "expected a time such as 90s, 5m or 1h, got 'soon'" in " ".join(wrong.stderr.split())

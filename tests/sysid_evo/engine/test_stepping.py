@@ -157,15 +157,18 @@ def leak(x, u, p, y, scratch):
 def test_a_turning_frame_adds_how_the_motion_turns_and_draws_back_what_is_outside(
     precision: Precision, system: System
 ) -> None:
+    """A rate of at most 0.9 either way; states between -1 and 0.5, and a fifth beyond that."""
     rng = np.random.default_rng(5)
     x, u = 2.0 * rng.normal(size=(LANES, system.nx)), rng.uniform(-1, 1, (LANES, 2))
     rate = Predictor(leak, np.array([system.nx, 0.7]), 0)
-    plain = u[:, :1] - 0.7 * x + system.turning(x)
-    low, high = np.full(system.nx, -1.0), np.full(system.nx, 0.5)
-    inward = (x - np.clip(x, low, high)) / system.dt
+    learned, turning = u[:, :1] - 0.7 * x, system.turning(x)
+    bounds = np.tile([[-1.0], [0.5], [5.0], [-0.9], [0.9]], system.nx)
+    above, below = np.maximum(x - 0.5, 0.0), np.maximum(-1.0 - x, 0.0)
+    total = np.clip(learned, -0.9, 0.9) + turning
+    faded = total * np.clip(1.0 - 5.0 * np.where(total > 0, above, below), 0.0, 1.0)
     tolerance = RTOL[precision]
-    for limits, expected in (({}, plain), ({"low": low, "high": high}, plain - inward)):
-        turned = turning_frame(rate, system, **limits)
+    for limits, expected in ((None, learned + turning), (bounds, faded - (above - below) / system.dt)):
+        turned = turning_frame(rate, system, bounds=limits)
         assert turned is not None
         found = predictions(turned, x, u, system.nx, precision)
         np.testing.assert_allclose(found, expected, rtol=tolerance, atol=10 * tolerance)

@@ -136,7 +136,7 @@ MODELS: dict[str, Callable[[], Case]] = {
     for name in (
         "backprop27", "evolved3", "gaussian_process", "hybrid_ode", "k_neighbours", "linear", "mlp_ensemble", "narx",
         "nearest_neighbour", "neural_ode", "neural_ode_history", "parametrised", "sindy", "sindy_bagged",
-        "sindy_discrete",
+        "sindy_discrete", "single_track",
     )
 }  # fmt: skip
 ROBOTS: dict[str, Callable[[], Case]] = {

@@ -1,0 +1,171 @@
+"""A model of another condition, with what some seconds of the new one say of it."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from sysid_evo import Dataset, DynamicsModel, load_model, make_model, register_model
+from sysid_evo.adaptation import Terms, adaptation, as_of
+from sysid_evo.arrays import Array
+from sysid_evo.data.support import KEPT_PAIRS
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.progress import Progress
+from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most")
+
+
+@register_model("adapted")
+class Adapted(DynamicsModel):
+    """A model plus a correction of its accelerations, learned by free runs and believed only if a gate finds it good.
+
+    ``base`` is the path of a stored model, or a family, which is then fitted to the same data first; None in a model
+    that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
+    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
+    what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
+    blocks of time in turn: a correction must be 10 % better than none there, and by more than chance explains;
+    otherwise the model is its base. `fit_note` says what was decided.
+    """
+
+    knowledge = "dark grey"
+    periodic = True
+
+    base: str | None = "linear"
+    rest_hold: bool = False
+
+    def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
+        """Take ``base`` to be adapted by the next `fit`, and the data it learned from, if a refit is to be tried."""
+        self.base_ = base
+        vars(self)["_training"] = training
+        return self
+
+    def check_system(self, system: System) -> None:
+        if self.base is not None and not _stored(self.base):
+            make_model(self.base).check_system(system)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        training = vars(self).pop("_training", None)
+        if self.base is not None:
+            self.base_ = (
+                load_model(Path(self.base)) if _stored(self.base) else make_model(self.base).fit(dataset, rng=rng)
+            )
+        elif not hasattr(self, "base_"):
+            raise InvalidArgument(
+                "adapted: there is nothing to adapt: give base=, the path of a stored model or a family, or call "
+                "adapt(dataset) of a fitted model"
+            )
+        dataset = as_of(self.base_.system, dataset)
+        found = adaptation(self.inner, dataset, training=training, rng=rng, progress=progress)
+        if found.model is not self.inner:
+            self.base_ = found.model
+        self.system_ = self.base_.system
+        for name in OF_TERMS:
+            setattr(self, f"{name}_", getattr(found.terms, name))
+        self.coefficients_ = found.coefficients
+        self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
+        self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
+        self.tried_ = [trial.name for trial in found.verdict.trials]
+        self._widen()
+        return self
+
+    def _widen(self) -> None:
+        """Let envelope and pairs be those of both recordings."""
+        own, other = self.envelope_, self.base_.envelope_
+        self.envelope_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
+        pairs = np.concatenate([self.base_.pairs_, self.pairs_])
+        few = np.linspace(0, len(pairs) - 1, min(len(pairs), KEPT_PAIRS)).round().astype(np.int64)
+        self.pairs_ = pairs[few]
+
+    @functools.cached_property
+    def inner(self) -> DynamicsModel:
+        """The base, which holds a body at rest if this model is to."""
+        base: DynamicsModel = self.base_
+        wanted = self.rest_hold and not base.rest_hold and "rest_hold" in base.get_params()
+        return base.variant(rest_hold=True) if wanted else base
+
+    @functools.cached_property
+    def terms(self) -> Terms:
+        """What the correction is linear in."""
+        return Terms(self.system, **{name: getattr(self, f"{name}_") for name in OF_TERMS})
+
+    @property
+    def corrects(self) -> bool:
+        """Whether there is a correction."""
+        return bool(np.any(self.coefficients_))
+
+    @property
+    def fit_note(self) -> str:
+        return f"took {self.verdict_}" if hasattr(self, "verdict_") else super().fit_note
+
+    @property
+    def lags(self) -> tuple[int, int]:
+        return self.inner.lags if hasattr(self, "base_") else (0, 0)
+
+    @property
+    def n_lags(self) -> int:  # type: ignore[override]  # follows from the base
+        return self.inner.n_lags if hasattr(self, "base_") else 0
+
+    @property
+    def n_carry(self) -> int:  # type: ignore[override]  # follows from the base
+        return self.inner.n_carry
+
+    @property
+    def n_noise(self) -> int:  # type: ignore[override]  # follows from the base
+        return self.inner.n_noise if hasattr(self, "base_") else 0
+
+    @property
+    def n_draws(self) -> int:  # type: ignore[override]  # follows from the base
+        return self.inner.n_draws if hasattr(self, "base_") else 0
+
+    @property
+    def rest_band(self) -> Array | None:
+        return self.inner.rest_band
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return self.inner.start(states, controls, draws)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = self.inner.step(carry, control, noise)
+        if not self.corrects:
+            return after
+        nx = self.system.nx
+        moved = self.terms.corrected(carry[:, :nx], control, after[:, :nx], self.coefficients_)
+        return np.concatenate([moved, after[:, nx:]], axis=1)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._corrected_kernel
+
+    @functools.cached_property
+    def _corrected_kernel(self) -> DynamicsKernel | None:
+        inner = self.inner.kernel()
+        if inner is None or not self.corrects:
+            return inner
+        from sysid_evo.engine.kernels.correction import correction_kernel
+
+        return correction_kernel(inner, self.terms, self.coefficients_)
+
+    def equations(self) -> list[str]:
+        """Return the equations of the base, if it has some, and what is added to each acceleration."""
+        base: Any = self.base_
+        of_base = list(base.equations()) if hasattr(base, "equations") else []
+        if not self.corrects:
+            return of_base
+        names = ["1", *self.terms.names]
+        added = []
+        for channel, of_channel in zip(self.system.states, (self.coefficients_ * self.terms.unit).T, strict=True):
+            sums = " ".join(f"{value:+.3g} {name}" for name, value in zip(names, of_channel, strict=True))
+            added.append(f"d {channel.name}/dt += {sums}   (standardised)")
+        return [*of_base, *added]
+
+
+def _stored(base: str) -> bool:
+    """Whether ``base`` is the path of a stored model and no family."""
+    path = Path(base)
+    return path.suffix in (".json", ".safetensors") or path.with_name(f"{path.name}.json").is_file()

@@ -1,0 +1,211 @@
+"""What a grey box is made of on one system: its law, lags of the actuators, a delay of the commands, hidden states.
+
+Arrays are component first here, so that many parameter vectors run in many windows at once: a state is (n, B) and
+parameters are (n_parameters, 1), or (n, P, B) and (n_parameters, P, 1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from model_zoo.flows.runge_kutta import rk4
+from model_zoo.grey.arithmetic import array_form
+from model_zoo.grey.parameter import Box, Hidden, Parameter
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.lags import CarryLayout
+from sysid_evo.system import Channel, System
+
+SHORTEST_LAG = 0.5
+"""Of a step of the integration: a faster actuator is none."""
+LONGEST_LAG = 1.0  # s
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The law ``rate(state, control, p)`` on a system, with what is switched on around it.
+
+    The law's states are those of the system at the places ``states`` and then ``hidden`` ones, its controls those at
+    ``controls``. With ``lagged`` every control acts through a first-order lag of its own; ``delay`` is how many earlier
+    samples of the controls are remembered, for a delay between 0 and that.
+    """
+
+    system: System
+    law: Callable[..., Any]
+    states: tuple[int, ...]
+    controls: tuple[int, ...]
+    own: tuple[Parameter, ...]
+    hidden: tuple[Hidden, ...] = ()
+    lagged: bool = False
+    delay: int = 0
+    substeps: int = 1
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The law's parameters, then the lag of each actuator, then the delay."""
+        found, dt = list(self.own), self.system.dt
+        if self.lagged:
+            for name in (self.system.control_names[i] for i in self.controls):
+                shortest = SHORTEST_LAG * dt / self.substeps
+                longest = max(LONGEST_LAG, 4.0 * dt)
+                found.append(Parameter(f"lag of {name}", min(2.0 * dt, longest), shortest, longest, "s"))
+        if self.delay:
+            found.append(Parameter("delay of commands", min(1.0, self.delay), 0.0, float(self.delay), "samples"))
+        return tuple(found)
+
+    @cached_property
+    def box(self) -> Box:
+        """The bounds of all parameters."""
+        return Box.of(self.parameters)
+
+    @cached_property
+    def extended(self) -> System:
+        """The system with hidden states and the states of the actuators behind the measured ones."""
+        actuators = [self.system.controls[i] for i in self.controls] if self.lagged else []
+        more = [hidden.channel for hidden in self.hidden]
+        more += [
+            Channel(f"{control.name} that acts", control.unit, control.low, control.high, neutral=control.neutral)
+            for control in actuators
+        ]
+        return replace(self.system, states=(*self.system.states, *more))
+
+    @property
+    def layout(self) -> CarryLayout:
+        """The carry: extended state, then the earlier controls that a delay wants."""
+        return CarryLayout(self.extended.nx, self.system.nu, 0, self.delay)
+
+    @property
+    def hidden_rows(self) -> slice:
+        """Where the hidden states stand in the carry."""
+        return slice(self.system.nx, self.system.nx + len(self.hidden))
+
+    @property
+    def actuator_rows(self) -> slice:
+        """Where the actuators stand in the carry."""
+        return slice(self.system.nx + len(self.hidden), self.extended.nx)
+
+    @cached_property
+    def law_rows(self) -> tuple[int, ...]:
+        """Where the law's states stand in the carry."""
+        return (*self.states, *range(self.system.nx, self.system.nx + len(self.hidden)))
+
+    def shorter(self, delay: float) -> Structure:
+        """Return the structure that remembers no more samples than this delay wants."""
+        return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` unless the law gives one finite rate for each of its states at the first guess."""
+        extended = self.extended.neutral_state[list(self.law_rows)]
+        neutral = self.system.neutral_control[list(self.controls)]
+        guess = np.array([parameter.guess for parameter in self.own])
+        name = getattr(self.law, "__qualname__", "rate")
+        try:
+            with np.errstate(all="ignore"):
+                found = array_form(self.law)(tuple(extended[:, None]), tuple(neutral[:, None]), tuple(guess))
+            values = [np.broadcast_to(np.asarray(value, dtype=float), (1,)) for value in found]
+        except (TypeError, ValueError) as error:
+            raise InvalidArgument(
+                f"{name}(state, control, p): expected a tuple of rates from {len(extended)} states, {len(neutral)} "
+                f"controls and {len(guess)} parameters; it says: {error}"
+            ) from error
+        if len(values) != len(extended):
+            names = [self.extended.state_names[i] for i in self.law_rows]
+            raise InvalidArgument(
+                f"{name}(state, control, p): expected {len(extended)} rates, of {', '.join(names)}; got {len(values)}"
+            )
+        if not np.isfinite(values).all():
+            raise InvalidArgument(f"{name}(state, control, p): the rates at rest with the first guess are {values}")
+
+    def acting(self, p: Array, controls: list[Array]) -> Array:
+        """Return the law's controls (n, ...) from the present and earlier ones (nu, ...), newest first: delayed."""
+        places = list(self.controls)
+        if not self.delay:
+            return controls[0][places]
+        shares = delay_shares(p[-1], self.delay)
+        return np.asarray(sum(share * control[places] for share, control in zip(shares, controls, strict=True)))
+
+    def rates(self, x: Array, commanded: Array, p: Array) -> Array:
+        """Return d/dt of the extended state ``x`` (n, ...) under commands (n_controls, ...) that have arrived."""
+        found = np.zeros_like(x)
+        control = x[self.actuator_rows] if self.lagged else commanded
+        rates = array_form(self.law)(tuple(x[i] for i in self.law_rows), tuple(control), tuple(p[: len(self.own)]))
+        for row, rate in zip(self.law_rows, rates, strict=True):
+            found[row] = rate
+        if self.lagged:
+            lags = p[len(self.own) : len(self.own) + len(self.controls)]
+            found[self.actuator_rows] = (commanded - control) / lags
+        if self.system.motion is not None:
+            found += np.moveaxis(self.extended.turning(np.moveaxis(x, 0, -1)), -1, 0)
+        return found
+
+    def step(
+        self, p: Array, carry: Array, control: Array, extra: Callable[[Array], Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Return the next extended state (n, ...) and the earlier controls from a carry (n_carry, ...).
+
+        ``extra`` is what is added to the rates of the measured states (nx, ...) in an extended state.
+        """
+        nx, nu = self.extended.nx, self.system.nu
+        past = carry[nx:]
+        earlier = [past[lag * nu : (lag + 1) * nu] for lag in range(self.delay)]
+        commanded = self.acting(p, [control, *earlier])
+
+        def rate(x: Array) -> Array:
+            found = self.rates(x, commanded, p)
+            if extra is not None:
+                found[: self.system.nx] += extra(x)
+            return found
+
+        after = carry[:nx]
+        for _ in range(self.substeps):
+            after = rk4(rate, after, self.system.dt / self.substeps)
+        if self.extended.limited:
+            low, high = (side.reshape(-1, *[1] * (after.ndim - 1)) for side in self.extended.limits)
+            after = np.clip(after, low, high)
+        if not self.delay:
+            return after, past
+        return after, np.concatenate([np.broadcast_to(control, (nu, *past.shape[1:])), past[:-nu]])
+
+    def start(self, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
+        """Return the carry (n_carry, ..., B) after a history (B, L + 1, nx), (B, L, nu) with ``hidden`` (n, ..., B).
+
+        The actuators follow the commands of the history, of which the oldest one has held for long.
+        """
+        rank = p.ndim
+        newest_first = np.moveaxis(controls, 2, 0)[:, :, ::-1]  # (nu, B, L)
+        length = newest_first.shape[2]
+        neutral = np.tile(self.system.neutral_control[:, None], (1, len(states)))
+
+        def command(back: int) -> Array:
+            return _ranked(newest_first[:, :, min(back, length) - 1] if length else neutral, rank)
+
+        parts = [_ranked(states[:, -1].T, rank), hidden]
+        if self.lagged:
+            share = -np.expm1(-self.system.dt / p[len(self.own) : len(self.own) + len(self.controls)])
+            actual = command(length)[list(self.controls)]
+            for back in range(length, 0, -1):
+                commanded = self.acting(p, [command(back + lag) for lag in range(self.delay + 1)])
+                actual = actual + share * (commanded - actual)
+            parts.append(actual)
+        parts += [command(1 + lag) for lag in range(self.delay)]
+        batch = np.broadcast_shapes(p.shape[1:], *(part.shape[1:] for part in parts))
+        return np.concatenate([np.broadcast_to(part, (len(part), *batch)) for part in parts])
+
+
+def _ranked(values: Array, rank: int) -> Array:
+    """Return (n, B) with as many axes as ``rank``, those of parameters between."""
+    return values.reshape(len(values), *[1] * (rank - 2), -1)
+
+
+def delay_shares(delay: Array, longest: int) -> list[Array]:
+    """Return the shares of the controls of 0, 1, ... ``longest`` samples ago that act under a ``delay`` in samples.
+
+    A control that arrives within the sample acts for the rest of it: a weighted mean of two neighbours.
+    """
+    return [np.maximum(1.0 - np.abs(delay - lag), 0.0) for lag in range(longest + 1)]

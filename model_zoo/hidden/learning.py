@@ -1,0 +1,169 @@
+"""From recordings to one trained space: the linear start, short free runs, then long ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from model_zoo.hidden.observer import Observer, observer
+from model_zoo.hidden.records import Record, Scales, Segments, records
+from model_zoo.hidden.shooting import FAR, Spaces, Trained, train
+from model_zoo.hidden.subspace import Subspace, linear_space
+from sysid_evo.arrays import Array, BoolArray
+from sysid_evo.data import Dataset
+
+SHORT, MIDDLE = 100, 300
+"""Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
+UNSTABLE, STABLE = 1.0005, 0.999
+"""Spectral radius from which a linear space is unstable, and what it is then brought to."""
+MOST_BACKWARDS, BEYOND = 3000, 2.0
+"""Steps under controls in reverse, and how many times the largest recorded output is too far."""
+LOST = 1.0
+"""A root mean square residual, in deviations, from which a training begins anew at the linear start."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """Recordings in units of deviation, and segments of at most ``horizon`` steps of them."""
+
+    scales: Scales
+    parts: list[Record]
+    horizon: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, horizon: int, scales: Scales | None = None) -> Self:
+        """Prepare ``dataset`` in its own units of deviation, or in those given."""
+        scales = scales or Scales.of(dataset)
+        return cls(scales, records(dataset, scales), horizon)
+
+    @cached_property
+    def subspace(self) -> Subspace:
+        """What the past tells of the outputs."""
+        return Subspace.of(self.parts)
+
+    @cached_property
+    def short(self) -> Segments:
+        return Segments.of(self.parts, min(SHORT, self.horizon))
+
+    @cached_property
+    def middle(self) -> Segments:
+        return Segments.of(self.parts, MIDDLE) if self.horizon > MIDDLE else self.long
+
+    @cached_property
+    def long(self) -> Segments:
+        return Segments.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
+
+    def linear(self, order: int) -> Spaces:
+        """Return the linear space that the subspace gives, made stable if it is not."""
+        found = linear_space(self.subspace, order)
+        outer = found.rates / found.pace[:, None]
+        return stabilised(Spaces(outer[None], np.empty((1, 0, outer.shape[1])), found.pace, ("smooth",)))
+
+    def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
+        """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
+        start = self.linear(order)
+        trained = self.learned(start, self.blank(self.short, start), short, told)
+        if radius(trained.spaces) > UNSTABLE:
+            trained = self.learned(start, self.blank(self.short, start), 1, lambda: None)
+        trained = self.lengthened(trained, start, long, told)
+        if radius(trained.spaces) <= UNSTABLE:
+            return trained
+        stable = stabilised(trained.spaces)
+        return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
+
+    def blank(self, segments: Segments, spaces: Spaces) -> Array:
+        """Return initial states (S, B, n) of which the outputs alone are known."""
+        starts = np.zeros((len(spaces), len(segments), spaces.n))
+        ny = segments.outputs.shape[2]
+        starts[:, :, :ny] = segments.outputs[:, 0]
+        return starts
+
+    def states(self, trained: Trained, segments: Segments) -> Array:
+        """Return the states (S, N, n) of the runs at all samples that count, in a row."""
+        runs = trained.spaces.run(trained.starts, segments.controls)
+        return np.stack([segments.rows(run) for run in runs])
+
+    def learned(self, spaces: Spaces, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
+        """Train on short free runs, which begin at ``starts`` (S, B, n)."""
+        return train(spaces, self.short, starts, iterations, told)
+
+    def lengthened(self, trained: Trained, fallback: Spaces, iterations: int, told: Callable[[], None]) -> Trained:
+        """Go on with longer and longer free runs, ``iterations`` in all.
+
+        Spaces that lose their way there begin at ``fallback`` (one space) again.
+        """
+        before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
+        later = later[:1] if later and later[0] is later[-1] else later
+        for number, segments in enumerate(later):
+            starts = self.states(trained, before)[:, segments.begins]
+            spaces = trained.spaces
+            runs = spaces.run(starts, segments.controls)[..., : segments.outputs.shape[2]]
+            off = ((runs - segments.outputs) ** 2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
+            lost = off > LOST**2 * segments.counts.sum() * runs.shape[3]
+            if lost.any():
+                outer = spaces.outer.copy()
+                outer[lost] = 0.0
+                outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
+                spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.units)
+                starts[lost] = self.blank(segments, spaces)[lost]
+            share = iterations * (number + 1) // len(later) - iterations * number // len(later)
+            trained, before = train(spaces, segments, starts, share, told), segments
+        for _ in range(0 if later else iterations):
+            told()
+        return trained
+
+    def observers(self, trained: Trained) -> list[Observer]:
+        """Return an observer of every space of a training on long free runs."""
+        runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
+        return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
+
+    def from_history(self, space: Spaces, own: Observer) -> float:
+        """Return the mean square error of one space on long free runs that begin where its observer finds it.
+
+        In training the initial states are free, which hides a slow or unstable state that no history tells.
+        """
+        outputs, controls = self.long.outputs, self.long.controls
+        ny, history = outputs.shape[2], min(own.history, controls.shape[1] // 2)
+        states = (outputs[:, 0] @ own.first[:, :ny].T + own.first[:, ny])[None]
+        for k in range(history + 1):
+            off = outputs[:, k] - states[..., :ny]
+            states = np.clip(space.step(states, controls[:, k]) + off @ own.gain.T, -FAR, FAR)
+        runs = space.run(states, controls[:, history + 1 :])[0, ..., :ny]
+        counts = self.long.counts[:, history + 1 :, None]
+        off = (runs - outputs[:, history + 1 :]) ** 2 * counts
+        return float(off.sum() / max(counts.sum() * ny, 1.0))
+
+    def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
+        """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls, backwards in time.
+
+        These are controls as the system met them, in an order that was not trained: what is unstable shows.
+        """
+        longest = max(self.parts, key=len)
+        centre = np.append(np.zeros(longest.outputs.shape[1]), 1.0)
+        starts = np.stack([own.first @ centre for own in observers])[:, None]
+        runs = spaces.run(starts, longest.controls[None, MOST_BACKWARDS::-1])[:, 0, :, : longest.outputs.shape[1]]
+        limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
+        return np.asarray((np.abs(runs) > limit).any(axis=(1, 2)))
+
+
+def radius(space: Spaces) -> float:
+    """Return the spectral radius of the linear part of one space."""
+    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
+    return float(np.abs(np.linalg.eigvals(drift)).max())
+
+
+def stabilised(space: Spaces) -> Spaces:
+    """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
+    if radius(space) <= UNSTABLE:
+        return space
+    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
+    values, vectors = np.linalg.eig(drift)
+    values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
+    outer = space.outer.copy()
+    kept = (vectors * values) @ np.linalg.pinv(vectors)
+    outer[0, :, : space.n] = (kept.real - np.eye(space.n)) / space.pace[:, None]
+    return Spaces(outer, space.inner, space.pace, space.units)

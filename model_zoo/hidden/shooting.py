@@ -1,0 +1,296 @@
+"""Training of state spaces on free runs from free initial states: Levenberg-Marquardt, several starts side by side.
+
+    x' = x + pace (Outer (x, u, 1, units(Inner (x, u, 1)))),  y = the first states
+
+The Jacobian comes from forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from model_zoo.hidden.records import Segments
+from model_zoo.hidden.units import slopes, values
+from sysid_evo.arrays import Array, BoolArray, IntArray
+
+FAR = 30.0
+"""Deviations from the centre at which a run has diverged."""
+START_PRIOR = 0.05
+"""Weight of the squares of initial states beside the residuals' in units of the noise."""
+LINEAR_PRIOR = 1e-4
+MOST_MEMORY = 3.0
+"""Residuals that are alike for so long count once, at most."""
+EASIER, HARDER = 0.3, 5.0
+STIFFEST = 1e8
+SAME, LOOSE = 1e-5, 1e-2
+"""A share of the objective that is not worth another step, unless steps are damped more than that."""
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """S state spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``units`` (S)."""
+
+    outer: Array
+    inner: Array
+    pace: Array
+    units: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.outer)
+
+    def __getitem__(self, rows: Sequence[int] | IntArray) -> Spaces:
+        chosen = [int(row) for row in np.arange(len(self))[rows]]
+        return Spaces(self.outer[chosen], self.inner[chosen], self.pace, tuple(self.units[i] for i in chosen))
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.outer.shape[1]
+
+    @property
+    def flat(self) -> Array:
+        """All parameters, (S, P)."""
+        return np.concatenate([self.outer.reshape(len(self), -1), self.inner.reshape(len(self), -1)], axis=1)
+
+    def with_flat(self, flat: Array) -> Spaces:
+        """Return the spaces with other parameters (S, P)."""
+        split = self.outer[0].size
+        return replace(
+            self, outer=flat[:, :split].reshape(self.outer.shape), inner=flat[:, split:].reshape(self.inner.shape)
+        )
+
+    @property
+    def prior(self) -> Array:
+        """The weight (P,) of every parameter's square: that of the linear part is next to none."""
+        outer = np.ones(self.outer.shape[1:])
+        outer[:, : self.inner.shape[2]] = LINEAR_PRIOR
+        return np.concatenate([outer.ravel(), np.ones(self.inner[0].size)])
+
+    def units_of(self, function: Callable[[str, Array], Array], inside: Array) -> Array:
+        """Return ``function`` of what goes into the units, (S, ..., h)."""
+        out = np.empty_like(inside)
+        for kind in set(self.units):
+            rows = [i for i, own in enumerate(self.units) if own == kind]
+            out[rows] = function(kind, inside[rows])
+        return out
+
+    def step(self, states: Array, controls: Array) -> Array:
+        """Return the next states (S, B, n) under ``controls`` (B, nu)."""
+        regressors = self._regressors(states, controls)
+        units = self.units_of(values, regressors @ self.inner.swapaxes(1, 2))
+        rates = np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2)
+        return states + self.pace * rates
+
+    def run(self, states: Array, controls: Array) -> Array:
+        """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
+        out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
+        out[:, :, 0] = states
+        for k in range(controls.shape[1]):
+            states = np.clip(self.step(states, controls[:, k]), -FAR, FAR)
+            out[:, :, k + 1] = states
+        return out
+
+    def jacobian(self, states: Array, controls: Array) -> Array:
+        """Return dx'/dx (S, B, n, n)."""
+        _, _, by_state, _ = self._parts(states, controls)
+        return by_state
+
+    def _regressors(self, states: Array, controls: Array) -> Array:
+        shape = *states.shape[:2], controls.shape[1]
+        ones = np.ones((*shape[:2], 1))
+        return np.concatenate([states, np.broadcast_to(controls, shape), ones], axis=2)
+
+    def _parts(self, states: Array, controls: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the regressors with their units, those without, dx'/dx, and pace x outer x slopes (S, B, n, h)."""
+        regressors = self._regressors(states, controls)
+        inside = regressors @ self.inner.swapaxes(1, 2)
+        whole = np.concatenate([regressors, self.units_of(values, inside)], axis=2)
+        linear = regressors.shape[2]
+        weights = self.pace[:, None] * self.outer[:, None, :, linear:]
+        through = weights * self.units_of(slopes, inside)[:, :, None, :]
+        by_state = through @ self.inner[:, None, :, : self.n]
+        by_state = by_state + (np.eye(self.n) + self.pace[:, None] * self.outer[:, None, :, : self.n])
+        return whole, regressors, by_state, through
+
+    def sensitivities(self, states: Array, controls: Array, n_outputs: int) -> tuple[Array, Array]:
+        """Return the outputs (S, B, H + 1, ny) and their derivatives (S, B, H + 1, ny, P + n).
+
+        The last n derivatives are those by the initial state.
+        """
+        n, width, count = self.n, self.outer.shape[2], self.outer[0].size
+        members, pieces, steps = *states.shape[:2], controls.shape[1]
+        size = count + self.inner[0].size
+        outputs = np.empty((members, pieces, steps + 1, n_outputs))
+        derivatives = np.empty((members, pieces, steps + 1, n_outputs, size + n))
+        now = np.zeros((members, pieces, n, size + n))
+        now[..., size:] = np.eye(n)
+        added = np.zeros((members, pieces, n, size + n))
+        for k in range(steps + 1):
+            outputs[:, :, k] = states[..., :n_outputs]
+            derivatives[:, :, k] = now[:, :, :n_outputs]
+            if k == steps:
+                break
+            whole, regressors, by_state, through = self._parts(states, controls[:, k])
+            for i in range(n):
+                added[:, :, i, i * width : (i + 1) * width] = self.pace[i] * whole
+            if through.shape[3]:
+                product = through[..., None] * regressors[:, :, None, None, :]
+                added[..., count:size] = product.reshape(*product.shape[:3], -1)
+            now = by_state @ now
+            now += added
+            states = states + self.pace * (whole @ self.outer.swapaxes(1, 2))
+        return outputs, derivatives
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Spaces after training, the initial states (S, B, n) of the segments, and the mean square residual (S,)."""
+
+    spaces: Spaces
+    starts: Array
+    error: Array
+
+
+@dataclass
+class _Objective:
+    """What is minimised: residuals in units of the noise, priors on parameters and initial states."""
+
+    segments: Segments
+    prior: Array
+
+    def residuals(self, outputs: Array) -> Array:
+        return (outputs - self.segments.outputs) * self.segments.counts[:, :, None]
+
+    def error(self, residuals: Array) -> Array:
+        count = self.segments.counts.sum() * residuals.shape[3]
+        return np.asarray((residuals**2).sum(axis=(1, 2, 3)) / count)
+
+    def scale(self, residuals: Array) -> Array:
+        """Return what a squared residual counts, (S,): less if residuals are alike for long."""
+        power = (residuals**2).sum(axis=(1, 2, 3))
+        alike = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
+        memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MOST_MEMORY)
+        return np.asarray(1.0 / (np.maximum(self.error(residuals), 1e-12) * memory))
+
+    def value(self, residuals: Array, scale: Array, flat: Array, starts: Array) -> Array:
+        with np.errstate(all="ignore"):
+            total = scale * (residuals**2).sum(axis=(1, 2, 3)) + (self.prior * flat**2).sum(axis=1)
+            total = total + START_PRIOR * (starts**2).sum(axis=(1, 2))
+        return np.where(np.isfinite(total), total, np.inf)
+
+
+def train(
+    spaces: Spaces, segments: Segments, starts: Array, iterations: int, told: Callable[[], None] = lambda: None
+) -> Trained:
+    """Fit all parameters and the initial states ``starts`` (S, B, n) by Levenberg-Marquardt, each space for itself.
+
+    ``told`` is called after each iteration, ``iterations`` times whatever happens.
+    """
+    objective, ny = _Objective(segments, spaces.prior), segments.outputs.shape[2]
+    damping, going = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
+    starts = starts.copy()
+    for _ in range(iterations):
+        rows = np.flatnonzero(going).astype(np.int64)
+        if len(rows):
+            own = spaces[rows]
+            done, going[rows] = _improve(own, starts[rows], damping[rows], objective, ny)
+            flat = spaces.flat
+            flat[rows], starts[rows], damping[rows] = done.flat, done.starts, done.damping
+            spaces = spaces.with_flat(flat)
+        told()
+    outputs = spaces.run(starts, segments.controls)[..., :ny]
+    return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Parameters (S, P), initial states and damping after one iteration."""
+
+    flat: Array
+    starts: Array
+    damping: Array
+
+
+TRIES = 6
+
+
+def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objective, ny: int) -> tuple[_Step, BoolArray]:
+    """Return one iteration of every space, and which are worth going on with."""
+    flat, damping = spaces.flat.copy(), damping.copy()
+    starts = starts.copy()
+    with np.errstate(all="ignore"):
+        outputs, derivatives = spaces.sensitivities(starts, objective.segments.controls, ny)
+    residuals = objective.residuals(outputs)
+    scale = objective.scale(residuals)
+    value = objective.value(residuals, scale, flat, starts)
+    derivatives *= objective.segments.counts[:, :, None, None]
+    systems = [
+        _Normal.of(derivatives[s], residuals[s], scale[s], objective.prior, flat[s], starts[s])
+        for s in range(len(spaces))
+    ]
+    left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
+    for _ in range(TRIES):
+        rows = np.flatnonzero(left).astype(np.int64)
+        if not len(rows):
+            break
+        moved = [systems[s].solve(damping[s]) for s in rows]
+        new_flat = flat[rows] - np.stack([step for step, _ in moved])
+        new_starts = starts[rows] - np.stack([step for _, step in moved])
+        with np.errstate(all="ignore"):
+            run = spaces[rows].with_flat(new_flat).run(new_starts, objective.segments.controls)
+        tried = objective.value(objective.residuals(run[..., :ny]), scale[rows], new_flat, new_starts)
+        for i, s in enumerate(rows):
+            if tried[i] < value[s]:
+                flat[s], starts[s] = new_flat[i], new_starts[i]
+                going[s] = value[s] - tried[i] > SAME * value[s] or damping[s] > LOOSE
+                damping[s] *= EASIER
+                left[s] = False
+            else:
+                damping[s] *= HARDER
+    return _Step(flat, starts, damping), going & (damping < STIFFEST)
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations of one space: parameters (P), and B initial states (n) that are eliminated."""
+
+    square: Array
+    gradient: Array
+    cross: Array
+    own: Array
+    own_gradient: Array
+
+    @classmethod
+    def of(
+        cls, derivatives: Array, residuals: Array, scale: float, prior: Array, flat: Array, starts: Array
+    ) -> _Normal:
+        pieces, size = len(starts), len(flat)
+        jacobian = derivatives.reshape(pieces, -1, derivatives.shape[3])
+        off = residuals.reshape(pieces, -1)
+        by_parameters, by_start = jacobian[..., :size], jacobian[..., size:]
+        whole = by_parameters.reshape(-1, size)
+        return cls(
+            scale * (whole.T @ whole) + np.diag(prior),
+            scale * (whole.T @ off.ravel()) + prior * flat,
+            scale * (by_parameters.swapaxes(1, 2) @ by_start),
+            scale * (by_start.swapaxes(1, 2) @ by_start) + START_PRIOR * np.eye(starts.shape[1]),
+            scale * (by_start.swapaxes(1, 2) @ off[..., None])[..., 0] + START_PRIOR * starts,
+        )
+
+    def solve(self, damping: float) -> tuple[Array, Array]:
+        """Return the steps of parameters (P,) and initial states (B, n), both to be taken away."""
+        square = self.square + damping * np.diag(np.diag(self.square))
+        own = self.own * (1.0 + damping * np.eye(self.own.shape[1]))
+        inverse = np.linalg.inv(own)
+        through = self.cross @ inverse
+        reduced = square - (through @ self.cross.swapaxes(1, 2)).sum(axis=0)
+        gradient = self.gradient - (through @ self.own_gradient[..., None])[..., 0].sum(axis=0)
+        try:
+            step = np.linalg.solve(reduced, gradient)
+        except np.linalg.LinAlgError:
+            step = np.linalg.lstsq(reduced, gradient, rcond=None)[0]
+        rest = self.own_gradient - self.cross.swapaxes(1, 2) @ step
+        return step, (inverse @ rest[..., None])[..., 0]

@@ -1,0 +1,175 @@
+"""What `auto` tries: families with their settings, in a fixed order, and about how long each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
+from sysid_evo.registry import Spec, models
+from sysid_evo.system import System
+
+PROCESSORS = 2
+"""Of the machine whose seconds a budget is counted in."""
+SHARE = 0.85
+"""Of its time that is spent in fits: the rest is starting processes, waiting for the last one, and the mean."""
+STEPS = 7200.0
+NUMBERS = 5.0
+"""Steps of six minutes at 20 Hz, and states and controls of a car: what `Candidate.seconds` were measured with."""
+OF_A_PLUGIN = 5.0
+"""Seconds that a family counts that is not listed here."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A family with its settings.
+
+    ``seconds`` is how long one fit takes on one processor with `STEPS` steps of a car, of which the share ``growing``
+    is in proportion to the number of steps. In the fits that only judge it has the settings ``roughly``.
+    """
+
+    spec: Spec
+    seconds: float = OF_A_PLUGIN
+    growing: float = 1.0
+    roughly: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What it is called: its label, if it has one of its own, or the whole spec."""
+        return self.spec.text if self.spec.label == self.spec.name else self.spec.label
+
+    def model(self, **changed: Any) -> DynamicsModel:
+        """Return it unfitted. Raises what the registry says where it cannot be made."""
+        found: DynamicsModel = models.make(self.spec.name, **{**self.spec.parameters, **changed})
+        return found
+
+    def seconds_for(self, system: System, steps: int, *, rough: bool) -> float:
+        """Return about how many seconds of one processor a fit to so many steps takes."""
+        size = (system.nx + system.nu) / NUMBERS
+        share = self.roughly.get("members", 1) / self.spec.parameters.get("members", 1) if rough else 1.0
+        return self.seconds * share * size * (1.0 - self.growing + self.growing * steps / STEPS)
+
+    def cost(self, system: System, steps: int, folds: int) -> float:
+        """Return about how many seconds all its fits take: one for each fold, and one to all data."""
+        learned = round(steps * (1.0 - 1.0 / max(2, folds)))
+        return folds * self.seconds_for(system, learned, rough=True) + self.seconds_for(system, steps, rough=False)
+
+
+def _one(text: str, seconds: float, growing: float = 0.1, **roughly: Any) -> Candidate:
+    return Candidate(Spec.parse(text), seconds, growing, roughly)
+
+
+def _networks(state_lags: int, control_lags: int, input_noise: float) -> Candidate:
+    """Return four lagged networks; more input noise makes them better at long horizons and worse at short ones."""
+    settings = {"state_lags": state_lags, "control_lags": control_lags, "input_noise": input_noise}
+    training = {"members": 4, "one_step_updates": 1500, "updates": 600}
+    label = Spec("mlp_ensemble", settings).text
+    return Candidate(Spec("mlp_ensemble", {**settings, **training}, label), 5.5, 0.1, {"members": 2})
+
+
+SHIPPED: tuple[Candidate, ...] = (
+    _one("narx(lag_search=few, terms=32, degree=none)", 0.4, 1.0),
+    _networks(0, 5, 1.0),
+    _networks(1, 3, 0.3),
+    _networks(0, 5, 2.0),
+    _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=1.0)", 4.0),
+    _one("neural_ode(input_noise=0.5)", 3.5),
+    _one("k_neighbours", 2.0, 1.0),
+    _one("sindy(lag_search=few)", 0.7, 1.0),
+    _networks(0, 5, 0.3),
+    _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
+    _one("gaussian_process", 3.0, 1.0),
+    _one("sindy_discrete", 1.0, 1.0),
+    _networks(0, 0, 3.0),
+    _one("linear(state_lags=2, control_lags=2)", 0.1, 1.0),
+    _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=0.3)", 5.5),
+    _one("parametrised", 2.0, 1.0),
+    _networks(2, 5, 1.0),
+    _one("neural_ode(input_noise=2.0)", 3.5),
+    _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=2.0)", 4.0),
+    _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=2.0)", 5.5),
+    _networks(0, 2, 0.05),
+)
+"""What is tried unless candidates are named, the most telling for their time first."""
+
+
+def offered(system: System, steps: int, *, budget: float, folds: int) -> tuple[list[Candidate], list[str]]:
+    """Return the candidates that ``budget`` seconds of two processors are enough for, and remarks on those left out.
+
+    They are taken in their order, each that still fits into what is left, by `Candidate.cost`: by what they are
+    expected to take and not by a clock, so that the choice is the same on every machine. The first that can be used
+    is always taken. Registered families that declare a ``structure`` and are not among the shipped come first.
+    """
+    left, taken, remarks = PROCESSORS * SHARE * budget, list[Candidate](), list[str]()
+    for candidate in (*plugins(), *SHIPPED):
+        reason = unusable(candidate, system)
+        if reason:
+            remarks.append(f"{candidate.name}: {reason}")
+            continue
+        cost = candidate.cost(system, steps, folds)
+        if cost <= left or not taken:
+            taken.append(candidate)
+            left -= cost
+        else:
+            remarks.append(f"{candidate.name}: not tried, the budget of {budget:g} s is spent on others")
+    return taken, remarks
+
+
+def named(texts: Sequence[str]) -> list[Candidate]:
+    """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults.
+
+    Raises what the registry says of wrong names, and `InvalidArgument` for `auto` itself.
+    """
+    found: list[Candidate] = []
+    for spec in map(Spec.parse, texts):
+        if spec.name == "auto":
+            raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
+        models.check(spec)
+        listed = [candidate for candidate in SHIPPED if candidate.spec.name == spec.name]
+        found += [Candidate(spec)] if spec.parameters or not listed else listed
+    return found
+
+
+def unusable(candidate: Candidate, system: System) -> str:
+    """Return why a candidate cannot describe ``system`` or cannot run here; empty if it can."""
+    try:
+        lacking = models.lacking(candidate.spec.name)
+        if lacking is not None:
+            return str(lacking)
+        model = candidate.model()
+        model.check_system(system)
+    except (IncompatibleSystem, MissingExtra, PluginError) as error:
+        return str(error)
+    if system.periods and not model.periodic:
+        turning = ", ".join(channel.name for channel in system.states if channel.period)
+        return f"it is not periodic, and {turning} comes round"
+    return ""
+
+
+def structure_of(model: DynamicsModel) -> str:
+    """Return the class of structure in which a fitted ``model`` is weighed.
+
+    That is the ``structure`` of its family, of networks with or without a memory of earlier samples. A family that
+    declares none counts as physics if it assumes a good deal of it, and as another structure if it does not.
+    """
+    declared = type(model).structure or ("physics" if model.knowledge in ("grey", "white") else "other")
+    if declared != "network":
+        return declared
+    return "network with lags" if model.n_carry > model.system.nx else "network without lags"
+
+
+def plugins() -> list[Candidate]:
+    """Return the registered families that declare a structure and are no part of the zoo, by name."""
+    found = []
+    for name in models.names():
+        if models.module(name).partition(".")[0] == __name__.partition(".")[0]:
+            continue
+        try:
+            family: Any = models.get(name)
+        except PluginError:  # listing the families tells of it
+            continue
+        if getattr(family, "structure", ""):
+            found.append(Candidate(Spec(name), getattr(family, "usual_seconds", OF_A_PLUGIN)))
+    return found

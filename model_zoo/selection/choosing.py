@@ -1,0 +1,128 @@
+"""Candidates are fitted without what is held out, run free there, and the best of them are fitted again to all data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from model_zoo.selection.candidates import Candidate
+from model_zoo.selection.fitting import Outcome, Task, Work
+from model_zoo.selection.gate import Passed, chosen
+from sysid_evo.arrays import IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidData
+from sysid_evo.judging import Errors, Judge, interval
+
+MOST_DIVERGED = 0.05
+"""Share of the free runs of a candidate that may end at its envelope."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
+
+    ``kept`` are the numbers of those inside the gate that was ``passed``, ``models`` what they learned from all data,
+    ``rough`` what they learned without each fold.
+    """
+
+    errors: list[Errors | None]
+    reasons: list[str]
+    kept: list[int]
+    passed: Passed
+    models: list[DynamicsModel]
+    rough: list[list[DynamicsModel]]
+
+
+@dataclass(frozen=True)
+class Choosing:
+    """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits."""
+
+    dataset: Dataset
+    pairs: Sequence[tuple[Dataset, Dataset]]
+    judge: Judge
+    candidates: Sequence[Candidate]
+    seeds: IntArray
+    work: Work
+
+    def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> Choice:
+        """Return what is kept within ``gate``, whose mean is what ``mean`` makes of them.
+
+        Raises `InvalidData` if no candidate can be used.
+        """
+        count, folds = len(self.candidates), range(len(self.pairs))
+        outcomes = self.work.outcomes([self._task(n, fold) for n in range(count) for fold in folds])
+        rough = [[outcomes[number, fold] for fold in folds] for number in range(count)]
+        errors, reasons = judged(rough, self.judge)
+        usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
+        self._expect(len(usable) > 0, reasons)
+
+        def models(number: int) -> list[DynamicsModel]:
+            return [outcome.model for outcome in rough[number] if outcome.model is not None]
+
+        def mean_error(group: list[int]) -> float:
+            self.work.still()
+            fold_models = [[models(numbers[i])[fold] for i in group] for fold in folds]
+            means = [mean(parts) for parts in fold_models]
+            return self.judge.errors([t.run(one) for t, one in zip(self.judge.trials, means, strict=True)]).mean
+
+        numbers = list(usable)
+        best = min(usable.values(), key=lambda error: error.mean)
+        ties = [i for i, number in enumerate(numbers) if interval(best, usable[number])[0] <= 0.0]
+        group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
+        final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
+        kept: dict[int, DynamicsModel] = {}
+        for (number, _), outcome in sorted(final.items()):
+            if outcome.model is None:
+                reasons[number] = outcome.reason
+            else:
+                kept[number] = outcome.model
+        self._expect(len(kept) > 0, reasons)
+        return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
+
+    def _task(self, number: int, fold: int) -> Task:
+        """Return the fit of one candidate without one fold, or to all data after the last of them."""
+        one, judging = self.candidates[number], fold < len(self.pairs)
+        part = self.pairs[fold][0] if judging else self.dataset
+        return Task(
+            (number, fold),
+            one.spec.name,
+            {**one.spec.parameters, **(one.roughly if judging else {})},
+            part,
+            int(self.seeds[number, fold]),
+            one.seconds_for(part.system, part.n_steps, rough=judging),
+            self.judge.trials[fold] if judging else None,
+        )
+
+    def _expect(self, found: bool, reasons: Sequence[str]) -> None:
+        if not found:
+            told = zip(self.candidates, reasons, strict=True)
+            raise InvalidData(
+                "auto: expected a candidate that learns and runs free, got none: "
+                + "; ".join(f"{one.name}: {reason}" for one, reason in told if reason)
+            )
+
+
+def judged(rough: Sequence[Sequence[Outcome]], judge: Judge) -> tuple[list[Errors | None], list[str]]:
+    """Return the errors of every candidate (None if a fit failed), and why it is not to be used (empty if it is).
+
+    Where all diverge, the least bad are used all the same.
+    """
+    errors: list[Errors | None] = []
+    reasons: list[str] = []
+    for folds in rough:
+        reason = next((outcome.reason for outcome in folds if outcome.simulated is None), "")
+        runs = [outcome.simulated for outcome in folds if outcome.simulated is not None]
+        found = None if reason else judge.errors(runs)
+        share = max(outcome.diverged for outcome in folds)
+        if found is not None and not np.isfinite(found.mean):
+            found, reason = None, "its free runs are not finite"
+        elif found is not None and share > MOST_DIVERGED:
+            reason = f"{100 * share:.0f} % of its free runs diverge"
+        errors.append(found)
+        reasons.append(reason)
+    if all(reasons):
+        reasons = [reason if error is None else "" for error, reason in zip(errors, reasons, strict=True)]
+    return errors, reasons

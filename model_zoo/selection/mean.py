@@ -1,0 +1,144 @@
+"""The weighted mean of several fitted models as a model: all step from the mean, and each keeps a memory of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from model_zoo.validation.spread import conformal_scale
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.free_run import judging_windows
+from sysid_evo.wrappers.members import Members
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+
+
+class MeanOfMembers(DynamicsModel):
+    """A family that learns ``members_``, fitted models, and their ``weights_`` (M,), whose sum is 1.
+
+    The next state is the mean of theirs. The carry is the state, then the members' carries, each with the same state
+    at its head. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) make the noise of a step. Members
+    are not held at rest: the mean is, with ``rest_hold``, while no member remembers a control that may still act.
+    """
+
+    stochastic: bool = False
+    rest_hold: bool = False
+
+    def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
+        """Be the mean of these fitted models."""
+        self.members_, self.weights_ = list(models), weights
+
+    def of(self, models: Sequence[DynamicsModel], weights: Array) -> Self:
+        """Return the mean of these models, of the same data, as a model without noise."""
+        other = self.variant(stochastic=False)
+        other.become(models, weights)
+        return other
+
+    def calibrate(
+        self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, still: Callable[[], None]
+    ) -> None:
+        """Set the noise of a step: ``cases`` are means like this one, each with what it did not learn from.
+
+        ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
+        """
+        judged = [(mean, judging_windows(held, mean.n_lags)) for mean, held in cases]
+        off = []
+        for mean, part in judged:
+            first = mean.simulate(part.past_states, part.past_controls, part.controls[:, :1])
+            off.append(mean.system.difference(first[:, 0], part.states[:, 0]))
+        self.residual_ = np.sqrt(np.mean(np.concatenate(off) ** 2, axis=0))
+        for mean, _ in judged:
+            mean.residual_ = self.residual_
+        self.noise_scale_ = conformal_scale(judged, rng, still=still)
+
+    @cached_property
+    def _together(self) -> Members:
+        return Members(self.members_)
+
+    @property
+    def lags(self) -> tuple[int, int]:
+        """The most earlier states and earlier controls that a member sees (0 before `fit`)."""
+        members = getattr(self, "members_", [])
+        states, controls = ([model.lags[i] for model in members] for i in (0, 1))
+        return max(states, default=0), max(controls, default=0)
+
+    @property
+    def n_lags(self) -> int:  # type: ignore[override]  # follows from the members
+        return self._together.n_lags if hasattr(self, "members_") else 0
+
+    @property
+    def n_carry(self) -> int:  # type: ignore[override]  # follows from the members
+        return self.system.nx + self._together.n_carry
+
+    @property
+    def n_noise(self) -> int:  # type: ignore[override]  # follows from the members and the hyper-parameters
+        return self._together.n_noise + (self.system.nx if self.stochastic else 0)
+
+    @property
+    def n_draws(self) -> int:  # type: ignore[override]  # follows from the members
+        return self._together.n_draws
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
+        return np.concatenate([states[:, -1], self._together.start(states, controls, draws)], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        nx, together = self.system.nx, self._together
+        predicted, rests = together.step(carry[:, :nx], carry[:, nx:], control, noise)
+        weights = self.weights_[:, None, None]
+        after = (weights * predicted).sum(axis=0)
+        if self.stochastic and noise is not None:
+            variance = (weights * (predicted - after) ** 2).sum(axis=0)
+            deviation = np.sqrt(variance + self.residual_**2)
+            after = after + self.noise_scale_ * deviation * noise[:, together.n_noise :]
+        after = self.held(carry, control, after)
+        return np.concatenate([after, together.joined(after, rests)], axis=1)
+
+    def held(self, carry: Array, control: Array, after: Array) -> Array:
+        system, band = self.system, self.rest_band
+        after = np.clip(after, *system.limits) if system.limited else after
+        if band is None:
+            return after
+        rows, neutral = self._earlier_controls
+        still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
+        idle = (control == system.neutral_control).all(axis=1) & (carry[:, rows] == neutral).all(axis=1)
+        return np.where((still & idle)[:, None], system.neutral_state, after)
+
+    @property
+    def _earlier_controls(self) -> tuple[list[int], Array]:
+        """Where earlier controls stand in the carry, and what is neutral there."""
+        rows: list[int] = []
+        for model, place in zip(self.members_, self._together.places, strict=True):
+            earlier = range(model.layout.size)[model.layout.earlier_controls]
+            rows += [self.system.nx + place + row for row in earlier]
+        return rows, np.resize(self.system.neutral_control, len(rows)) if rows else np.empty(0)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._compiled
+
+    @cached_property
+    def _compiled(self) -> DynamicsKernel | None:
+        kernels = [model.kernel() for model in self.members_]
+        if self.stochastic or any(kernel is None for kernel in kernels):
+            return None
+        from sysid_evo.engine.kernels.several import mean_kernel
+
+        return mean_kernel(
+            [kernel for kernel in kernels if kernel is not None],
+            self.system,
+            places=[self.system.nx + place for place in self._together.places],
+            noise_places=self._together.noise_places,
+            weights=self.weights_,
+            rest_band=self.rest_band,
+            watched=self._earlier_controls,
+        )
+
+    def alternatives(self) -> tuple[DynamicsModel, ...]:
+        """Return the members."""
+        return tuple(self.members_) if len(self.members_) > 1 else ()

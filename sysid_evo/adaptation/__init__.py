@@ -1,0 +1,20 @@
+"""A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
+
+from sysid_evo.adaptation.adapting import Adaptation, adaptation
+from sysid_evo.adaptation.another_condition import adapted, as_of
+from sysid_evo.adaptation.corrected import Corrected
+from sysid_evo.adaptation.gate import Trial, Verdict
+from sysid_evo.adaptation.recursive import SelfCorrection
+from sysid_evo.adaptation.terms import Terms
+
+__all__ = [
+    "Adaptation",
+    "Corrected",
+    "SelfCorrection",
+    "Terms",
+    "Trial",
+    "Verdict",
+    "adaptation",
+    "adapted",
+    "as_of",
+]

@@ -1,0 +1,146 @@
+"""Whether a correction is believed: free runs over blocks of the recording that it did not learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import stdtrit
+
+from sysid_evo.adaptation.pieces import error_of
+from sysid_evo.arrays import Array, BoolArray, IntArray
+from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import Trajectory
+
+BLOCKS = 3
+BETTER = 0.10
+"""Share by which the error must be lower than without a correction,"""
+CONFIDENCE = 0.975
+"""and the probability that it is lower at all, from the differences second by second (Student's t)."""
+NONE = "none"
+
+
+@dataclass(frozen=True)
+class Held:
+    """The errors (B, H, nx) of free runs over a block that was held back, and the second in which each begins (B,)."""
+
+    errors: Array
+    second: IntArray
+
+    def squares(self) -> dict[int, float]:
+        """Return the mean square of the errors of the runs that begin in each second."""
+        mean = np.mean(self.errors**2, axis=(1, 2))
+        return {int(second): float(mean[self.second == second].mean()) for second in np.unique(self.second)}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
+
+    ``sure`` says whether it is better than none beyond what chance would do to so short a recording.
+    """
+
+    name: str
+    error: float
+    each: tuple[float, ...]
+    sure: bool
+
+    @property
+    def good(self) -> bool:
+        """Whether it is better by enough and surely."""
+        return self.sure and self.error <= 1.0 - BETTER
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
+
+    ``chosen`` is the name of a trial, or "none".
+    """
+
+    seconds: float
+    blocks: int
+    plain: float
+    trials: tuple[Trial, ...]
+    chosen: str
+
+    @property
+    def sentence(self) -> str:
+        """The decision in words."""
+        if not self.trials:
+            return f"no correction: {self.seconds:.0f} s in motion are too short to hold a block back"
+        taken = next((trial for trial in self.trials if trial.name == self.chosen), None)
+        best = min(self.trials, key=lambda trial: trial.error) if taken is None else taken
+        change = 100.0 * (1.0 - best.error)
+        seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
+        if taken is not None:
+            return f"{taken.name}: {seen} it did not learn from"
+        why = "which may be chance" if change >= 100.0 * BETTER else f"{100 * BETTER:.0f} % are asked"
+        return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
+
+
+@dataclass(frozen=True)
+class Block:
+    """The samples ``low`` to ``high`` of a recording, held back while the rest is learned from."""
+
+    low: int
+    high: int
+    horizon: int
+
+    def held(self, first: IntArray) -> BoolArray:
+        """Return which windows that begin at ``first`` (B,) lie inside."""
+        return (first >= self.low) & (first + self.horizon <= self.high)
+
+    def learned(self, first: IntArray) -> BoolArray:
+        """Return which windows lie outside; one that reaches over an edge is on neither side."""
+        return (first + self.horizon <= self.low) | (first >= self.high)
+
+    def rest(self, dataset: Dataset) -> Dataset:
+        """Return ``dataset`` without these samples."""
+        kept: list[Trajectory] = []
+        begin = 0
+        for episode in dataset:
+            low, high = (int(np.clip(edge - begin, 0, len(episode))) for edge in (self.low, self.high))
+            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+            begin += len(episode)
+        return dataset.with_episodes(kept)
+
+
+def blocks_of(first: IntArray, horizon: int) -> list[Block]:
+    """Return three blocks of time with as many of the windows that begin at ``first`` (B,) each.
+
+    None if one of them has no window to learn from, or none to be judged by.
+    """
+    edges = np.quantile(first, np.linspace(0.0, 1.0, BLOCKS + 1)).astype(int)
+    edges[0], edges[-1] = 0, int(first.max()) + horizon
+    blocks = [Block(low, high, horizon) for low, high in pairwise(edges.tolist())]
+    return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []
+
+
+def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held]) -> Trial:
+    """Return a trial from what each block shows without and with a correction."""
+    pairs = list(zip(plain, corrected, strict=True))
+    each = tuple(error_of(after.errors) / max(error_of(before.errors), 1e-12) for before, after in pairs)
+    whole = error_of(np.concatenate([after.errors for _, after in pairs]))
+    before = error_of(np.concatenate([before.errors for before, _ in pairs]))
+    gains = []
+    for one, other in pairs:
+        first, second = one.squares(), other.squares()
+        gains += [first[key] - second[key] for key in first.keys() & second.keys()]
+    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)))
+
+
+def surely_positive(gains: Array) -> bool:
+    """Whether the mean of ``gains`` (N,) is above zero by more than chance explains."""
+    if len(gains) < 3:
+        return False
+    error = gains.std(ddof=1) / np.sqrt(len(gains))
+    return bool(gains.mean() > stdtrit(len(gains) - 1, CONFIDENCE) * error)
+
+
+def decided(trials: Sequence[Trial]) -> str:
+    """Return the name of the best trial that is good enough; "none" without."""
+    good = [trial for trial in trials if trial.good]
+    return min(good, key=lambda trial: trial.error).name if good else NONE

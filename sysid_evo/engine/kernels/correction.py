@@ -1,0 +1,152 @@
+"""Any kernel with a correction of its accelerations around it, see `sysid_evo.adaptation.Terms`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.angles import TURN
+from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
+from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.motion.compiled_form import motion_kernel
+
+if TYPE_CHECKING:
+    from sysid_evo.adaptation.terms import Terms
+
+HEAD = Layout(
+    "nx",
+    "nu",
+    "inputs",
+    "count",
+    "products",
+    "carried_at",
+    "dt",
+    "limited",
+    "inputs_at",
+    "states_at",
+    "coefficients_at",
+    "frame",
+    "own",
+    align=CACHE_LINE,
+)
+
+
+def correction_kernel(
+    inner: DynamicsKernel, terms: Terms, coefficients: Array | None, *, carried_at: int = -1
+) -> DynamicsKernel | None:
+    """Return the kernel of ``inner`` with ``terms`` and ``coefficients`` (size, nx) added to its accelerations.
+
+    With None they stand in the carry from ``carried_at`` on, other ones for each rollout. None if the motion has no
+    compiled form.
+    """
+    system = terms.system
+    motion = motion_kernel(system)
+    if motion is None:
+        return None
+    per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])
+    of_inputs = np.concatenate([terms.low, terms.high, terms.centre, 1.0 / terms.scale, terms.least, terms.most])
+    of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits)])
+    numbers = np.zeros(1) if coefficients is None else np.ravel(coefficients)
+    parts = [padded(of_inputs), padded(of_states), padded(numbers), padded(motion.parameters)]
+    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
+    parameters = HEAD.pack(
+        *parts,
+        inner.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        inputs=terms.n_inputs,
+        count=terms.size,
+        products=terms.products,
+        carried_at=carried_at if coefficients is None else -1,
+        dt=system.dt,
+        limited=system.limited,
+        inputs_at=places[0],
+        states_at=places[1],
+        coefficients_at=places[2],
+        frame=places[3],
+        own=places[4],
+    )
+    bindings = {"inner": inner.source, "integrate": motion.integrate}
+    room = 2 * system.nx + terms.size + inner.n_scratch
+    return DynamicsKernel(KernelSource(corrected, bindings), parameters, room, inner.precision)
+
+
+def corrected(carry, control, noise, parameters, scratch):
+    """Find how far the correction moves the state, step the inner dynamics, and move what comes of it."""
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    rows, size = nx * LANES, int(parameters[HEAD.count])
+    pushed, coasting, terms = scratch, view(scratch, rows), view(scratch, 2 * rows)
+    states = view(parameters, int(parameters[HEAD.states_at]))
+    write_terms(
+        carry,
+        control,
+        nx,
+        nu,
+        int(parameters[HEAD.inputs]),
+        parameters[HEAD.products],
+        states,
+        view(parameters, int(parameters[HEAD.inputs_at])),
+        terms,
+    )
+    numbers, carried_at = view(parameters, int(parameters[HEAD.coefficients_at])), int(parameters[HEAD.carried_at])
+    for row in range(nx):
+        total = splat(0.0)
+        if carried_at >= 0:
+            carried = view(carry, (carried_at + row) * LANES)
+            for term in range(size):
+                total = total + load(carried, term * rows) * load(terms, term * LANES)
+        else:
+            for term in range(size):
+                total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        store(pushed, row * LANES, total * splat(states[nx + row]))
+        store(coasting, row * LANES, splat(0.0))
+    frame = view(parameters, int(parameters[HEAD.frame]))
+    integrate(carry, pushed, nx, parameters[HEAD.dt], frame)
+    integrate(carry, coasting, nx, parameters[HEAD.dt], frame)
+    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 2 * rows + size * LANES))
+    moves = splat(0.0)
+    for row in range(nx):
+        moves = moves + abs(load(carry, row * LANES) - splat(states[2 * nx + row]))
+    limited = parameters[HEAD.limited]
+    for row in range(nx):
+        here = load(carry, row * LANES)
+        moved = here + (load(pushed, row * LANES) - load(coasting, row * LANES))
+        moved = where_at_most(moves, 0.0, here, moved)
+        if limited > 0.0:
+            moved = min(max(moved, states[3 * nx + row]), states[4 * nx + row])
+        store(carry, row * LANES, moved)
+
+
+def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms):
+    """Write 1, the inputs as the recording covers them, and their products."""
+    store(terms, 0, splat(1.0))
+    place = 0
+    for row in range(nx):
+        factor = states[row]
+        if factor > 0.0:
+            here, there = view(carry, row * LANES), view(terms, (1 + place) * LANES)
+            for lane in range(LANES):
+                there[lane] = math.sin(factor * here[lane])
+                there[LANES + lane] = math.cos(factor * here[lane])
+            place += 2
+        else:
+            store(terms, (1 + place) * LANES, load(carry, row * LANES))
+            place += 1
+    for row in range(nu):
+        store(terms, (1 + place + row) * LANES, load(control, row * LANES))
+    for i in range(inputs):
+        seen = min(max(load(terms, (1 + i) * LANES), ranges[i]), ranges[inputs + i])
+        store(terms, (1 + i) * LANES, (seen - ranges[2 * inputs + i]) * ranges[3 * inputs + i])
+    if products > 0.0:
+        place, count = 0, inputs * (inputs + 1) // 2
+        least, most = view(ranges, 4 * inputs), view(ranges, 4 * inputs + count)
+        for i in range(inputs):
+            for k in range(i, inputs):
+                both = load(terms, (1 + i) * LANES) * load(terms, (1 + k) * LANES)
+                store(terms, (1 + inputs + place) * LANES, min(max(both, least[place]), most[place]))
+                place += 1

@@ -1,0 +1,140 @@
+"""Compares `auto` with the peers' best cells and with every candidate by itself, in hindsight.
+
+    python -m tests.benchmarks.choosing [RECORDING ...] [--preset standard] [--seeds 3] [--alone 1] [--keep FOLDER]
+
+RECORDING is one of the two real cars (slippery_20hz, free_20hz), or a robot that is emulated here (emulated_car,
+pendulum, cart_pole, thermal), which is recorded for six minutes; the last quarter of its episodes is held back. N is
+that of `tests.benchmarks.prediction`: RMSE / standard deviation, the mean over states, after 1, 10, 20 and 60 steps.
+
+First come `auto` with its note, seed by seed, and what all its fits took of the processors. Then, for ``--alone``
+seeds (0: none), every candidate fitted alone to all that `auto` learned from; the best in hindsight is the one with the
+lowest N after 20 steps. A difference is marked where its 95 % interval (paired block bootstrap, pooled over the seeds)
+is without zero. With ``--keep`` fitted models are kept in a folder, and are not fitted again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from evaluation.comparison import Split
+from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
+from evaluation.prediction.bootstrap import interval
+from evaluation.prediction.cases import MeasuredCases
+from model_zoo.selection.candidates import SHIPPED, unusable
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.registry import Spec, make_model, make_robot, models
+from sysid_evo.store import load_model, save_model
+from tests.benchmarks.prediction import SECOND, TEST_EPISODE, pooled
+from tests.benchmarks.prediction import recording as car_recording
+
+PEERS = {"slippery_20hz": {10: 0.266, 20: 0.296, 60: 0.305}, "free_20hz": {10: 0.192, 20: 0.204, 60: 0.212}}
+"""The lowest N of any peer at each horizon, under the same rules."""
+ROBOTS = ("emulated_car", "pendulum", "cart_pole", "thermal")
+RECORDED_TIME, HELD_BACK = 360.0, 0.25
+
+
+def recording(name: str) -> tuple[Dataset, Dataset]:
+    """Return training and test set of a real car, or of an emulated robot."""
+    if name in TEST_EPISODE:
+        return car_recording(name)
+    parts = Split(share=HELD_BACK).of(make_robot(name).record(seed=0, duration=RECORDED_TIME).dataset)
+    assert parts.test is not None
+    return parts.training, parts.test
+
+
+class Fits:
+    """Fits models to one recording, and keeps them in a folder if there is one."""
+
+    def __init__(self, name: str, folder: Path | None) -> None:
+        self.name, self.folder = name, folder
+        self.training, test = recording(name)
+        self.cases: MeasuredCases = measured_cases(self.training, test, PredictionProtocol())
+
+    def score(self, spec: Spec, seed: int) -> tuple[ModelPrediction, DynamicsModel, str]:
+        """Return how a family predicts that is fitted with this seed, the model, and how long that took."""
+        file = None if self.folder is None else self.folder / f"{self.name}-{seed}-{_as_file_name(spec)}"
+        if file is not None and file.with_name(f"{file.name}.json").is_file():
+            model, took = load_model(file.with_name(f"{file.name}.json")), "kept"
+        else:
+            began, used = time.perf_counter(), processor_seconds()
+            model = make_model(spec).fit(self.training, rng=np.random.default_rng(seed))
+            took = f"{time.perf_counter() - began:.0f} s, {processor_seconds() - used:.0f} s of processors"
+            if file is not None:
+                save_model(model, file, seed=seed)
+        return assess_model(f"{spec}-{seed}", model, self.cases, family=spec.name), model, took
+
+
+def processor_seconds() -> float:
+    """Return the processor time of this process and of those that it has started, whether they go on or not."""
+    own, ended = psutil.Process(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    every = [own.cpu_times(), *(child.cpu_times() for child in own.children(recursive=True))]
+    return float(sum(times.user + times.system for times in every) + ended.ru_utime + ended.ru_stime)
+
+
+def _as_file_name(spec: Spec) -> str:
+    return "".join(letter if letter.isalnum() or letter in "._" else "-" for letter in spec.text.replace(" ", ""))
+
+
+def difference(first: list[ModelPrediction], second: list[ModelPrediction], horizon: int) -> str:
+    """Return by how much the first are worse than the second at a horizon, marked if that is sure."""
+    own, own_draws = pooled(first, horizon)
+    other, other_draws = pooled(second, horizon)
+    between = interval(own_draws - other_draws, 0.95)
+    return f"{100.0 * (own / other - 1.0):+.1f} %{'' if between.spans(0.0) else ' *'}"
+
+
+def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | None) -> None:
+    """Write what `auto` reaches on one recording, and what every candidate reaches alone."""
+    write, fits = sys.stdout.write, Fits(name, folder)
+    horizons = [horizon for horizon in fits.cases.horizons if horizon is not None]
+    write(f"\n{name}: N after {', '.join(map(str, horizons))} steps\n")
+
+    def line(rows: list[ModelPrediction]) -> str:
+        return "  ".join(f"{pooled(rows, horizon)[0]:.3f}" for horizon in horizons)
+
+    auto = Spec("auto", models.get("auto").presets.get(preset, {}))  # type: ignore[attr-defined]  # a class
+    found = []
+    for seed in range(seeds):
+        row, model, took = fits.score(auto, seed)
+        found.append(row)
+        write(f"  auto, {preset}, seed {seed}:  {line([row])}  ({took})\n    {model.fit_note}\n")
+        sys.stdout.flush()
+    write(f"  auto, mean of {seeds} seeds:  {line(found)}\n")
+    for horizon, peer in PEERS.get(name, {}).items():
+        own = pooled(found, horizon)[0]
+        write(f"    after {horizon} steps {own:.3f}, the best peer {peer:.3f}: {100.0 * (own / peer - 1.0):+.1f} %\n")
+    rivals: dict[str, list[ModelPrediction]] = {}
+    for candidate in SHIPPED if alone else ():
+        if not unusable(candidate, fits.training.system):
+            rivals[candidate.name] = [fits.score(candidate.spec, seed)[0] for seed in range(alone)]
+            write(f"  {line(rivals[candidate.name])}  {candidate.name}\n")
+            sys.stdout.flush()
+    if rivals:
+        best = min(rivals, key=lambda one: pooled(rivals[one], SECOND)[0])
+        told = ", ".join(f"{horizon}: {difference(found, rivals[best], horizon)}" for horizon in horizons)
+        write(f"  auto against the best alone in hindsight, {best}: {told}\n")
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=f"of {', '.join([*TEST_EPISODE, *ROBOTS])}")
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--alone", type=int, default=1)
+    parser.add_argument("--keep", type=Path)
+    arguments = parser.parse_args()
+    for name in arguments.recordings or TEST_EPISODE:
+        benchmark(name, arguments.preset, arguments.seeds, arguments.alone, arguments.keep)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""Systems of which one output is measured: ``python -m tests.benchmarks.hidden --seeds 3``.
+
+Every family learns from the recording of each system (`tests.benchmarks.hidden.systems`) and runs free through a whole
+test record, from sample 64 with the history that it wants. Printed is the error over the rest in deviations of the
+measured output, noise included, the mean over seeds (lowest to highest), and the processor time of a fit in seconds.
+``true structure`` is the system's own equations, their parameters fitted by least squares to the same recording from
+guesses that are off by a fifth; it knows that a record begins at rest. With ``--out`` a line is written as soon as it
+is known, and what stands there is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import least_squares
+
+from sysid_evo import make_model
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import DataWarning
+from tests.benchmarks.hidden.systems import SYSTEMS, HiddenSystem
+
+BEGIN = 64
+"""Sample of the test record from which models run free."""
+TRUE = "true structure"
+FAMILIES = (
+    "linear(state_lags=15, control_lags=15)",
+    "narx",
+    "neural_ode_history(state_lags=1, control_lags=3, one_step_updates=500, updates=150)",
+    "mlp_ensemble(members=3, hidden=[32, 32], one_step_updates=600, updates=200)",
+    "linear_state_space",
+    "nonlinear_state_space",
+    "subnet(updates=1000)",
+    "delay_embedding",
+)
+GUESSES, OFF = 6, 0.2
+LOST = 100.0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("families", nargs="*", help=f"by default {TRUE!r} and {', '.join(FAMILIES)}")
+    parser.add_argument("--systems", nargs="*", default=list(SYSTEMS), choices=SYSTEMS)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args(arguments)
+    warnings.simplefilter("ignore", DataWarning)
+    families = options.families or [TRUE, *FAMILIES]
+    known = {} if options.out is None or not options.out.exists() else read(options.out)
+    for seed in range(options.seeds):
+        for name in options.systems:
+            for family in families:
+                if (family, name, seed) in known:
+                    continue
+                error, seconds = measured(family, SYSTEMS[name], seed)
+                known[family, name, seed] = error, seconds
+                if options.out is not None:
+                    with options.out.open("a") as file:
+                        file.write(json.dumps([family, name, seed, error, seconds]) + "\n")
+    Console(width=140).print(table(known, families, options.systems, range(options.seeds)))
+    return 0
+
+
+def read(path: Path) -> dict[tuple[str, str, int], tuple[float, float]]:
+    """Return error and seconds of every family, system and seed that is known already."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return {(family, name, seed): (error, seconds) for family, name, seed, error, seconds in rows}
+
+
+def measured(family: str, system: HiddenSystem, seed: int) -> tuple[float, float]:
+    """Return the error of a free run through the test record, and the processor time of the fit in seconds."""
+    training, test = system.recordings(seed)
+    began = time.process_time()
+    if family == TRUE:
+        parameters = true_structure(system, training, seed)
+        seconds = time.process_time() - began
+        run = test.episodes[0]
+        return relative(
+            system.simulate(parameters, run.controls[:, 0])[BEGIN + 1 :], run.states[BEGIN + 1 :, 0]
+        ), seconds
+    model = make_model(family).fit(training, rng=seed)
+    return free_run_error(model, test), time.process_time() - began
+
+
+def free_run_error(model: DynamicsModel, test: Dataset) -> float:
+    """Return the error from sample `BEGIN` of the only episode to its end."""
+    run, lags = test.episodes[0], model.n_lags
+    history = slice(BEGIN - lags, BEGIN)
+    simulated = model.simulate(run.states[BEGIN - lags : BEGIN + 1], run.controls[history], run.controls[BEGIN:])
+    return relative(simulated[:, 0], run.states[BEGIN + 1 :, 0])
+
+
+def relative(simulated: Array, measured: Array) -> float:
+    """Return the root mean square error over the deviation of what was measured."""
+    return float(np.sqrt(np.mean((simulated - measured) ** 2)) / measured.std())
+
+
+def true_structure(system: HiddenSystem, training: Dataset, seed: int) -> Array:
+    """Return the parameters of the system's own equations, fitted from several guesses."""
+    run, rng = training.episodes[0], np.random.default_rng(seed)
+
+    def residuals(logarithms: Array) -> Array:
+        simulated = system.simulate(np.exp(logarithms), run.controls[:, 0])
+        return np.clip(np.nan_to_num(simulated - run.states[:, 0], nan=LOST), -LOST, LOST)
+
+    guesses = [np.log(system.parameters) + OFF * rng.standard_normal(len(system.parameters)) for _ in range(GUESSES)]
+    with np.errstate(all="ignore"):
+        fits = [least_squares(residuals, guess, x_scale=0.1, max_nfev=60) for guess in guesses]
+    return np.exp(min(fits, key=lambda fit: fit.cost).x)
+
+
+def table(
+    known: dict[tuple[str, str, int], tuple[float, float]], families: list[str], systems: list[str], seeds: range
+) -> Table:
+    """Return one row for each family: errors by system, and the mean seconds of a fit."""
+    shown = Table(title="Free-run error through a test record, in deviations")
+    shown.add_column("family")
+    for name in systems:
+        shown.add_column(name, justify="right")
+    shown.add_column("seconds", justify="right")
+    for family in families:
+        cells = []
+        for name in systems:
+            errors = np.array([known[family, name, seed][0] for seed in seeds])
+            cells.append(f"{errors.mean():.3f} ({errors.min():.3f} to {errors.max():.3f})")
+        seconds = np.mean([known[family, name, seed][1] for name in systems for seed in seeds])
+        shown.add_row(family, *cells, f"{seconds:.0f}")
+    return shown
+
+
+if __name__ == "__main__":
+    sys.exit(main())

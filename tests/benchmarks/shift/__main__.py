@@ -1,0 +1,149 @@
+"""What adaptation is worth in another condition: ``python -m tests.benchmarks.shift [FAMILY ...] [--groups cars ...]``.
+
+Every family is fitted in one condition and tested in another: on the other of two real cars and on the same one
+again, on each of four floors after the other three, on emulated cars with half the grip, a low battery, of another
+make, and unchanged. N (mean over channels of RMSE / standard deviation) after 10, 20 and 60 steps is printed before
+adaptation, after 10 and 30 s of it, with recursive correction along the test drive without and with those 30 s before,
+of a fit from scratch to the same 30 s, and of a fit in-domain. The mean is over ``--seeds``; a star marks what differs
+from "before" at 20 steps by a paired bootstrap over blocks of three seconds (95 %). ``--driving`` lets the predictive
+controller drive the emulated cars with the model of the nominal one, without and with a model that corrects itself, and
+prints waypoints and the milliseconds of processor time of a decision and of learning.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
+from evaluation.prediction.bootstrap import BlockErrors, interval
+from sysid_evo.adaptation import SelfCorrection
+from sysid_evo.adaptation.pieces import run_beside
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidData
+from sysid_evo.registry import make_model, models
+from tests.benchmarks.shift.driving import drive_changed_cars
+from tests.benchmarks.shift.recordings import Case, cases
+
+HORIZONS = (10, 20, 60)
+MARKED = 20
+
+
+def new_model(name: str, preset: str) -> DynamicsModel:
+    """Return a family with its preset."""
+    return make_model(name, **dict(models.get(name).presets.get(preset, {})))  # type: ignore[attr-defined]  # a class
+
+
+def resampled(measured: MeasuredCases, predicted: Array) -> dict[int, Array]:
+    """Return N at each horizon, first over all windows and then for every draw of blocks, (1 + R,)."""
+    low, high = measured.guard
+    predicted = np.clip(np.where(np.isfinite(predicted), predicted, high), low, high)
+    found = {}
+    for horizon in (h for h in HORIZONS if h in measured.horizons):
+        rows = measured.moving[:, horizon - 1]
+        errors = predicted[rows, horizon - 1] - measured.windows.states[rows, horizon - 1]
+        protocol = measured.protocol
+        draws = BlockErrors.of(errors, measured.window_block[rows]).resampled_n(
+            measured.std, protocol.resamples, protocol.seed
+        )
+        n = float(np.mean(np.sqrt(np.mean(errors**2, axis=0)) / measured.std))
+        found[horizon] = np.concatenate([[n], draws])
+    return found
+
+
+def simulated(model: DynamicsModel, measured: MeasuredCases) -> Array:
+    """Return free runs over the measured windows, a short history padded."""
+    w = measured.windows
+    missing = max(0, model.n_lags - w.past_controls.shape[1])
+    states = np.concatenate([np.repeat(w.past_states[:, :1], missing, axis=1), w.past_states], axis=1)
+    controls = np.concatenate([np.repeat(w.past_controls[:, :1], missing, axis=1), w.past_controls], axis=1)
+    return model.simulate(states, controls, w.controls)
+
+
+def recursive(model: DynamicsModel, test: Dataset, measured: MeasuredCases) -> Array:
+    """Return free runs with the coefficients that were known where each begins."""
+    learning, w = SelfCorrection.of(model), measured.windows
+    known = [learning.coefficients(np.concatenate(list(learning.along(episode)))) for episode in test]
+    coefficients = np.stack([known[episode][start] for episode, start in zip(w.episode, w.start, strict=True)])
+    lags = model.n_lags
+    start = model.start(
+        w.past_states[:, w.past_states.shape[1] - 1 - lags :],
+        w.past_controls[:, w.past_controls.shape[1] - lags :],
+        np.zeros((len(w), model.n_draws)),
+    )
+    return run_beside(model, learning.terms, coefficients[None], start, w.controls, model.envelope)[0]
+
+
+def measure(case: Case, name: str, preset: str, seed: int) -> dict[str, dict[int, Array]]:
+    """Return N of every way to meet the other condition."""
+    protocol = PredictionProtocol()
+    measured = measured_cases(case.training, case.test, protocol)
+    base = new_model(name, preset).fit(case.training, rng=seed)
+    found = {"before": resampled(measured, simulated(base, measured))}
+    there = base.adapt(case.first(30.0), rng=seed)
+    ways: dict[str, Callable[[], Array]] = {
+        "10 s": lambda: simulated(base.adapt(case.first(10.0), rng=seed), measured),
+        "30 s": lambda: simulated(there, measured),
+        "recursive": lambda: recursive(base, case.test, measured),
+        "30 s, then recursive": lambda: recursive(there, case.test, measured),
+        "scratch": lambda: simulated(new_model(name, preset).fit(case.first(30.0), rng=seed), measured),
+        "in-domain": lambda: simulated(new_model(name, preset).fit(case.own, rng=seed), measured),
+    }
+    for way, run in ways.items():
+        try:
+            found[way] = resampled(measured, run())
+        except (InvalidData, np.linalg.LinAlgError) as error:
+            sys.stderr.write(f"{case.name}, {name}, {way}: {error}\n")
+    return found
+
+
+def table(case: Case, name: str, runs: list[dict[str, dict[int, Array]]]) -> str:
+    """Return a line for every way, means over the seeds."""
+    before = np.mean([run["before"][MARKED] for run in runs], axis=0)
+    lines = [f"{case.name}, {name}{'' if case.shifted else ' (nothing shifted)'}"]
+    for way in runs[0]:
+        of_way = [run[way] for run in runs if way in run]
+        mean = {h: np.mean([one[h] for one in of_way], axis=0) for h in of_way[0]}
+        figures = "/".join(f"{mean[h][0]:.3f}" for h in mean)
+        gain = mean[MARKED][0] / before[0] - 1.0
+        spread = interval(mean[MARKED][1:] - before[1:], 0.95)
+        star = "" if way == "before" or spread.spans(0.0) else " *"
+        lines.append(f"    {way:20s} {figures}  {100.0 * gain:+.0f} %{star}")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("families", nargs="*", default=["sindy", "neural_ode", "mlp_ensemble", "parametrised"])
+    parser.add_argument("--groups", nargs="+", default=["cars", "emulated", "floors"])
+    parser.add_argument("--preset", default="quick")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--driving", action="store_true")
+    options = parser.parse_args(arguments)
+    write = sys.stdout.write
+    if options.driving:
+        drive_changed_cars(new_model(options.families[0], options.preset), write)
+        return 0
+    for group in options.groups:
+        for case in cases(group):
+            for name in options.families:
+                began = time.process_time()
+                try:
+                    runs = [measure(case, name, options.preset, seed) for seed in range(options.seeds)]
+                except InvalidData as error:
+                    write(f"{case.name}, {name}: {error}\n")
+                    continue
+                write(f"{table(case, name, runs)}\n    {time.process_time() - began:.0f} s of processor time\n")
+                sys.stdout.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+"""How often intervals hold the truth stands in the report, in numbers and in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from evaluation.prediction import (
+    Coverage,
+    PredictionProtocol,
+    load_prediction,
+    measured_cases,
+    save_prediction,
+    score_model,
+)
+from evaluation.report.predicting import intervals_hold
+from evaluation.report.tables import coverage_sheet
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.system import Channel, System
+from tests.evaluation.made_up import prediction
+
+SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
+
+
+class Walk(DynamicsModel):
+    """A random walk with steps of ``size``."""
+
+    envelope = None
+
+    def __init__(self, *, size: float = 1.0, stochastic: bool = True) -> None:
+        self.size = size
+        self.stochastic = stochastic
+
+    @property
+    def n_noise(self) -> int:  # type: ignore[override]
+        return 2 if self.stochastic else 0
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        return self
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        return carry if noise is None else carry + self.size * noise
+
+
+def walked(seed: int) -> Dataset:
+    steps = np.random.default_rng(seed).standard_normal((20, 300, 2))
+    states = np.concatenate([np.zeros((20, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    return Dataset.from_arrays(SYSTEM, list(states), [np.zeros((300, 1))] * 20)
+
+
+def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path: Path) -> None:
+    data = walked(0)
+    cases = measured_cases(data, walked(1), PredictionProtocol(stride=20))
+    fitted = {size: Walk(size=size).fit(data, rng=np.random.default_rng(0)) for size in (1.0, 0.4)}
+    scores = {size: score_model("walk", model, cases, family="walk") for size, model in fitted.items()}
+    assert [held.horizon for held in scores[1.0].coverage] == [1, 10, 20, 60]
+    for held in scores[1.0].coverage:
+        assert held.honest
+        np.testing.assert_allclose(held.inside, 0.9, atol=0.07)
+    assert all(held.mean < 0.6 for held in scores[0.4].coverage)
+    quiet = score_model("walk", fitted[1.0].variant(stochastic=False), cases, family="walk")
+    assert quiet.coverage == ()
+    assert [score.n for score in quiet.at] == [score.n for score in scores[1.0].at]
+    save_prediction(scores[1.0], tmp_path / "walk")
+    loaded = load_prediction(tmp_path / "walk")
+    assert [held.mean for held in loaded.coverage] == [held.mean for held in scores[1.0].coverage]
+
+
+@pytest.mark.parametrize(
+    ("shares", "said"),
+    [
+        ((0.9, 0.87), "The 90 % intervals of linear are honest: they hold 87 % to 90 % after 1, 20 steps."),
+        ((0.9, 0.6), "The 90 % intervals of linear hold only 60 % after 20 steps (1 s): too narrow."),
+        ((0.99, 0.6), "after 1 step (0.05 s): wider than they need be; they hold only 60 %"),
+        ((), ""),
+    ],
+)
+def test_intervals_that_do_not_hold_what_they_should_are_said_in_words(shares: tuple[float, ...], said: str) -> None:
+    made_up = prediction({"persistence": 0.9, "linear": 0.3})
+    held = tuple(Coverage(h, 100, 0.9, np.full(3, share)) for h, share in zip((1, 20), shares, strict=False))
+    model = replace(made_up.model("linear"), coverage=held)
+    found = intervals_hold(made_up, model)
+    assert (said in found) if said else found == ""
+    sheet = coverage_sheet(replace(made_up, models=(made_up.models[0], model)))
+    assert (sheet is None) is (not shares)
+    if sheet is not None and shares[1] == 0.6:
+        assert any(cell.startswith("! 60") for cell in sheet.rows[0])

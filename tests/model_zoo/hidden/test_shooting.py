@@ -1,0 +1,94 @@
+"""The training of state spaces: derivatives, what is minimised, what is found unstable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model_zoo.hidden.learning import Lesson, radius, stabilised
+from model_zoo.hidden.records import Record, Segments
+from model_zoo.hidden.shooting import Spaces, train
+from model_zoo.hidden.units import UNITS
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.registry import make_model
+from tests.model_zoo.hidden.small import recording
+
+
+def spaces(hidden: int = 3) -> Spaces:
+    rng = np.random.default_rng(0)
+    outer = 0.3 * rng.standard_normal((3, 2, 4 + hidden))
+    return Spaces(outer, rng.standard_normal((3, hidden, 4)), np.array([0.3, 0.2]), UNITS)
+
+
+def linear_growth(rate: float) -> Spaces:
+    """Return a space of one state that grows by ``rate`` a step."""
+    return Spaces(np.array([[[rate, 0.1, 0.0]]]), np.empty((1, 0, 3)), np.ones(1), ("smooth",))
+
+
+def test_derivatives_are_those_of_finite_differences() -> None:
+    """By every parameter and every initial state, of each kind of unit."""
+    many, rng = spaces(), np.random.default_rng(1)
+    starts, controls = rng.standard_normal((3, 2, 2)), rng.standard_normal((2, 6, 1))
+    outputs, derivatives = many.sensitivities(starts, controls, 1)
+    np.testing.assert_allclose(outputs, many.run(starts, controls)[..., :1])
+    flat, step = many.flat, 1e-6
+    for place in range(flat.shape[1]):
+        moved = flat.copy()
+        moved[:, place] += step
+        found = (many.with_flat(moved).run(starts, controls)[..., :1] - outputs) / step
+        np.testing.assert_allclose(derivatives[..., place], found, atol=1e-4)
+    for state in range(2):
+        found = (many.run(starts + step * np.eye(2)[state], controls)[..., :1] - outputs) / step
+        np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
+
+
+def test_training_finds_the_space_that_made_the_data() -> None:
+    rng, outer = np.random.default_rng(2), np.array([[[-0.5, 1.0, 0.3, 0.1], [-1.0, -0.5, 0.5, 0.0]]])
+    true = Spaces(outer, np.empty((1, 0, 4)), np.array([0.3, 0.2]), ("smooth",))
+    controls = rng.standard_normal((1, 200, 1))
+    outputs = true.run(np.zeros((1, 1, 2)), controls)[0, :, :, :1]
+    segments = Segments.of([Record(outputs[0], controls[0])], 50)
+    off = true.with_flat(true.flat + 0.05 * rng.standard_normal(true.flat.shape))
+    starts = np.zeros((1, len(segments), 2))
+    starts[..., 0] = segments.outputs[:, 0, 0]
+    trained = train(off, segments, starts, 40)
+    assert trained.error[0] < 1e-8
+
+
+def test_a_sample_counts_once_whatever_the_segments() -> None:
+    parts = [
+        Record(np.arange(11.0)[:, None], np.zeros((10, 1))),
+        Record(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
+    ]
+    segments = Segments.of(parts, 4)
+    assert segments.rows(segments.outputs)[:, 0].tolist() == [*range(11), *range(20, 25)]
+    assert segments.rows(segments.outputs)[segments.begins, 0].tolist() == segments.outputs[:, 0, 0].tolist()
+
+
+def test_an_unstable_space_is_found_and_brought_back() -> None:
+    assert radius(linear_growth(0.1)) == pytest.approx(1.1)
+    assert radius(stabilised(linear_growth(0.1))) == pytest.approx(0.999)
+    calm = linear_growth(-0.2)
+    assert stabilised(calm) is calm
+
+
+def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_does_not() -> None:
+    lesson = Lesson.of(recording(0), 100)
+    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    growing = trained.spaces.outer.copy()
+    growing[0, 0, 0] += 0.5 / trained.spaces.pace[0]
+    both = Spaces(np.concatenate([trained.spaces.outer, growing]), np.empty((2, 0, 4)), trained.spaces.pace, UNITS[:2])
+    assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
+
+
+def test_every_kind_of_unit_is_the_same_compiled() -> None:
+    model = make_model("nonlinear_state_space", order=2, members=1, trial=2, iterations=2, horizon=50)
+    model.fit(recording(0), rng=0)
+    model.inner_ = [4.0 * inner for inner in model.inner_]
+    model.outer_ = [outer + 0.1 for outer in model.outer_]
+    windows = recording(1).windows(1, stride=20, history=model.n_lags)
+    carry, control = model.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+    for kind in UNITS:
+        model.units_ = [kind]
+        compiled = kernel_step(model.kernel(), carry, control, precision="float64")
+        np.testing.assert_allclose(compiled, model.step(carry, control), rtol=1e-7, atol=1e-7)

@@ -1,0 +1,94 @@
+"""Families with hidden states: exact on what they contain, and an observer in the carry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.registry import make_model
+from tests.model_zoo.hidden.small import recording
+
+
+@pytest.fixture(scope="module")
+def linear() -> DynamicsModel:
+    return make_model("linear_state_space", order=2).fit(recording(0, noise=0.02), rng=0)
+
+
+def test_a_linear_system_is_recovered_from_its_output_alone() -> None:
+    """What the observer has not found of the initial state dies out, and nothing else is off."""
+    model = make_model("linear_state_space", order=2).fit(recording(0, centre=3.0))
+    fresh = recording(1, centre=3.0)
+    run = fresh.episodes[0]
+    off = np.abs(model.simulate(run) - run.states[model.n_lags + 1 :])
+    assert off.max() < 0.02
+    assert off[-50:].max() < 1e-5
+
+
+def test_the_order_is_found() -> None:
+    model = make_model("linear_state_space", iterations=10, folds=1).fit(recording(0, noise=0.01))
+    assert model.gain_.shape == (2, 1)
+
+
+def test_a_measured_output_corrects_the_hidden_state_and_a_free_run_does_not(linear: DynamicsModel) -> None:
+    """From a wrong hidden state, a model that is told the outputs finds the way back; its own output tells nothing."""
+    run = recording(2).episodes[0]
+    wrong = np.concatenate([run.states[:1], np.full((1, 2), 2.0)], axis=1)
+    told = free = wrong
+    for k in range(30):
+        told = linear.step(np.concatenate([run.states[k : k + 1], told[:, 1:]], axis=1), run.controls[k : k + 1])
+        free = linear.step(free, run.controls[k : k + 1])
+    assert abs(told[0, 0] - run.states[30, 0]) < 0.02
+    off = free[:, :1] - free[:, 1:] @ linear.output_.T - linear.offset_
+    np.testing.assert_allclose(off, 0.0, atol=1e-12)
+
+
+def test_samples_repeated_before_the_first_are_no_history(linear: DynamicsModel) -> None:
+    """What a short history is padded with would otherwise look like a long rest where there was none."""
+    run, lags = recording(2).episodes[0], linear.n_lags
+    few = 3
+    states = np.concatenate([np.repeat(run.states[:1], lags - few, axis=0), run.states[: few + 1]])
+    controls = np.concatenate([np.zeros((lags - few, 1)), run.controls[:few]])
+    carry = linear.start(states[None], controls[None])
+    hidden = run.states[:1] @ linear.first_[:, :-1].T + linear.first_[:, -1]
+    for k in range(few):
+        hidden = linear.step(np.concatenate([run.states[k : k + 1], hidden], axis=1), run.controls[k : k + 1])[:, 1:]
+    np.testing.assert_allclose(carry, np.concatenate([run.states[few : few + 1], hidden], axis=1))
+
+
+def test_rest_is_left_by_a_control_and_kept_without_in_both_forms(linear: DynamicsModel) -> None:
+    held = linear.variant(rest_hold=True)
+    rest = held.start(np.zeros((1, held.n_lags + 1, 1)), np.zeros((1, held.n_lags, 1)))
+    for control, moves in ((0.0, False), (1.0, True)):
+        given = np.array([[control]])
+        stepped = held.step(rest, given)
+        assert np.array_equal(stepped, rest) != moves
+        compiled = kernel_step(held.kernel(), rest, given, precision="float64")
+        np.testing.assert_allclose(compiled, stepped, atol=1e-9)
+
+
+OWN: dict[str, dict[str, Any]] = {
+    "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 5, "iterations": 25, "horizon": 300},
+    "subnet": {"hidden": 8, "updates": 400, "horizon": 40, "batch": 64, "learning_rate": 0.01},
+}
+
+
+@pytest.mark.parametrize(
+    ("family", "steps", "share"),
+    [("nonlinear_state_space", 600, 0.3), pytest.param("subnet", 2000, 0.5, marks=pytest.mark.slow)],
+)
+def test_networks_follow_a_spring_that_stiffens_where_a_linear_model_cannot(
+    family: str, steps: int, share: float
+) -> None:
+    training, fresh = recording(0, steps, bend=0.03, noise=0.01), recording(1, 600, bend=0.03)
+    run = fresh.episodes[0]
+
+    def error(model: DynamicsModel) -> float:
+        model.fit(training, rng=0)
+        return float(np.std(model.simulate(run) - run.states[model.n_lags + 1 :]))
+
+    linear = make_model("linear_state_space", order=2, iterations=15)
+    assert error(make_model(family, order=2, **OWN[family])) < share * error(linear)

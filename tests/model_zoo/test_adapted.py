@@ -1,0 +1,113 @@
+"""A model adapted to another floor: better there, untouched where nothing has changed, stored with its base."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.registry import make_model
+from sysid_evo.store import load_model, save_model
+from sysid_evo.system import System
+from tests.sysid_evo.adaptation.cars import FloorCar, drive
+
+OTHER = FloorCar(thrust=1.8, turn=2.0)
+
+
+@pytest.fixture(scope="module")
+def training() -> Dataset:
+    return drive(FloorCar(), seconds=60.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def base(training: Dataset) -> DynamicsModel:
+    return make_model("narx", degree=2, terms=8, state_lags=1, control_lags=1).fit(training, rng=0)
+
+
+@pytest.fixture(scope="module")
+def adapted(base: DynamicsModel) -> DynamicsModel:
+    return base.adapt(drive(OTHER, seconds=30.0, seed=3))
+
+
+def test_thirty_seconds_of_another_floor_take_at_least_two_fifths_of_the_error(
+    base: DynamicsModel, adapted: DynamicsModel
+) -> None:
+    test = drive(OTHER, seconds=40.0, seed=4)
+    assert adapted.score(test) > 0.6 * base.score(test)
+    assert "better than none on 3 blocks it did not learn from" in adapted.fit_note
+
+
+def test_where_nothing_has_changed_the_model_stays_what_it_is(base: DynamicsModel, training: Dataset) -> None:
+    same = base.adapt(drive(FloorCar(), seconds=30.0, seed=5))
+    windows = training.windows(20, stride=50, history=base.n_lags)
+    arguments = (windows.past_states, windows.past_controls, windows.controls)
+    np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
+    assert "no correction: the best" in same.fit_note
+
+
+def test_a_recording_too_short_to_hold_a_block_back_changes_nothing(base: DynamicsModel) -> None:
+    short = base.adapt(drive(OTHER, seconds=2.0, seed=3))
+    assert "too short to hold a block back" in short.fit_note
+    assert not np.any(short.coefficients_)  # type: ignore[attr-defined]  # of the family adapted
+
+
+def test_the_compiled_form_steps_as_step_does_around_a_base_with_lags(adapted: DynamicsModel) -> None:
+    windows = drive(OTHER, seconds=6.0, seed=6).windows(1, history=adapted.n_lags)
+    carry = adapted.start(windows.past_states, windows.past_controls)
+    kernel = adapted.kernel()
+    assert kernel is not None
+    compiled = kernel_step(kernel, carry, windows.controls[:, 0], precision="float64")
+    np.testing.assert_allclose(compiled, adapted.step(carry, windows.controls[:, 0]), atol=1e-9)
+    assert adapted.n_lags == 1
+
+
+def test_a_stored_adapted_model_holds_its_base_and_can_be_adapted_again(
+    adapted: DynamicsModel, base: DynamicsModel, tmp_path: Path
+) -> None:
+    loaded = load_model(save_model(adapted, tmp_path / "there"))
+    test = drive(OTHER, seconds=10.0, seed=7)
+    assert loaded.score(test) == adapted.score(test)
+    assert loaded.fit_note == adapted.fit_note
+    assert type(loaded.base_) is type(base)  # type: ignore[attr-defined]  # of the family adapted
+    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=20.0, seed=8))
+    assert again.score(back) > 0.8 * loaded.score(back)
+
+
+def test_a_stored_model_is_named_by_its_path(base: DynamicsModel, tmp_path: Path) -> None:
+    path = save_model(base, tmp_path / "base")
+    there = drive(OTHER, seconds=30.0, seed=3)
+    by_path = make_model("adapted", base=str(path)).fit(there, rng=0)
+    assert by_path.score(there) == base.adapt(there).score(there)
+    with pytest.raises(InvalidArgument, match="there is nothing to adapt"):
+        make_model("adapted", base=None).fit(there, rng=0)
+
+
+def test_with_the_training_data_a_refit_is_tried_as_well(base: DynamicsModel, training: Dataset) -> None:
+    there = drive(OTHER, seconds=20.0, seed=3)
+    both = base.adapt(there, training=training)
+    assert "refit" in both.tried_  # type: ignore[attr-defined]  # of the family adapted
+    assert "refit" not in base.adapt(there).tried_  # type: ignore[attr-defined]  # of the family adapted
+
+
+def test_the_envelope_covers_both_recordings(base: DynamicsModel, adapted: DynamicsModel) -> None:
+    wide = base.adapt(drive(FloorCar(thrust=12.0), seconds=10.0, seed=3))
+    assert wide.envelope_[1, 0] > base.envelope_[1, 0]
+    assert (wide.envelope_[0] <= base.envelope_[0]).all()
+    assert len(wide.pairs_) > len(base.pairs_)
+    assert (adapted.envelope_[1] >= base.envelope_[1]).all()
+
+
+def test_data_of_another_robot_are_refused_and_of_other_limits_taken(base: DynamicsModel) -> None:
+    there = drive(OTHER, seconds=10.0, seed=3)
+    system = there.system
+    narrow = replace(system, controls=tuple(replace(c, low=-0.9, high=0.95) for c in system.controls))
+    assert base.adapt(Dataset(narrow, there.episodes)).system == base.system
+    slow = System(system.states, system.controls, 0.1, system.motion)
+    with pytest.raises(IncompatibleSystem, match="the data are of another system: 20 Hz against 10 Hz"):
+        base.adapt(Dataset(slow, tuple(replace(e, dt=0.1) for e in there)))

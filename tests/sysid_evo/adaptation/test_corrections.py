@@ -1,0 +1,94 @@
+"""A correction does what its coefficients say, is learned by free runs, and stays within what was recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.adaptation import Corrected, Terms
+from sysid_evo.adaptation.learning import corrections
+from sysid_evo.adaptation.pieces import Pieces, free_runs
+from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.registry import make_model
+from sysid_evo.system import System
+from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
+
+from .cars import FloorCar, drive
+
+
+def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_frame() -> None:
+    data = drive(FloorCar(), seconds=5.0, seed=0)
+    terms = Terms.of(data)
+    coefficients = np.zeros(terms.shape)
+    coefficients[0] = [0.5, -0.3, 0.2]
+    state, control = np.array([[1.0, 0.2, 3.0]]), np.array([[0.4, -0.1]])
+    after = FloorCar().step(state, control)
+    moved = terms.corrected(state, control, after, coefficients)
+    acceleration = data.system.acceleration(state, moved) - data.system.acceleration(state, after)
+    np.testing.assert_allclose(acceleration, [coefficients[0] * terms.unit])
+
+
+def test_free_runs_find_the_correction_that_was_left_out() -> None:
+    """Thrust 2 instead of 3 m/s2 is linear in the drive."""
+    data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
+    model, terms = FloorCar(), Terms.of(data)
+    found = list(corrections(model, terms, Pieces.of(model, data, None), [1e-4, 1e-2], 10.0))[-1]
+    expected = np.zeros(terms.shape)
+    expected[4, 0] = -1.0 * terms.scale[3] / terms.unit[0]
+    expected[0, 0] = -1.0 * terms.centre[3] / terms.unit[0]
+    np.testing.assert_allclose(found, expected, atol=0.01)
+
+
+def test_a_stronger_ridge_leaves_less_of_a_correction() -> None:
+    data = drive(FloorCar(thrust=2.0), seconds=5.0, seed=1)
+    model, terms = FloorCar(), Terms.of(data, products=True)
+    strong, weak = corrections(model, terms, Pieces.of(model, data, None), [0.1, 100.0], 5.0)
+    assert 0.0 < np.abs(strong).sum() < 0.5 * np.abs(weak).sum()
+
+
+def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge() -> None:
+    terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=0), products=True)
+    far, control = np.array([[50.0, -50.0, 80.0]]), np.array([[9.0, -9.0]])
+    at_edge = terms(np.array([[terms.high[0], terms.low[1], terms.high[2]]]), np.array([[terms.high[3], terms.low[4]]]))
+    np.testing.assert_array_equal(terms(far, control), at_edge)
+    assert (np.abs(at_edge[0, 1 + terms.n_inputs :]) <= np.maximum(np.abs(terms.least), np.abs(terms.most))).all()
+
+
+def test_a_body_that_the_model_leaves_at_rest_stays_there() -> None:
+    data = example_dataset()
+    model = make_model("linear", rest_hold=True).fit(data, rng=0)
+    terms = Terms.of(data)
+    corrected, idle = Corrected(model, terms), np.zeros((1, 2))
+    resting = corrected.told(corrected.start(np.zeros((1, 1, 3)), np.zeros((1, 0, 2))), np.ones(terms.shape))
+    assert np.array_equal(corrected.step(resting, idle)[:, :3], np.zeros((1, 3)))
+    assert not np.array_equal(corrected.step(resting, idle + 1.0)[:, :3], model.step(np.zeros((1, 3)), idle + 1.0))
+
+
+@pytest.mark.parametrize("system", example_systems(), ids=lambda system: system.name)
+def test_the_compiled_form_corrects_each_row_by_its_own_coefficients(system: System, rng: np.random.Generator) -> None:
+    model = ExampleDynamics(system)
+    states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
+    from sysid_evo.data import Dataset
+
+    terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True)
+    corrected = Corrected(model, terms)
+    carry = corrected.told(corrected.start(2.0 * states[:70, None], controls[:0]), rng.normal(size=(70, *terms.shape)))
+    kernel = corrected.kernel()
+    assert kernel is not None
+    compiled = kernel_step(kernel, carry, controls[:70], precision="float64")
+    np.testing.assert_allclose(compiled, corrected.step(carry, controls[:70]), rtol=1e-6, atol=1e-7)
+    assert not np.allclose(compiled[:, : system.nx], model.step(2.0 * states[:70], controls[:70]))
+
+
+def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other() -> None:
+    data = drive(FloorCar(), seconds=4.0, seed=0)
+    model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
+    terms, some = Terms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
+    pieces = Pieces.of(model, data, model.envelope)
+    runs = free_runs(model, terms, some, pieces)
+    corrected = Corrected(model, terms)
+    for one, run in zip(some, runs, strict=True):
+        carry = corrected.told(np.concatenate([pieces.carry, np.zeros((len(pieces), 18))], axis=1), one)
+        for k in range(pieces.horizon):
+            carry = corrected.step(carry, pieces.controls[:, k])
+            np.testing.assert_allclose(run[:, k], carry[:, :3])

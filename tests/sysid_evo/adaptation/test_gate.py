@@ -1,0 +1,65 @@
+"""The gate: what is held back, what counts as better, and how much is asked of short data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.adaptation.gate import Held, Trial, blocks_of, decided, judged, surely_positive
+
+from .cars import FloorCar, drive
+
+
+def test_a_window_is_never_on_both_sides_and_every_block_is_held_back_once() -> None:
+    first = np.arange(0, 580, 3)
+    blocks = blocks_of(first, 20)
+    held_back = np.array([block.held(first) for block in blocks])
+    learned = np.array([block.learned(first) for block in blocks])
+    assert len(blocks) == 3
+    assert not (held_back & learned).any()
+    assert (held_back.sum(axis=0) <= 1).all()
+    for block, inside, outside in zip(blocks, held_back, learned, strict=True):
+        assert (first[inside] >= block.low).all()
+        assert not ((first[outside] < block.high) & (first[outside] + 20 > block.low)).any()
+
+
+def test_the_rest_of_a_recording_is_all_but_the_block() -> None:
+    data = drive(FloorCar(), seconds=10.0, seed=0)
+    first = np.arange(0, 180)
+    for block in blocks_of(first, 20):
+        assert block.rest(data).n_steps == 200 - (block.high - block.low)
+
+
+def held(errors: np.ndarray) -> Held:
+    """Runs of which two begin in each second."""
+    return Held(errors, np.arange(len(errors)) // 2)
+
+
+@pytest.mark.parametrize(
+    ("error", "sure", "chosen"), [(0.85, True, "a"), (0.85, False, "none"), (0.95, True, "none"), (1.2, False, "none")]
+)
+def test_a_correction_counts_only_if_it_is_much_better_and_surely(error: float, sure: bool, chosen: str) -> None:
+    assert decided([Trial("a", error, (error,) * 3, sure), Trial("b", 0.99, (0.98,) * 3, True)]) == chosen
+
+
+def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
+    plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
+    trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
+    assert trial.error == pytest.approx(0.5)
+    assert trial.each == pytest.approx((0.5, 0.5))
+    assert trial.good
+
+
+def test_an_error_that_is_lower_in_one_second_alone_is_not_surely_lower() -> None:
+    before, after = np.ones((12, 5, 2)), np.ones((12, 5, 2))
+    before[:2] = 10.0
+    trial = judged("luck", [held(before)], [held(after)])
+    assert trial.error < 0.5
+    assert not trial.good
+
+
+def test_fewer_seconds_must_show_more() -> None:
+    gains = np.array([1.0, 3.0, -0.6])
+    assert not surely_positive(gains)
+    assert surely_positive(np.tile(gains, 5))
+    assert not surely_positive(np.array([1.0, 1.0]))

@@ -1,0 +1,51 @@
+"""`sysid-evo adapt`: what it prints of the gate, what it stores, what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sysid_evo.registry import make_model
+from sysid_evo.store import load_model, save_model
+from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.sysid_evo.cli.calling import Caller
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fitted model, what it learned from, and two new recordings: of another floor, and of the same."""
+    place = tmp_path_factory.mktemp("adapt")
+    training = drive(FloorCar(), seconds=40.0, seed=1)
+    training.save(place / "old")
+    drive(FloorCar(thrust=1.8, turn=2.0), seconds=30.0, seed=2).save(place / "other")
+    drive(FloorCar(), seconds=15.0, seed=3).save(place / "same")
+    save_model(make_model("narx", degree=2, terms=8, state_lags=1).fit(training, rng=0), place / "base")
+    return place
+
+
+def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(folder: Path, call: Caller) -> None:
+    done = call("adapt", folder / "base", "--data", folder / "other", "--out", "there")
+    assert done.code == 0, done.stderr
+    assert "products, ridge" in done.stdout
+    assert "better than none on 3 blocks it did not learn from" in " ".join(done.stdout.split())
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    test = drive(FloorCar(thrust=1.8, turn=2.0), seconds=20.0, seed=9)
+    assert load_model(call.folder / "there").score(test) > 0.6 * load_model(folder / "base").score(test)
+    again = call("adapt", folder / "base", "--data", folder / "other", "--out", "there")
+    assert again.code == 2
+    assert again.says("exists already")
+
+
+def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(folder: Path, call: Caller) -> None:
+    done = call(
+        "adapt", folder / "base", "--data", folder / "same", "--train", folder / "old", "--seconds", "12", "--json",
+        "--out", "there",
+    )  # fmt: skip
+    assert done.code == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["decision"].startswith("no correction: the best")
+    assert not told["corrected"]
+    assert "refit" in [row["correction"] for row in told["tried"]]
+    assert all(len(row["blocks"]) == 3 for row in told["tried"])

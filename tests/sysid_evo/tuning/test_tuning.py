@@ -1,0 +1,142 @@
+"""The search for parameters: where it looks, that it finds, that it goes on, and that it is the same again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.hyperparameters import Limit, at_least
+from sysid_evo.registry import make_model, models, register_model
+from sysid_evo.searched import OneOf, Searched, Within
+from sysid_evo.system import Channel, System
+from sysid_evo.tuning import Tuning, search_space, tune
+
+
+def decaying(truth: float = 2.0) -> Dataset:
+    """Return three runs of one state that decays by ``truth`` a second."""
+    system = System((Channel("level"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
+    rng = np.random.default_rng(0)
+    states, controls = [], []
+    for _ in range(3):
+        push = np.repeat(rng.uniform(-1.0, 1.0, 20), 5)
+        level = [1.0]
+        for u in push:
+            level.append(level[-1] + 0.05 * (u - truth * level[-1]))
+        states.append(np.array(level)[:, None])
+        controls.append(push[:, None])
+    return Dataset.from_arrays(system, states, controls)
+
+
+@pytest.fixture
+def guess(monkeypatch: pytest.MonkeyPatch) -> type:
+    """A family outside the zoo that learns nothing: the decay is a parameter, and one of its kinds always fails."""
+    monkeypatch.setattr(models, "_entries", dict(models._entries))
+
+    @register_model("made_up_guess")
+    class Guess(DynamicsModel):
+        """The state decays as the parameter says."""
+
+        limits: ClassVar[dict[str, Limit]] = {"decay": at_least(0, at_most=4)}
+        searched: ClassVar[dict[str, Searched]] = {"decay": Within(0.0, 4.0)}
+        presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"rounds": 2}}
+
+        decay: float = 0.5
+        rounds: int = 10
+        kind: Literal["plain", "broken"] = "plain"
+        label: str = "x"
+        shift: float = 0.0
+        rest_hold: bool = False
+
+        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Any:
+            if self.kind == "broken":
+                raise ValueError("this kind cannot learn")
+            return self
+
+        def acceleration(self, carry: Any, control: Any) -> Any:
+            return control - self.decay * carry + self.shift
+
+    return Guess
+
+
+def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and_defaults(guess: type) -> None:
+    space = search_space("made_up_guess")
+    assert space == {
+        "decay": Within(0.0, 4.0),
+        "kind": OneOf(("plain", "broken")),
+        "shift": Within(1e-6, 1.0, log=True),
+    }, "neither text, nor what a preset changes, nor what has nothing to do with predicting"
+    assert search_space("made_up_guess", only=["rounds"]) == {"rounds": Within(1.25, 80.0, log=True)}
+    assert set(search_space("made_up_guess", fixed=["kind"])) == {"decay", "shift"}
+    with pytest.raises(InvalidArgument, match="no parameter to search among label"):
+        search_space("made_up_guess", only=["label"])
+
+
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "neural_ode_history", "hybrid_ode"])
+def test_input_noise_is_searched_in_every_family_of_networks_that_has_it(family: str) -> None:
+    assert search_space(family)["input_noise"] == Within(0.02, 4.0, log=True)
+
+
+@pytest.mark.parametrize("family", [name for name in models.names() if not name.startswith("made_up")])
+def test_what_is_searched_in_a_family_of_the_zoo_can_be_set(family: str) -> None:
+    for key, where in search_space(family).items():
+        values = where.values if isinstance(where, OneOf) else [where.low, where.high]
+        for value in values:
+            whole = isinstance(where, Within) and isinstance(models.parameters(family)[key], int)
+            lags = key.endswith("_lags") or key in ("degree", "terms", "neighbours")
+            make_model(family, **{key: round(value) if whole or lags else value})
+
+
+def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess: type) -> None:
+    found = tune("made_up_guess(kind=plain, shift=0.0)", decaying(), trials=40, seed=1)
+    assert found.best.spec.parameters["kind"] == "plain"
+    assert abs(found.best.spec.parameters["decay"] - 2.0) < 0.2
+    default = next(one for one in found.tried if one.spec.parameters["decay"] == 0.5)
+    assert default.error is not None
+    assert found.best.error is not None
+    assert found.best.error < default.error
+    assert make_model(found.best.spec.text).get_params()["decay"] == found.best.spec.parameters["decay"]
+
+
+def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess: type) -> None:
+    found = tune("made_up_guess(shift=0.0)", decaying(), trials=12, seed=0)
+    failed = [one for one in found.tried if one.reason.startswith("ValueError")]
+    assert failed
+    assert failed[0].reason == "ValueError: this kind cannot learn"
+    assert found.best.spec.parameters["kind"] == "plain"
+    assert set(found.importance) <= {"decay", "kind"}
+
+
+def test_a_search_goes_on_in_its_file_and_the_same_seed_gives_the_same_trials(guess: type, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"only": ["decay"], "seed": 3}
+    first = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "a", **settings)
+    again = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "b", **settings)
+    begun = {one.spec for one in first.tried}
+    assert begun == {one.spec for one in again.tried}
+    further = tune("made_up_guess", decaying(), trials=7, file=tmp_path / "a", **settings)
+    assert len(further.tried) == 7
+    assert begun < {one.spec for one in further.tried}
+    other_data = Tuning("made_up_guess", decaying(1.0), file=tmp_path / "a", **settings)
+    assert not other_data.tried
+
+
+def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess: type, tmp_path: Path) -> None:
+    search = Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a")
+
+    def stopping(done: int, total: int, note: str = "") -> None:
+        if note.startswith("4 trials"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(search.run(trials=50, progress=stopping))
+    assert len(Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a").tried) == 4
+
+
+def test_a_horizon_that_does_not_fit_is_refused(guess: type) -> None:
+    with pytest.raises(InvalidArgument, match="at most 50, got 50, 300"):
+        Tuning("made_up_guess", decaying(), horizons=[50, 300])
