@@ -30,8 +30,8 @@ class Adapted(DynamicsModel):
     that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
     acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
     what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
-    blocks of time in turn: a correction must be 10 % better than none there, and by more than chance explains;
-    otherwise the model is its base. `fit_note` says what was decided.
+    blocks of time in turn: a correction must be 15 % better than none there, in no block worse, and by more than
+    chance explains; otherwise the model is its base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"

@@ -15,7 +15,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
 
 BLOCKS = 3
-BETTER = 0.10
+BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
@@ -49,8 +49,8 @@ class Trial:
 
     @property
     def good(self) -> bool:
-        """Whether it is better by enough and surely."""
-        return self.sure and self.error <= 1.0 - BETTER
+        """Whether it is better by enough, surely, and in no block worse."""
+        return self.sure and self.error <= 1.0 - BETTER and max(self.each) <= 1.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,9 @@ class Verdict:
         seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
         if taken is not None:
             return f"{taken.name}: {seen} it did not learn from"
-        why = "which may be chance" if change >= 100.0 * BETTER else f"{100 * BETTER:.0f} % are asked"
+        why = f"{100 * BETTER:.0f} % are asked"
+        if change >= 100.0 * BETTER:
+            why = "which may be chance" if max(best.each) <= 1.0 else "but worse on one of them"
         return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
 
