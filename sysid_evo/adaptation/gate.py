@@ -19,6 +19,8 @@ BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
+AS_GOOD = 0.10
+"""Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
 
 
@@ -143,6 +145,10 @@ def surely_positive(gains: Array) -> bool:
 
 
 def decided(trials: Sequence[Trial]) -> str:
-    """Return the name of the best trial that is good enough; "none" without."""
+    """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
+
+    "none" if none is good.
+    """
     good = [trial for trial in trials if trial.good]
-    return min(good, key=lambda trial: trial.error).name if good else NONE
+    least = min((trial.error for trial in good), default=0.0)
+    return next((trial.name for trial in good if trial.error <= (1.0 + AS_GOOD) * least), NONE)

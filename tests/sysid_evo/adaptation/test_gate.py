@@ -46,6 +46,11 @@ def test_a_correction_that_is_worse_in_one_block_does_not_count() -> None:
     assert decided([Trial("a", 0.5, (0.2, 0.3, 1.1), True)]) == "none"
 
 
+def test_of_corrections_about_as_good_the_simplest_is_taken() -> None:
+    shares = {"strong": 0.7, "weak": 0.52, "weaker": 0.5}
+    assert decided([Trial(name, share, (share,) * 3, True) for name, share in shares.items()]) == "weak"
+
+
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
     plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
     trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
