@@ -80,8 +80,8 @@ CHANGES = (
     Change(
         "lanes that only pad a block count in the error of a compiled fit",
         LOOPS,
-        "used = min(LANES, windows - block * LANES)",
-        "used = LANES",
+        "for lane in range(used):\n                    off = carry",
+        "for lane in range(LANES):\n                    off = carry",
         TEST_FIT,
     ),
     Change(
