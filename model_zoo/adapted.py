@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from sysid_evo import Dataset, DynamicsModel, load_model, make_model, register_model
-from sysid_evo.adaptation import Terms, adaptation, as_of
+from sysid_evo.adaptation import NONE, Terms, adaptation, as_of
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.errors import InvalidArgument
@@ -30,8 +30,8 @@ class Adapted(DynamicsModel):
     that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
     acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
     what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
-    blocks of time in turn: a correction must be 10 % better than none there, and by more than chance explains;
-    otherwise the model is its base. `fit_note` says what was decided.
+    blocks of time in turn: a correction must be 15 % better than none there, in no block worse, and by more than
+    chance explains; otherwise the model is its base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"
@@ -76,7 +76,10 @@ class Adapted(DynamicsModel):
         return self
 
     def _widen(self) -> None:
-        """Let envelope and pairs be those of both recordings."""
+        """Let envelope and pairs be those of both recordings; those of the base if that is all there is."""
+        if self.chosen_ == NONE:
+            self.envelope_, self.pairs_ = self.base_.envelope_.copy(), self.base_.pairs_.copy()
+            return
         own, other = self.envelope_, self.base_.envelope_
         self.envelope_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
         pairs = np.concatenate([self.base_.pairs_, self.pairs_])

@@ -44,6 +44,7 @@ class KNeighbours(Uncertain):
     """
 
     knowledge = "dark grey"
+    cheap = True
     structure = "neighbours"
     searched: ClassVar[dict[str, Searched]] = {
         "neighbours": Within(3, 60, log=True),

@@ -30,6 +30,7 @@ class Linear(Uncertain):
     """
 
     knowledge = "black"
+    cheap = True
     structure = "polynomial"
     searched: ClassVar[dict[str, Searched]] = {"ridge": Within(1e-6, 100.0, log=True)}
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}

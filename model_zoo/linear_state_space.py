@@ -42,7 +42,7 @@ class LinearStateSpace(StateSpaceModel):
     horizon: int = 1000
     folds: int = 2
     rest_hold: bool = False
-    most_steps: int | None = 20_000
+    most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         ny = dataset.system.nx

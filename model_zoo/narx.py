@@ -37,6 +37,7 @@ class Narx(PolynomialFamily):
     """
 
     knowledge = "black"
+    cheap = True
     searched: ClassVar[dict[str, Searched]] = {"degree": Within(1, 3), "terms": Within(4, 64, log=True)}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": None, "terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}

@@ -30,6 +30,7 @@ class NearestNeighbour(DynamicsModel):
     """
 
     knowledge = "dark grey"
+    cheap = True
     structure = "neighbours"
     periodic = True
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}

@@ -39,7 +39,7 @@ class NonlinearStateSpace(StateSpaceModel):
     of outputs on; the one with the network of the lowest Bayesian information criterion (Schwarz 1978) after
     ``trial`` iterations is taken. ``members`` of that order go on for ``iterations``, and half as many on long runs.
     The output is their mean, in which one counts less the higher its criterion is, and one that goes astray under
-    the recorded controls in reverse not at all; each has its own hidden states and its own gain K.
+    the recorded controls in another order not at all; each has its own hidden states and its own gain K.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -54,7 +54,7 @@ class NonlinearStateSpace(StateSpaceModel):
     iterations: int = 40
     horizon: int = 1000
     rest_hold: bool = False
-    most_steps: int | None = 10_000
+    most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         least, long = max(FEWEST_STATES, dataset.system.nx), max(1, self.iterations // 2)

@@ -17,6 +17,7 @@ from evaluation.advice.remark import MOST, ModelAdvice, Remark
 from evaluation.advice.shift import shift
 from evaluation.advice.worst import weak_region
 from evaluation.exploitability.steps import Steps
+from evaluation.prediction.coverage import without_noise
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
@@ -58,19 +59,19 @@ def advise_model(
 ) -> ModelAdvice:
     """Say what limits a fitted ``model`` and what to record next, at most five sentences.
 
-    ``test`` are recordings that it has not learned from. Without them a copy is fitted in its quick form to three
-    quarters of each episode and judged on the rest, unless the family takes long (`DynamicsModel.resumable`): that one
-    is judged on its own training data. ``visited`` is what controllers do in models and on robots.
+    ``test`` are recordings that it has not learned from. Without them a copy is fitted to three quarters of each
+    episode and judged on the rest, if the family is `DynamicsModel.cheap`; any other is judged on its own training
+    data. ``visited`` is what controllers do in models and on robots.
     """
     name = name or type(model).__name__
-    where, judged_on = Evidence(name, model, training, test), "the test part"
+    where, judged_on = Evidence(name, without_noise(model), training, test), "the test part"
     if test is None:
         where, judged_on = _held_back(where, seed)
     trajectories = list(visited)
     if trajectories:
         where = replace(where, visited=Steps.of(training.system, trajectories))
     remarks = [remark for look in LOOKS if (remark := look(where)) is not None]
-    if where.test is not None and not where.model.resumable and (more := _with_half(where, seed)) is not None:
+    if where.test is not None and where.model.cheap and (more := _with_half(where, seed)) is not None:
         remarks.append(more)
     ordered = sorted(_not_explained(remarks), key=lambda remark: -remark.weight)
     return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
@@ -84,18 +85,18 @@ def _not_explained(remarks: list[Remark]) -> list[Remark]:
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
     """Return the evidence on a copy with a part held back, or as it is, and what it is judged on."""
-    if evidence.model.resumable:
+    if not evidence.model.cheap:
         return evidence, "its own training data"
     try:
         training, test = evidence.training.split(HELD_BACK)
-        copy = quick_copy(evidence.model).fit(training, rng=np.random.default_rng(seed))
+        copy = evidence.model.unfitted().fit(training, rng=np.random.default_rng(seed))
         found = replace(evidence, model=copy, training=training, test=test)
         short = len(found.test_windows.errors) < FEWEST
     except InvalidData:
         short = True
     if short:
         return evidence, "its own training data"
-    return found, "the last quarter of each episode, which a quick copy of it has not learned from"
+    return found, "the last quarter of each episode, which a copy of it has not learned from"
 
 
 def _with_half(evidence: Evidence, seed: int) -> Remark | None:
@@ -104,8 +105,3 @@ def _with_half(evidence: Evidence, seed: int) -> Remark | None:
     except InvalidData:
         return None
     return too_few_data(evidence, half)
-
-
-def quick_copy(model: DynamicsModel) -> DynamicsModel:
-    """Return the model, unfitted, with what its quick preset changes."""
-    return model.unfitted().set_params(**type(model).presets.get("quick", {}))

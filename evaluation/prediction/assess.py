@@ -80,7 +80,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         curve=curve,
         curve_interval=curve_interval,
         divergence=_divergence(forecasts, cases),
-        residuals=analyse(step_errors(model, cases.test, first=cases.protocol.first)),
+        residuals=analyse(step_errors(without_noise(model), cases.test, first=cases.protocol.first)),
         regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
         episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
         coverage=interval_coverage(model, cases),

@@ -45,12 +45,13 @@ def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Cover
 def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
     """Return whether each target lies inside, (horizons, N, nx), for the windows ``rows``."""
     windows = cases.windows[rows]
-    missing = max(0, model.n_lags - windows.past_controls.shape[1])
-    past_states = np.concatenate([np.repeat(windows.past_states[:, :1], missing, axis=1), windows.past_states], axis=1)
-    neutral = np.tile(cases.system.neutral_control, (len(windows), missing, 1))
-    past_controls = np.concatenate([neutral, windows.past_controls], axis=1)
+    past_states, past_controls = cases.history(model.n_lags)
     drawn = model.simulate(
-        past_states, past_controls, windows.controls, samples=SAMPLES, rng=np.random.default_rng(int(rows[0]))
+        past_states[rows],
+        past_controls[rows],
+        windows.controls,
+        samples=SAMPLES,
+        rng=np.random.default_rng(int(rows[0])),
     )
     ends = [horizon - 1 for horizon in cases.horizons]
     low, high = np.quantile(drawn[:, :, ends], [0.5 - SHARE / 2, 0.5 + SHARE / 2], axis=0, method="weibull")

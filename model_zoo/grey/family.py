@@ -72,9 +72,9 @@ class GreyBox(DynamicsModel):
     nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
     of time better.
 
-    The parameters named in ``offsets`` may differ from recording to recording (another battery, another floor). Their
-    differences are shrunk to nothing as far as the data do not ask for them (random effects), the model predicts with
-    what is common, and `offsets_table` tells the rest.
+    The parameters named in ``offsets`` may differ from recording to recording (another battery, another floor), or from
+    condition to condition where episodes name theirs. Their differences are shrunk to nothing as far as the data do not
+    ask for them (random effects), the model predicts with what is common, and `offsets_table` tells the rest.
 
     Episodes of manoeuvres that measure (`sysid_evo.data.measured`) give guesses and priors, see `guesses_from`.
 

@@ -23,7 +23,7 @@ FEWEST = 60
 
 @dataclass(frozen=True)
 class Segments:
-    """W windows of H steps with what is measured in them, and the ``group`` (recording) of each, (W,).
+    """W windows of H steps with what is measured in them, and the ``group`` (condition, or recording) of each, (W,).
 
     ``scale`` (nx,) is the spread of every state, in which errors are counted; ``limits`` (2, nx) are where free runs
     are clipped; ``order`` (W,) is when each window begins, in steps since the first episode began.
@@ -50,7 +50,7 @@ class Segments:
             places = dataset.window_places(horizon, stride=stride, history=history)
         rows = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(np.int64))
         windows = places[rows]
-        names = [recording(episode.name) for episode in dataset.episodes]
+        names = [episode.condition or recording(episode.name) for episode in dataset.episodes]
         groups = tuple(dict.fromkeys(names))
         group = np.array([groups.index(name) for name in names], dtype=np.int64)
         begins = np.cumsum([0, *(len(episode) for episode in dataset.episodes)])[:-1]

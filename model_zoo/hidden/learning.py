@@ -20,8 +20,9 @@ SHORT, MIDDLE = 100, 300
 """Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius from which a linear space is unstable, and what it is then brought to."""
-MOST_BACKWARDS, BEYOND = 3000, 2.0
-"""Steps under controls in reverse, and how many times the largest recorded output is too far."""
+MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 3, 1.5
+"""Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
+largest recorded output is too far."""
 LOST = 1.0
 """A root mean square residual, in deviations, from which a training begins anew at the linear start."""
 
@@ -138,16 +139,22 @@ class Lesson:
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
     def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
-        """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls, backwards in time.
+        """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls in other orders.
 
-        These are controls as the system met them, in an order that was not trained: what is unstable shows.
+        Backwards in time, and in blocks that change places: controls as the system met them, but not as they were
+        trained, under which what is unstable shows.
         """
         longest = max(self.parts, key=len)
-        centre = np.append(np.zeros(longest.outputs.shape[1]), 1.0)
-        starts = np.stack([own.first @ centre for own in observers])[:, None]
-        runs = spaces.run(starts, longest.controls[None, MOST_BACKWARDS::-1])[:, 0, :, : longest.outputs.shape[1]]
+        ny, controls = longest.outputs.shape[1], longest.controls[:MOST_REORDERED]
+        orders = [np.arange(len(controls))[::-1]]
+        blocks = np.array_split(np.arange(len(controls)), max(1, len(controls) // BLOCK))
+        for seed in range(SHUFFLES):
+            places = np.random.default_rng(seed).permutation(len(blocks))
+            orders.append(np.concatenate([blocks[place] for place in places]))
+        starts = np.stack([own.first[:, ny] for own in observers])[:, None].repeat(len(orders), axis=1)
+        runs = spaces.run(starts, controls[np.stack(orders)])[..., :ny]
         limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
-        return np.asarray((np.abs(runs) > limit).any(axis=(1, 2)))
+        return np.asarray((np.abs(runs) > limit).any(axis=(1, 2, 3)))
 
 
 def radius(space: Spaces) -> float:

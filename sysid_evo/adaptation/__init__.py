@@ -3,11 +3,12 @@
 from sysid_evo.adaptation.adapting import Adaptation, adaptation
 from sysid_evo.adaptation.another_condition import adapted, as_of
 from sysid_evo.adaptation.corrected import Corrected
-from sysid_evo.adaptation.gate import Trial, Verdict
+from sysid_evo.adaptation.gate import NONE, Trial, Verdict
 from sysid_evo.adaptation.recursive import SelfCorrection
 from sysid_evo.adaptation.terms import Terms
 
 __all__ = [
+    "NONE",
     "Adaptation",
     "Corrected",
     "SelfCorrection",

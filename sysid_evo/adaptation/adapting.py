@@ -17,7 +17,7 @@ from sysid_evo.dynamics.model import DynamicsModel
 from sysid_evo.progress import Counter, Progress
 
 KINDS = {"linear": False, "products": True}
-RIDGES = (0.03, 0.3, 3.0)
+RIDGES = (0.003, 0.03, 0.3, 3.0)
 REFIT = "refit"
 
 

@@ -15,10 +15,12 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
 
 BLOCKS = 3
-BETTER = 0.10
+BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
+AS_GOOD = 0.10
+"""Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
 
 
@@ -49,8 +51,8 @@ class Trial:
 
     @property
     def good(self) -> bool:
-        """Whether it is better by enough and surely."""
-        return self.sure and self.error <= 1.0 - BETTER
+        """Whether it is better by enough, surely, and in no block worse."""
+        return self.sure and self.error <= 1.0 - BETTER and max(self.each) <= 1.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,9 @@ class Verdict:
         seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
         if taken is not None:
             return f"{taken.name}: {seen} it did not learn from"
-        why = "which may be chance" if change >= 100.0 * BETTER else f"{100 * BETTER:.0f} % are asked"
+        why = f"{100 * BETTER:.0f} % are asked"
+        if change >= 100.0 * BETTER:
+            why = "which may be chance" if max(best.each) <= 1.0 else "but worse on one of them"
         return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
 
@@ -141,6 +145,10 @@ def surely_positive(gains: Array) -> bool:
 
 
 def decided(trials: Sequence[Trial]) -> str:
-    """Return the name of the best trial that is good enough; "none" without."""
+    """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
+
+    "none" if none is good.
+    """
     good = [trial for trial in trials if trial.good]
-    return min(good, key=lambda trial: trial.error).name if good else NONE
+    least = min((trial.error for trial in good), default=0.0)
+    return next((trial.name for trial in good if trial.error <= (1.0 + AS_GOOD) * least), NONE)

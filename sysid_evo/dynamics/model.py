@@ -68,6 +68,8 @@ class DynamicsModel(Dynamics, Estimator):
     A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
     there, to the same model.
 
+    A family is ``cheap`` if it is fitted within about a second: advice on it may then fit copies to parts of the data.
+
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
@@ -92,6 +94,7 @@ class DynamicsModel(Dynamics, Estimator):
     }
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
+    cheap: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0

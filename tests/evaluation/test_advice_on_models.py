@@ -71,7 +71,8 @@ def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time()
     assert "Controls act up to 300 ms later" in remark.sentence
     assert "of speed" in remark.sentence
     assert "control_lags=6" in remark.sentence
-    assert late_controls(evidence(Fault(drift=0.03))) is None
+    training, test = drive(Fault(drift=0.03), steps=2400).split(0.25)
+    assert late_controls(Evidence("linear", make_model("linear").fit(training), training, test)) is None
     where = evidence(Fault(late=6))
     knowing = Evidence("linear", make_model("linear", control_lags=6).fit(where.training), where.training, where.test)
     assert late_controls(knowing) is None
@@ -97,6 +98,13 @@ def test_a_day_with_less_grip_is_named_and_other_driving_on_the_same_machine_is_
     data = drive().with_episodes([*drive().episodes[:2], replace(gentle.episodes[0], name="day 3")])
     training, test = data.split(0.25)
     assert shift(Evidence("linear", make_model("linear").fit(training), training, test)) is None
+
+
+def test_a_recording_of_states_that_no_other_has_seen_is_no_other_condition() -> None:
+    gentle, wild = drive(Fault(push=0.15, bend=1.5), episodes=3), drive(Fault(bend=1.5), 4, episodes=1)
+    data = gentle.with_episodes([*gentle.episodes[:2], replace(wild.episodes[0], name="wild")])
+    training, test = data.split(0.25)
+    assert shift(Evidence("linear", make_model("linear").fit(gentle), training, test)) is None
 
 
 def test_one_recording_alone_differs_from_no_other() -> None:
@@ -207,6 +215,14 @@ def test_the_most_important_comes_first_and_there_are_five_at_most() -> None:
     assert 3 <= len(weights) <= MOST
     assert advice.remarks[0].topic == "late controls"
     assert "noise" not in [remark.topic for remark in advice.remarks]
+
+
+def test_what_follows_from_something_else_is_left_out() -> None:
+    where = evidence(Fault(late=6))
+    assert noise_floor(where) is not None
+    assert [remark.topic for remark in advise_model(where.model, where.training, where.test).remarks] == [
+        "late controls"
+    ]
 
 
 def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back() -> None:

@@ -120,7 +120,9 @@ def test_every_function_has_a_compiled_form_inside_and_outside_the_data() -> Non
 @pytest.mark.parametrize(
     "options",
     [
-        {"library": "fourier(n_frequencies=2)", "optimizer": "SR3(reg_weight_lam=0.1)"},
+        pytest.param(
+            {"library": "fourier(n_frequencies=2)", "optimizer": "SR3(reg_weight_lam=0.1)"}, marks=pytest.mark.slow
+        ),
         {
             "degree": 2,
             "optimizer": "EnsembleOptimizer(opt=STLSQ(threshold=0.1), bagging=true, n_models=3)",

@@ -214,6 +214,12 @@ def test_what_differs_from_recording_to_recording_is_told_and_the_common_value_p
     assert all(row["unit"] for row in model.offsets_table())
 
 
+def test_recordings_of_one_condition_share_their_offsets() -> None:
+    data = several().labelled({"cold": "day-[012]", "warm": "day-[345]"})
+    model = Pendulum(offsets=["gain"], starts=1, windows=60).fit(data, rng=0)
+    assert [row["recording"] for row in model.offsets_table()] == ["cold", "warm"]
+
+
 def test_where_nothing_differs_offsets_shrink_to_nothing() -> None:
     model = Pendulum(offsets=["gain"], **QUICK).fit(several((2.0,) * 6), rng=0)
     assert np.abs(model.offsets_).max() < 0.03

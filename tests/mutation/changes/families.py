@@ -29,6 +29,15 @@ CHANGES = (
         (AUTO,),
     ),
     Change(
+        "what drives a state out of its range does not fade",
+        "model_zoo/sparse/continuation.py",
+        "up = np.maximum(total, 0.0) * np.maximum(1.0 - above * per_margin, 0.0)",
+        "up = np.maximum(total, 0.0)",
+        (
+            "tests/model_zoo/test_sparse_stability.py::test_beyond_the_margin_every_state_moves_back_whatever_the_polynomial_says",
+        ),
+    ),
+    Change(
         "the conformal correction is left out",
         "model_zoo/validation/spread.py",
         "level = min(1.0, share * (len(errors) + 1) / len(errors))",

@@ -10,6 +10,11 @@ TEST_PREDICTION = "tests/evaluation/test_prediction.py"
 TEST_VERDICT = "tests/evaluation/test_verdict.py"
 TEST_EXPLOITABILITY = "tests/evaluation/test_exploitability.py"
 
+RESIDUALS = "evaluation/prediction/residuals.py"
+TEST_RESIDUALS = "tests/evaluation/test_residuals.py"
+TEST_WHERE = "tests/evaluation/test_where_errors_are.py"
+TEST_ADVICE = "tests/evaluation/test_advice_on_models.py"
+
 CHANGES = (
     Change(
         "a claim is exploited when one of the two rules says so",
@@ -207,5 +212,47 @@ CHANGES = (
         "KEPT = 0.9",
         "KEPT = 0.8",
         (TEST_VERDICT,),
+    ),
+    Change(
+        "controls are looked for after the step instead of before it",
+        RESIDUALS,
+        "controls[max(-lag, 0) : rows - max(lag, 0)]",
+        "controls[max(lag, 0) : rows - max(-lag, 0)]",
+        (TEST_RESIDUALS,),
+    ),
+    Change(
+        "the fit is in the scale of the whole test set",
+        "evaluation/prediction/episodes.py",
+        "std=cases.system.spread(measured)",
+        "std=cases.std",
+        (TEST_WHERE,),
+    ),
+    Change(
+        "what a hidden state explains counts for late controls",
+        "evaluation/advice/memory.py",
+        "min(best, max(own)) < SHARE",
+        "best < SHARE",
+        (TEST_ADVICE,),
+    ),
+    Change(
+        "a recording of other states is another condition",
+        "evaluation/advice/shift.py",
+        "alike = distance <= usual",
+        "alike = distance >= 0.0",
+        (TEST_ADVICE,),
+    ),
+    Change(
+        "the noise is that of two steps, not of one",
+        "evaluation/advice/noise.py",
+        "0.5 * np.mean",
+        "1.0 * np.mean",
+        (TEST_ADVICE,),
+    ),
+    Change(
+        "what follows from something else is told, too",
+        "evaluation/advice/advise.py",
+        "sorted(_not_explained(remarks),",
+        "sorted(remarks,",
+        (TEST_ADVICE,),
     ),
 )

@@ -36,10 +36,19 @@ def held(errors: np.ndarray) -> Held:
 
 
 @pytest.mark.parametrize(
-    ("error", "sure", "chosen"), [(0.85, True, "a"), (0.85, False, "none"), (0.95, True, "none"), (1.2, False, "none")]
+    ("error", "sure", "chosen"), [(0.8, True, "a"), (0.8, False, "none"), (0.9, True, "none"), (1.2, False, "none")]
 )
 def test_a_correction_counts_only_if_it_is_much_better_and_surely(error: float, sure: bool, chosen: str) -> None:
     assert decided([Trial("a", error, (error,) * 3, sure), Trial("b", 0.99, (0.98,) * 3, True)]) == chosen
+
+
+def test_a_correction_that_is_worse_in_one_block_does_not_count() -> None:
+    assert decided([Trial("a", 0.5, (0.2, 0.3, 1.1), True)]) == "none"
+
+
+def test_of_corrections_about_as_good_the_simplest_is_taken() -> None:
+    shares = {"strong": 0.7, "weak": 0.52, "weaker": 0.5}
+    assert decided([Trial(name, share, (share,) * 3, True) for name, share in shares.items()]) == "weak"
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
