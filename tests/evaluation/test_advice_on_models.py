@@ -234,6 +234,14 @@ def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back() -> None:
     assert advise_model(make_model("linear").fit(short), short).judged_on == "its own training data"
 
 
+def test_a_family_that_takes_long_is_never_fitted_again() -> None:
+    family = type(make_model("linear"))
+    once = type("Slow", (family,), {"cheap": False, "__module__": __name__})().fit(drive())
+    once.unfitted = lambda: pytest.fail("fitted again")
+    assert advise_model(once, drive()).judged_on == "its own training data"
+    assert advise_model(once, *drive().split(0.25)).judged_on == "the test part"
+
+
 def test_advice_is_the_same_every_time_and_comes_back_from_json() -> None:
     where = evidence(Fault(late=6))
     once, again = (advise_model(where.model, where.training, where.test) for _ in range(2))
