@@ -1,4 +1,4 @@
-"""The loops over time, as kernel functions: closed loop with a controller, imagined trials, open loop over windows.
+"""The loops over time, as kernel functions: closed loop with a controller, imagined trials, one step.
 
 They know nothing about cars: kernels come as first-class functions, sizes in an integer array.
 """
@@ -31,7 +31,6 @@ CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
     "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
-OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
 
@@ -232,72 +231,6 @@ def restore(array, kept, rows, over):
         store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))
 
 
-def open_loop(
-    dynamics, sizes, parameters_of, start, controls, truth, first, last,
-    weight, carry, control, noise, parameters, scratch, error,
-):  # fmt: skip
-    """Simulate every window under recorded controls for candidates ``first`` to ``last``.
-
-    ``error`` of a candidate is the mean over windows and states of the square difference
-    after the last step times the state's ``weight``; not a number where a simulation diverged.
-    """
-    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
-    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
-    for candidate in range(first, last):
-        for i in range(n_parameters):
-            parameters[i] = parameters_of[candidate * n_parameters + i]
-        total = 0.0
-        for block in range((windows + LANES - 1) // LANES):
-            used = min(LANES, windows - block * LANES)
-            for lane in range(LANES):
-                window = min(block * LANES + lane, windows - 1)
-                for row in range(n_carry):
-                    carry[row * LANES + lane] = start[window * n_carry + row]
-            for k in range(steps):
-                for lane in range(LANES):
-                    window = min(block * LANES + lane, windows - 1)
-                    for row in range(nu):
-                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
-                dynamics(carry, control, noise, parameters, scratch)
-            for row in range(nx):
-                for lane in range(used):
-                    off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
-                    total += off * off * weight[row]
-        error[candidate] = total / float(windows * nx)
-
-
-def free_runs(
-    dynamics, sizes, parameters_of, start, controls, envelope, first, last,
-    carry, control, noise, parameters, scratch, states,
-):  # fmt: skip
-    """Simulate every window for candidates ``first`` to ``last``, each from carries of its own, and keep all states.
-
-    ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the envelope.
-    """
-    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
-    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
-    for candidate in range(first, last):
-        for i in range(n_parameters):
-            parameters[i] = parameters_of[candidate * n_parameters + i]
-        for block in range((windows + LANES - 1) // LANES):
-            used = min(LANES, windows - block * LANES)
-            for lane in range(LANES):
-                window = min(block * LANES + lane, windows - 1)
-                for row in range(n_carry):
-                    carry[row * LANES + lane] = start[(candidate * windows + window) * n_carry + row]
-            for k in range(steps):
-                for lane in range(LANES):
-                    window = min(block * LANES + lane, windows - 1)
-                    for row in range(nu):
-                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
-                dynamics(carry, control, noise, parameters, scratch)
-                clip(carry, envelope, nx)
-                for lane in range(used):
-                    at = ((candidate * windows + block * LANES + lane) * steps + k) * nx
-                    for row in range(nx):
-                        states[at + row] = carry[row * LANES + lane]
-
-
 def imagine(
     dynamics, advance, sizes, dynamics_parameters, task_parameters,
     start, task_start, trial_data, controls, envelope,
@@ -421,8 +354,6 @@ CLOSED_LOOP = Signature.of(
     sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
-OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
-FREE_RUNS = Signature.of(free_runs, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
 IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
 DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
 SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
-from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled import window_loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
 from sysid_evo.engine.compiled.kernel import DYNAMICS
 from sysid_evo.engine.compiled.lanes import LANES
@@ -18,12 +18,12 @@ from sysid_evo.engine.compiled.run import Work, compiled, spread
 
 @cache
 def _loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.open_loop), loops.OPEN_LOOP, precision, pointer=False)
+    return compile_kernel(KernelSource(window_loops.open_loop), window_loops.OPEN_LOOP, precision, pointer=False)
 
 
 @cache
 def _recording_loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.free_runs), loops.FREE_RUNS, precision, pointer=False)
+    return compile_kernel(KernelSource(window_loops.free_runs), window_loops.FREE_RUNS, precision, pointer=False)
 
 
 def free_runs(
@@ -44,14 +44,14 @@ def free_runs(
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (len(parameters), windows, None))
     nx, real = envelope.shape[1], np.dtype(precision)
-    sizes = loops.OPEN.integers(
+    sizes = window_loops.OPEN.integers(
         windows=windows, steps=steps, n_carry=start.shape[2], nx=nx, nu=nu, n_parameters=parameters.shape[1]
     )
     states = np.zeros(len(parameters) * windows * steps * nx, real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
     room = {"carry": start.shape[2], "control": nu, "noise": 1, "scratch": n_scratch}
     _recording_loop(precision)(
-        *loops.FREE_RUNS.ordered(
+        *window_loops.FREE_RUNS.ordered(
             dynamics=compiled(source, DYNAMICS, precision),
             sizes=sizes,
             first=0,
@@ -89,7 +89,7 @@ def final_errors(
     real = np.dtype(precision)
     weight = np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:])
 
-    sizes = loops.OPEN.integers(
+    sizes = window_loops.OPEN.integers(
         windows=windows,
         steps=steps,
         n_carry=start.shape[1],
@@ -109,7 +109,7 @@ def final_errors(
 
         def work(first: int, last: int) -> None:
             loop(
-                *loops.OPEN_LOOP.ordered(
+                *window_loops.OPEN_LOOP.ordered(
                     dynamics=kernel, sizes=sizes, first=first, last=last, error=error, **shared, **own
                 )
             )

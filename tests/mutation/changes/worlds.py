@@ -79,14 +79,14 @@ CHANGES = (
     ),
     Change(
         "lanes that only pad a block count in the error of a compiled fit",
-        LOOPS,
+        "sysid_evo/engine/compiled/window_loops.py",
         "for lane in range(used):\n                    off = carry",
         "for lane in range(LANES):\n                    off = carry",
         TEST_FIT,
     ),
     Change(
         "a compiled fit forgets how much each state counts",
-        LOOPS,
+        "sysid_evo/engine/compiled/window_loops.py",
         "total += off * off * weight[row]",
         "total += off * off",
         TEST_FIT,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled import window_loops
 from sysid_evo.engine.compiled.dialect import KernelSource, Source, generate
 from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
 from sysid_evo.engine.compiled.signature import REALS, Signature
@@ -46,7 +46,7 @@ def library(car: System) -> dict[str, tuple[Source, Signature]]:
     task, controller = PointToPoint().bind(car).kernel(), RecurrentNetwork().bind(5, 2).kernel()
     found["recurrent"] = controller.source, CONTROLLER
     found["observe"], found["advance"] = (task.observe, OBSERVE), (task.advance, ADVANCE)
-    found["open loop"] = KernelSource(loops.open_loop), loops.OPEN_LOOP
+    found["open loop"] = KernelSource(window_loops.open_loop), window_loops.OPEN_LOOP
     return found
 
 
