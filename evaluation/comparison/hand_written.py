@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 from evaluation.comparison.champion_cells import ControllerFiles
 from evaluation.comparison.columns import Column
+from evaluation.comparison.named_files import file_digests
 from sysid_evo.evolution import Champion
 from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, controllers, tasks
@@ -50,7 +49,7 @@ class HandWrittenCell(ControllerFiles):
         spec = named_models(self.spec, {label: cell.digest for label, cell in self.models.items()})
         return {
             "controller": controllers.identity(spec),
-            "files": [hashlib.sha256(file.read_bytes()).hexdigest() for file in _files(spec)],
+            "files": file_digests(spec),
             "task": tasks.identity(self.task),
             "system": self.system.to_dict(),
         }
@@ -77,12 +76,3 @@ def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:
     one = isinstance(value, str)
     found = [names.get(name, name) for name in ([value] if one else value)]
     return Spec(spec.name, {**spec.parameters, MODEL: found[0] if one else found}, spec.label)
-
-
-def _files(spec: Spec) -> Iterator[Path]:
-    """Yield the files, with their halves, that the parameters of ``spec`` name."""
-    for value in spec.parameters.values():
-        for text in value if isinstance(value, (list, tuple)) else [value]:
-            if isinstance(text, str):
-                stem = text.removesuffix(".safetensors").removesuffix(".json")
-                yield from (file for file in map(Path, (f"{stem}.json", f"{stem}.safetensors")) if file.is_file())

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.comparison.named_files import file_digests
 from evaluation.prediction import (
     FORM,
     PERSISTENCE,
@@ -73,7 +74,9 @@ class FitCell(Cell):
 
     def inputs(self) -> dict[str, Any]:
         used = [models.identity(name) for name in make_model(self.spec).uses()]
-        return {"model": models.identity(self.spec), "seed": self.seed, **({"uses": used} if used else {})}
+        files = file_digests(self.spec)
+        further = {**({"uses": used} if used else {}), **({"files": files} if files else {})}
+        return {"model": models.identity(self.spec), "seed": self.seed, **further}
 
     def compute(self, work: Work) -> DynamicsModel:
         training = work.result(self.data).training

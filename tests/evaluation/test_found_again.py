@@ -349,6 +349,19 @@ def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path: Path) -> N
     assert one.digest != other.digest
 
 
+def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_file(tmp_path: Path) -> None:
+    data, base = example_dataset(), tmp_path / "base"
+
+    def fitted() -> str:
+        return digests(planned(models=("linear", f"near=adapted(base='{base}')")))["fit near"]
+
+    save_model(make_model("linear").fit(data, rng=0), base)
+    before = fitted()
+    assert fitted() == before
+    save_model(make_model("linear", ridge=1.0).fit(data, rng=0), base)
+    assert fitted() != before
+
+
 def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_named(
     register: Callable[[Registry[Any], str, Any], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
