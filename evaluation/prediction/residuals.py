@@ -126,7 +126,7 @@ def analyse(steps: StepErrors) -> Residuals:
 
 
 def _autocorrelation(errors: Array) -> tuple[Array, Array, Array]:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     nx = errors.shape[1]
     variance = np.nansum(errors**2, axis=0)
@@ -135,11 +135,11 @@ def _autocorrelation(errors: Array) -> tuple[Array, Array, Array]:
         products = errors[lag:] * errors[:-lag]
         sums[lag - 1], sizes[lag - 1] = np.nansum(products, axis=0), np.sqrt(np.nansum(products**2, axis=0))
     statistic = (_ratio(sums, sizes) ** 2).sum(axis=0)
-    return _ratio(sums, variance), 1.96 * _ratio(sizes, variance), np.asarray(chi2.sf(statistic, LAGS))
+    return _ratio(sums, variance), 1.96 * _ratio(sizes, variance), np.asarray(chdtrc(LAGS, statistic))
 
 
 def _cross_correlation(errors: Array, controls: Array) -> tuple[Array, Array, Array]:
-    from scipy.stats import t
+    from scipy.special import stdtr, stdtrit
 
     nx, nu, rows = errors.shape[1], controls.shape[1], len(errors)
     lags = range(-AHEAD, LAGS + 1)
@@ -162,8 +162,8 @@ def _cross_correlation(errors: Array, controls: Array) -> tuple[Array, Array, Ar
         return cross, np.full_like(cross, np.nan), np.full((nu, nx), np.nan)
     freedom = counted - 1
     largest = np.nan_to_num(_ratio(np.abs(cross), spread)[AHEAD:]).max(axis=0)
-    single = 2.0 * t.sf(largest, freedom)
-    return cross, float(t.ppf(0.975, freedom)) * spread, np.minimum(1.0, single * (LAGS + 1))
+    single = 2.0 * stdtr(freedom, -largest)
+    return cross, float(stdtrit(freedom, 0.975)) * spread, np.minimum(1.0, single * (LAGS + 1))
 
 
 def _mean(values: Array) -> Array:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.base import clone
 
 from model_zoo.validation.horizons import (
     HORIZONS,
@@ -141,7 +140,7 @@ class Uncertain(DynamicsModel):
             for name, value in parameters.items()
             if value is None and hasattr(self, f"{name}_")
         }
-        found: Uncertain = clone(self).set_params(**{**chosen, "stochastic": False})
+        found: Uncertain = self.unfitted().set_params(**{**chosen, "stochastic": False})
         return found
 
     def spread_on(
