@@ -63,19 +63,26 @@ class Doing(Number):
                 return available_processors()
             case "meet":
                 mine, other = (self.diary.with_name(name) for name in rest)
-                mine.touch()
-                deadline = time.monotonic() + 60.0
-                while not other.exists():
-                    assert time.monotonic() < deadline
-                    time.sleep(0.01)
-                time.sleep(0.2)
-                return available_processors()
+                _meet(mine, other)
+                time.sleep(0.5)
+                share = available_processors()
+                _meet(mine.with_suffix(".seen"), other.with_suffix(".seen"))  # alone, the other would get more
+                return share
         return found
 
     def save(self, value: int, path: Path) -> list[Path]:
         if self.deed == "full":
             raise OSError(28, "No space left on device", str(path))
         return super().save(value, path)
+
+
+def _meet(mine: Path, other: Path) -> None:
+    """Return when the other has come too."""
+    mine.touch()
+    deadline = time.monotonic() + 60.0
+    while not other.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def made(settings: Mapping[str, Any]) -> list[Cell]:
