@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -16,6 +17,12 @@ from sysid_evo.registry import Registry
 from sysid_evo.system import Channel, System
 
 ROOT = Path(__file__).parents[1]
+
+
+hypothesis.settings.register_profile(  # other work on the machine is no fault of a test
+    "suite", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("suite")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
