@@ -131,6 +131,22 @@ def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale() -> None:
     assert sheet.rows[-1] == ("held-out data", "1.0 %", "1.0 %")
 
 
+def test_a_probe_that_saw_next_to_nothing_anywhere_is_named_below_the_table() -> None:
+    def saw(name: str, visited: float, held_out: float, robot: float) -> ProbeResult:
+        return ProbeResult(name, "m/s", "slide", 1.0, visited, held_out, robot)
+
+    def looked_at(*probes: ProbeResult) -> ModelExploitability:
+        return replace(exploited(), probes=probes)
+
+    one = looked_at(saw("sideways", 0.0, 0.001, 0.0), saw("spinning", 0.0, 0.0, 0.02), saw("range", 0.0, 0.0, 0.0))
+    two = looked_at(saw("sideways", 0.001, 0.001, 0.0), saw("spinning", 0.0, 0.0, 0.0), saw("range", 0.5, 0.0, 0.0))
+    sheet = probe_sheet((one, two))
+    assert [column.splitlines()[0] for column in sheet.columns] == ["model", "outside", "spinning", "range"]
+    assert sheet.rows[1][2:] == ("0 %", "50 %")
+    assert "anywhere: sideways." in sheet.note
+    assert "anywhere" not in probe_sheet((exploited(visited=1.0, outside=0.1),)).note
+
+
 def claims_note(transfer: TransferMatrix) -> str:
     return controller_sheet(transfer, summarise(transfer)).note
 

@@ -141,12 +141,17 @@ def exploitability_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
 
 
 def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
-    """The limit of every probe, and the shares of steps beyond it, outside the data first."""
-    first = models[0].probes
+    """The limit of every probe that saw something, and the shares of steps beyond it, outside the data first."""
+    probes = [[model.probes[i] for model in models] for i in range(len(models[0].probes))]
+    loud = [
+        row for row in probes if any(_seen(share) for one in row for share in (one.visited, one.robot, one.held_out))
+    ]
+    quiet = [row[0].name.replace("_", " ") for row in probes if row not in loud]
+    first = [row[0] for row in loud]
     limits = [f"> {probe.limit:.3g} {probe.unit}" if probe.limit is not None else "no data" for probe in first]
     heads = [lines(folded(p.name).replace("_", " "), limit) for p, limit in zip(first, limits, strict=True)]
-    shares = [(model.outside_visited, *(probe.visited for probe in model.probes)) for model in models]
-    on_robot = [(model.outside_robot, *(probe.robot for probe in model.probes)) for model in models]
+    shares = [(model.outside_visited, *(row[i].visited for row in loud)) for i, model in enumerate(models)]
+    on_robot = [(model.outside_robot, *(row[i].robot for row in loud)) for i, model in enumerate(models)]
     normal = (models[0].outside_held_out, *(probe.held_out for probe in first))
     rows = [
         (model.model, *(lines(percent(s), _on_robot(r)) for s, r in zip(seen, robot, strict=True)))
@@ -157,11 +162,17 @@ def probe_sheet(models: tuple[ModelExploitability, ...]) -> Sheet:
         columns=("model", "outside\nthe data", *heads),
         rows=(*rows, ("held-out data", *(percent(share) for share in normal))),
         note=(
-            "Beyond the 99.9 % quantile of each probe in the training data. Controllers evolved on each model, run on "
-            "it; below, the same controllers on the robot."
+            "Beyond 1.15 times the 99.9 % quantile of each probe in the training data. Controllers evolved on each "
+            "model, run on it; below, the same controllers on the robot."
+            + (f" In less than 0.1 % of the steps anywhere: {', '.join(quiet)}." if quiet else "")
         ),
         heat=Heat(tuple(tuple(_depth(share) for share in row) for row in (*shares, normal)), alarm=True),
     )
+
+
+def _seen(share: float | None) -> bool:
+    """Whether a share is more than next to nothing."""
+    return share is not None and share > FAINTEST
 
 
 def _trials(matrix: TransferMatrix) -> str:
