@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, check_shape
+from sysid_evo.dynamics.stepping import clip_state
 from sysid_evo.errors import InvalidData, ShapeError
 from sysid_evo.system import System
 
@@ -62,6 +63,43 @@ def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
     if array.ndim != 2 or array.shape[1] != nu:
         raise ShapeError(f"{name}: expected shape (any, {nu}), got {np.shape(values)}")
     return array
+
+
+def many_runs(
+    model: DynamicsModel,
+    states: npt.ArrayLike,
+    past_controls: npt.ArrayLike | None,
+    controls: npt.ArrayLike,
+    samples: int | None,
+    rng: np.random.Generator,
+) -> Array:
+    """Return the states (B, H, nx) of many runs, see `DynamicsModel.simulate`; with samples (samples, B, H, nx).
+
+    Raises `ShapeError`, or `InvalidData` if the history (B, L + 1, nx) is shorter than the model needs.
+    """
+    system, lags = model.system, model.n_lags
+    states = check_shape("states", states, (None, None, system.nx))
+    controls = check_shape("controls", controls, (len(states), None, system.nu))
+    if past_controls is None:
+        past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
+    past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
+    if states.shape[1] < lags + 1:
+        raise InvalidData(f"{type(model).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
+    states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
+    if samples is not None:
+        states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
+    batch, horizon = controls.shape[:2]
+
+    def step(carry: Array, control: Array) -> Array:
+        noise = rng.standard_normal((batch, model.n_noise)) if model.n_noise else None
+        return clip_state(model.step(carry, control, noise), model.envelope)[0]
+
+    draws = rng.standard_normal((batch, model.n_draws)) if model.n_draws else None
+    out = np.empty((batch, horizon, system.nx))
+    with np.errstate(all="ignore"):
+        for k, carry in enumerate(chained(step, model.start(states, past_controls, draws), controls)):
+            out[:, k] = carry[:, : system.nx]
+    return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
 
 
 def judging_windows(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -12,11 +11,22 @@ import numpy as np
 from model_zoo.grey.estimation import Estimate, LeastSquares
 from model_zoo.grey.observer import observed
 from model_zoo.grey.offsets import with_offsets
-from model_zoo.grey.parameter import Box, Hidden, Parameter
+from model_zoo.grey.parameter import Hidden, Parameter
 from model_zoo.grey.residual import Residual, conditioned, inputs_of, learned_shape
+from model_zoo.grey.search import (
+    FIRST_EVALUATIONS,
+    KEPT,
+    LAST_EVALUATIONS,
+    SCREENED,
+    best_of,
+    known_variances,
+    starts_of,
+    sureness_of,
+)
 from model_zoo.grey.segments import Segments
 from model_zoo.grey.structure import Structure
-from model_zoo.grey.uncertainty import Sureness, open_questions, sureness
+from model_zoo.grey.telling import named_places, offset_note, offset_rows, parameter_rows, residual_note
+from model_zoo.grey.uncertainty import Sureness, open_questions
 from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
@@ -34,9 +44,6 @@ if TYPE_CHECKING:
 
 SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""
-SCREENED = 48
-"""Places of the cube that are looked at, the best of which are starts."""
-FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
 PAST = 20
 """Samples before a segment from which its actuators and hidden states begin in a fit, if the episodes are so long."""
 SHARES = (0.0, 0.5, 1.0)
@@ -45,8 +52,6 @@ BETTER = 0.98
 """None of it is kept unless free runs are better by this factor."""
 HIDDEN_SHARE = 0.3
 """Of the segments, if each has hidden states of its own to be estimated, which takes longer."""
-KEPT = 2
-"""Starts of the last fit: the best ends of the first one."""
 
 
 class GreyBox(DynamicsModel):
@@ -136,8 +141,8 @@ class GreyBox(DynamicsModel):
     def places(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return where the states and the controls of `law` stand in ``system``. Raises `IncompatibleSystem`."""
         return (
-            _named(self, "state", self.states, system.state_names),
-            _named(self, "control", self.controls, system.control_names),
+            named_places(self, "state", self.states, system.state_names),
+            named_places(self, "control", self.controls, system.control_names),
         )
 
     def check_parameters(self) -> None:
@@ -212,14 +217,16 @@ class GreyBox(DynamicsModel):
             for steps in (-(-horizon // SHORT), horizon)
         ]
         first, last = (LeastSquares(structure, some, told, self.robust) for some in segments)
-        begun = [first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in self._starts(first, rng)]
-        best = self._best(last, begun, told)
+        begun = [
+            first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in starts_of(first, self.starts, rng)
+        ]
+        best = best_of(last, begun)
         if any(parameter.spread is not None for parameter in structure.parameters):
-            sure = self._sureness(last, best)
+            sure = sureness_of(last, best)
             last = replace(last, noise=sure.noise, inflation=sure.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
         if self.offsets is not None and len(last.segments.groups) > 1:
-            best = self._learn_offsets(last, best, self._sureness(last, best))
+            best = self._learn_offsets(last, best, sureness_of(last, best))
         self._learn(last, best)
         if self.residual:
             self._learn_residual(dataset, rng, told)
@@ -229,28 +236,6 @@ class GreyBox(DynamicsModel):
     def _remembers(self) -> bool:
         """Whether the carry holds what only the past says."""
         return bool(self.hidden) or self.actuator_lag
-
-    def _starts(self, first: LeastSquares, rng: np.random.Generator) -> list[Array]:
-        """Return the guess and the best of many random places of the cube."""
-        box = first.structure.box
-        guess = box.places(np.array([parameter.guess for parameter in first.structure.parameters]))
-        drawn = rng.uniform(size=(SCREENED, len(guess)))
-        costs = np.concatenate([first.cost(part) for part in np.array_split(drawn, SCREENED // 8)])
-        return [guess, *drawn[np.argsort(costs, kind="stable")[: self.starts - 1]]]
-
-    def _best(self, last: LeastSquares, begun: Sequence[Array], told: Callable[[], None]) -> Estimate:
-        """Return the best least squares from the best of these ends of the first fit."""
-        costs = [float(last.cost(place[None])[0]) for place in begun]
-        found: list[Estimate] = []
-        for i in np.argsort(costs, kind="stable"):
-            if all(np.abs(begun[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
-                found.append(last.solve(begun[i], evaluations=LAST_EVALUATIONS))
-        return min(found, key=lambda one: one.cost)
-
-    @staticmethod
-    def _sureness(problem: LeastSquares, best: Estimate) -> Sureness:
-        known = known_variances(problem.structure.parameters, best.places)
-        return sureness(best.errors, best.jacobian, best.by_hidden, problem.segments.order, known=known)
 
     def _learn_offsets(self, problem: LeastSquares, best: Estimate, sure: Sureness) -> Estimate:
         """Return the estimate of what is common; keep what differs from recording to recording, in units."""
@@ -267,18 +252,14 @@ class GreyBox(DynamicsModel):
 
     def offsets_table(self) -> list[dict[str, Any]]:
         """Return by how much each parameter of ``offsets`` is more or less in each recording, with its unit."""
-        units = {parameter.name: parameter.unit for parameter in self.declared()}
-        return [
-            {"recording": recording, "parameter": name, "offset": float(offset), "unit": units[name]}
-            for recording, row in zip(getattr(self, "recordings_", []), getattr(self, "offsets_", []), strict=True)
-            for name, offset in zip(self.offsets or [], row, strict=True)
-        ]
+        recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
+        return offset_rows(self.declared(), recordings, self.offsets or [], offsets)
 
     def _learn(self, problem: LeastSquares, best: Estimate) -> None:
         structure = problem.structure
         parameters, box = structure.parameters, structure.box
         known = known_variances(parameters, best.places)
-        sure = sureness(best.errors, best.jacobian, best.by_hidden, problem.segments.order, known=known)
+        sure = sureness_of(problem, best)
         slopes = box.slopes(best.places)
         self.undetermined_, determined = open_questions(parameters, best.places, sure.covariance, known)
         self.determined_ = [bool(one) for one in determined]
@@ -338,24 +319,8 @@ class GreyBox(DynamicsModel):
 
     def parameters_table(self) -> list[dict[str, Any]]:
         """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it."""
-        return [
-            {
-                "parameter": parameter.name,
-                "value": float(value),
-                "standard error": float(error),
-                "unit": parameter.unit,
-                "low": parameter.low,
-                "high": parameter.high,
-                "determined": determined,
-            }
-            for parameter, value, error, determined in zip(
-                self._structure_on(self.system).parameters,
-                self.parameters_,
-                self.standard_errors_,
-                self.determined_,
-                strict=True,
-            )
-        ]
+        parameters = self._structure_on(self.system).parameters
+        return parameter_rows(parameters, self.parameters_, self.standard_errors_, self.determined_)
 
     @property
     def fit_note(self) -> str:
@@ -363,16 +328,9 @@ class GreyBox(DynamicsModel):
         if getattr(self, "informed_", []):
             said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
         if hasattr(self, "offset_spreads_"):
-            units = {parameter.name: parameter.unit for parameter in self.declared()}
-            spreads = zip(self.offsets or [], self.offset_spreads_, strict=True)
-            each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in spreads)
-            said.append(f"from recording to recording there differ {each} (standard deviation)")
+            said.append(offset_note(self.declared(), self.offsets or [], self.offset_spreads_))
         if hasattr(self, "residual_share_"):
-            kept, without = self.residual_errors_
-            said.append(
-                f"{100 * self.residual_share_:.0f} % of the residual is kept: N over a second in held-out blocks is "
-                f"{kept:.3f}, {without:.3f} without it"
-            )
+            said.append(residual_note(self.residual_share_, *self.residual_errors_))
         return "; ".join(sentence for sentence in said if sentence)
 
     @property
@@ -438,20 +396,3 @@ class GreyBox(DynamicsModel):
         structure, residual = self.integrated, self._residual
         extra = None if residual is None else residual.predictor(structure)
         return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
-
-
-def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
-    """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
-    slopes = Box.of(parameters).slopes(places)
-    spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
-    return np.minimum(spreads**2, 1.0 / 12.0)
-
-
-def _named(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:
-    """Return where the ``wanted`` channels stand among those that are ``there``; all of them if none are named."""
-    for name in wanted:
-        if name not in there:
-            raise IncompatibleSystem(
-                f"{type(model).__name__} needs the {what} {name!r}: the system has {', '.join(there) or 'none'}"
-            )
-    return tuple(there.index(name) for name in wanted) if wanted else tuple(range(len(there)))

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, dataclass_transform
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array, check_shape
+from sysid_evo.arrays import Array
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics.stepping import Dynamics, clip_state, training_envelope
+from sysid_evo.dynamics.stepping import Dynamics, training_envelope
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
-from sysid_evo.free_run import chained, judging_windows, one_run, simulation_error
+from sysid_evo.free_run import judging_windows, many_runs, one_run, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least, check_names, check_values, checked, declare
 from sysid_evo.lags import CarryLayout
 from sysid_evo.searched import Searched
@@ -389,29 +389,7 @@ class DynamicsModel(Dynamics, Estimator):
         rng: np.random.Generator,
     ) -> Array:
         """Return (B, H, nx), or (samples, B, H, nx)."""
-        system, lags = self.system, self.n_lags
-        states = check_shape("states", states, (None, None, system.nx))
-        controls = check_shape("controls", controls, (len(states), None, system.nu))
-        if past_controls is None:
-            past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
-        past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
-        if states.shape[1] < lags + 1:
-            raise InvalidData(f"{type(self).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
-        states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
-        if samples is not None:
-            states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
-        batch, horizon = controls.shape[:2]
-
-        def step(carry: Array, control: Array) -> Array:
-            noise = rng.standard_normal((batch, self.n_noise)) if self.n_noise else None
-            return clip_state(self.step(carry, control, noise), self.envelope)[0]
-
-        draws = rng.standard_normal((batch, self.n_draws)) if self.n_draws else None
-        out = np.empty((batch, horizon, system.nx))
-        with np.errstate(all="ignore"):
-            for k, carry in enumerate(chained(step, self.start(states, past_controls, draws), controls)):
-                out[:, k] = carry[:, : system.nx]
-        return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)
+        return many_runs(self, states, past_controls, controls, samples, rng)
 
 
 def require_planar(model: DynamicsModel, system: System) -> None:

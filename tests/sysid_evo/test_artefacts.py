@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
 from sysid_evo.registry import Spec, make_model, models
 from sysid_evo.store import family_name, load_champion, load_model, save_champion, save_model
-from sysid_evo.system import System
 from sysid_evo.testing.examples import switched_car
 
 CHAMPION = Champion(
@@ -126,59 +125,6 @@ def test_every_kind_of_learned_thing_comes_back(scrapbook: type, recording: Data
         assert getattr(loaded, name) == getattr(model, name)
     assert (loaded.counts_.dtype, loaded.single_.dtype) == (np.int64, np.float32)
     assert not hasattr(loaded, "scratch")
-
-
-class Parts(DynamicsModel):
-    """Learns other models: one by itself, and two in a list, of which one sees fewer states."""
-
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
-        system = System(("forward_speed",), dataset.system.controls, dataset.system.dt)
-        fewer = Dataset(system, [Trajectory(e.states[:, :1], e.controls, e.dt, name=e.name) for e in dataset.episodes])
-        self.base_ = make_model("linear", ridge=0.5).fit(dataset, rng=rng)
-        self.members_ = [make_model("linear", ridge=ridge).fit(data) for ridge, data in ((0.1, dataset), (0.2, fewer))]
-        self.weight_ = 0.25
-        return self
-
-    def next_state(self, carry: Array, control: Array) -> Array:
-        return self.base_.next_state(carry, control)
-
-
-@pytest.fixture
-def parts(register: Callable[..., Any], recording: Dataset, tmp_path: Path) -> DynamicsModel:
-    model = register(models, "parts", Parts)().fit(recording, rng=np.random.default_rng(0))
-    save_model(model, tmp_path / "parts")
-    return model
-
-
-def test_models_that_a_model_learned_come_back_with_it(parts: Any, tmp_path: Path) -> None:
-    loaded: Any = load_model(tmp_path / "parts")
-    assert loaded.weight_ == 0.25
-    pairs = [(loaded.base_, parts.base_), *zip(loaded.members_, parts.members_, strict=True)]
-    for inner, before in pairs:
-        assert inner.get_params() == before.get_params()
-        assert inner.system == before.system
-        np.testing.assert_array_equal(inner.envelope_, before.envelope_)
-        carry, control = np.full((1, before.system.nx), 0.3), np.full((1, 2), 1.0)
-        np.testing.assert_array_equal(inner.next_state(carry, control), before.next_state(carry, control))
-    assert [inner.system.nx for inner in loaded.members_] == [parts.system.nx, 1]
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda learned: learned["base_"].pop("module"), "base_: expected a model with name, module"),
-        (lambda learned: learned["members_"][1].update(name="no_such"), "no_such"),
-        (lambda learned: learned["members_"].append(3), "members_: expected a model"),
-        (lambda learned: learned["base_"].update(system=None), "system of a model cannot be a NoneType"),
-        (lambda learned: learned["base_"]["learned"].update(fit=1), "'fit' cannot be the name"),
-    ],
-)
-def test_a_damaged_model_within_a_model_is_refused_with_the_reason(
-    parts: Any, tmp_path: Path, change: Callable[[dict[str, Any]], object], said: str
-) -> None:
-    rewrite(tmp_path / "parts", lambda manifest: change(manifest["learned"]))
-    with pytest.raises(ArtefactError, match=said):
-        load_model(tmp_path / "parts")
 
 
 def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
