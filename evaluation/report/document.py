@@ -19,7 +19,7 @@ from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, Transfe
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
-SCHEMA = "sysid-evo/report/3"
+SCHEMA = "sysid-evo/report/4"
 
 
 def to_json(report: Report) -> dict[str, Any]:
