@@ -56,7 +56,7 @@ def numbered(letter: str, n: int) -> tuple[Channel, ...]:
 
 def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Array]) -> float:
     """Return the one time step of all runs, in seconds."""
-    if isinstance(t, (int, float)):
+    if isinstance(t, (int, float, np.integer, np.floating)):
         return float(t)
     times = [np.asarray(part, dtype=np.float64).ravel() for part in _listed(t)]
     if [len(part) for part in times] != [len(run) for run in runs]:

@@ -37,7 +37,7 @@ def test_a_list_holds_one_array_for_each_trajectory(u):
 
 
 def test_a_list_of_numbers_is_one_flat_state():
-    assert from_samples([0.0, 1.0, 3.0], 0.5).episodes[0].states.tolist() == [[0.0], [1.0], [3.0]]
+    assert from_samples([0.0, 1.0, 3.0], np.float32(0.5)).episodes[0].states.tolist() == [[0.0], [1.0], [3.0]]
 
 
 def test_uneven_times_are_refused_with_the_step_that_differs():
