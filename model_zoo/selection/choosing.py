@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -18,13 +19,15 @@ from sysid_evo.judging import Errors, Judge, interval
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""
+HOPELESS = 1.25
+"""Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
 
 
 @dataclass(frozen=True)
 class Choice:
     """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
 
-    ``kept`` are the numbers of those inside the gate that was ``passed``, ``models`` what they learned from all data,
+    The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the gate that was ``passed``, ``models`` what they learned from all data,
     ``rough`` what they learned without each fold.
     """
 
@@ -52,10 +55,17 @@ class Choosing:
 
         Raises `InvalidData` if no candidate can be used.
         """
-        count, folds = len(self.candidates), range(len(self.pairs))
-        outcomes = self.work.outcomes([self._task(n, fold) for n in range(count) for fold in folds])
-        rough = [[outcomes[number, fold] for fold in folds] for number in range(count)]
-        errors, reasons = judged(rough, self.judge)
+        folds, count = range(len(self.pairs)), len(self.candidates)
+        outcomes = self._fits(range(count), folds[:1])
+        errors, reasons = self._thinned([outcomes[number, 0] for number in range(count)], HOPELESS * gate)
+        going_on = [number for number, reason in enumerate(reasons) if not reason]
+        self.work.spare(
+            self._task(number, fold).cost for number, reason in enumerate(reasons) if reason for fold in folds[1:]
+        )
+        outcomes |= self._fits(going_on, folds[1:])
+        rough = {number: [outcomes[number, fold] for fold in folds] for number in going_on}
+        for number, error, reason in zip(going_on, *judged(list(rough.values()), self.judge), strict=True):
+            errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
         self._expect(len(usable) > 0, reasons)
 
@@ -81,6 +91,26 @@ class Choosing:
                 kept[number] = outcome.model
         self._expect(len(kept) > 0, reasons)
         return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
+
+    def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
+        return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
+
+    def _thinned(self, outcomes: Sequence[Outcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+        """Return the errors of the candidates in the first fold, and why they are not worth the others; empty if so.
+
+        They are worth it if they are at most ``gate`` times as far off as the best, or not surely worse (paired
+        bootstrap).
+        """
+        errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
+        usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
+        best = min(usable, key=lambda error: error.mean, default=None)
+        for number, error in enumerate(errors):
+            if best is None or error is None or len(self.pairs) == 1:
+                continue
+            if error.mean > gate * best.mean and interval(best, error)[0] > 0.0:
+                times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
+                reasons[number] = reasons[number] or times
+        return errors, reasons
 
     def _task(self, number: int, fold: int) -> Task:
         """Return the fit of one candidate without one fold, or to all data after the last of them."""

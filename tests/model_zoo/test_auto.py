@@ -126,10 +126,20 @@ def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason(
     model.fit(example_dataset(), rng=0)
     rows = {row["candidate"]: row for row in model.standing()}
     assert rows[FEW[0]]["weight"] == "1.00"
-    assert rows["linear(state_lags=0)"]["remark"].startswith("above 1")
+    assert rows["linear(state_lags=0)"]["remark"].endswith("x the best in the first of 3 turns")
     assert "of its free runs diverge" in rows["nearest_neighbour"]["remark"]
     assert "no episode is longer than 500 steps" in rows["narx(state_lags=500, control_lags=0)"]["remark"]
     assert "kept 1 of 4 candidates" in model.fit_note
+    assert "every other candidate fell out in the first turn" in model.fit_note
+
+
+def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_turn() -> None:
+    """With a wide gate the same candidate is judged in all turns."""
+    for gate, remark in ((1.25, "5.5 x the best in the first of 3 turns"), (5.0, "above")):
+        model = make_model("auto", candidates=FEW, gate=gate)
+        model.fit(example_dataset(), rng=0)
+        row = next(row for row in model.standing() if row["candidate"] == "linear(state_lags=0)")
+        assert row["remark"].startswith(remark)
     assert "do differ significantly" in model.fit_note
 
 
