@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -106,10 +106,6 @@ class Work:
     def still(self) -> None:
         """Tell that the work goes on."""
         self._advance(0.0)
-
-    def spare(self, seconds: Iterable[float]) -> None:
-        """Tell that tasks that were expected to take so long are not needed."""
-        self._advance(sum(seconds))
 
     def _advance(self, seconds: float) -> None:
         self._done += PARTS * seconds
