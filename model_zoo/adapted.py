@@ -20,7 +20,7 @@ from sysid_evo.system import System
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
-OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most")
+OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most", "weakest", "strongest", "strength")
 
 
 @register_model("adapted")
@@ -29,10 +29,11 @@ class Adapted(DynamicsModel):
 
     ``base`` is the path of a stored model, or a family, which is then fitted to the same data first; None in a model
     that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
-    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
-    what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
-    blocks of time in turn: a correction must be 15 % better than none there, in no block worse, and by more than
-    chance explains; otherwise the model is its base. `fit_note` says what was decided.
+    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then the accelerations that the
+    base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
+    free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
+    must be 15 % better than none there, in no block worse, and by more than chance explains; otherwise the model is its
+    base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"

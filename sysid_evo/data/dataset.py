@@ -171,11 +171,17 @@ class Dataset:
         return to_labelled(self)
 
     @classmethod
-    def read(cls, paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Dataset:
+    def read(
+        cls,
+        paths: str | Path | Iterable[str | Path],
+        *,
+        columns: str | Path | None = None,
+        condition_column: str | None = None,
+    ) -> Dataset:
         """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`."""
         from sysid_evo.data.reading import read_dataset
 
-        return read_dataset(paths, columns=columns)
+        return read_dataset(paths, columns=columns, condition_column=condition_column)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
