@@ -4,6 +4,7 @@ from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces,
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
+from evaluation.transfer.nested import Nested, regrets
 from evaluation.transfer.storage import load_cell, save_cell
 from evaluation.transfer.summary import (
     AT_REST,
@@ -20,6 +21,7 @@ __all__ = [
     "ControllerSummary",
     "Estimate",
     "Measured",
+    "Nested",
     "RankCorrelation",
     "Trace",
     "TransferMatrix",
@@ -31,6 +33,7 @@ __all__ = [
     "load_cell",
     "load_measured",
     "person",
+    "regrets",
     "run_cell",
     "run_on",
     "save_cell",
