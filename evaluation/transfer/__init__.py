@@ -5,6 +5,7 @@ from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.nested import Nested, regrets
+from evaluation.transfer.standing import Figures, Standing, standings
 from evaluation.transfer.storage import load_cell, save_cell
 from evaluation.transfer.summary import (
     AT_REST,
@@ -20,9 +21,11 @@ __all__ = [
     "NOT_RUN",
     "ControllerSummary",
     "Estimate",
+    "Figures",
     "Measured",
     "Nested",
     "RankCorrelation",
+    "Standing",
     "Trace",
     "TransferMatrix",
     "TransferSummary",
@@ -39,6 +42,7 @@ __all__ = [
     "save_cell",
     "save_measured",
     "seed_spread",
+    "standings",
     "summarise",
     "transfer",
     "transfer_seeds",
