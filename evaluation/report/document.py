@@ -15,7 +15,7 @@ from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
 from evaluation.report.verdict import verdict
-from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary
+from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary, summarise
 from evaluation.transfer.nested import SHARE
 from evaluation.transfer.standing import judges_of
 from sysid_evo.evolution import Champion
@@ -55,6 +55,18 @@ def to_json(report: Report) -> dict[str, Any]:
         "settings": report.settings,
         "versions": report.versions,
         "timings": report.timings,
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
+    """Return a transfer matrix without a report as strict JSON: the parts that a report holds under the same names."""
+    document = {
+        "schema": SCHEMA,
+        "champions": [_champion(champion) for champion in matrix.champions],
+        "transfer": _matrix(matrix),
+        "controllers": _summary(summarise(matrix)),
     }
     plain: dict[str, Any] = _plain(document)
     return plain
