@@ -34,6 +34,7 @@ from evaluation.report.tables import (
     probe_sheet,
     region_sheet,
     residual_sheet,
+    standing_sheet,
     transfer_sheet,
 )
 from evaluation.report.transferring import unknown
@@ -132,6 +133,7 @@ def _transfer(report: Report, matrix: TransferMatrix, summary: TransferSummary) 
         _present(
             transfer_sheet(matrix),
             draw.claims_picture(matrix, summary),
+            standing_sheet(matrix, summary),
             controller_sheet(matrix, summary),
             measure_sheet(matrix),
             finalist_sheet(matrix),

@@ -121,6 +121,7 @@ def _sheets(report: Report) -> list[Sheet]:
         sheets.append(conditions)
     if report.matrix is not None and report.transfer is not None:
         sheets.append(sheets_of.transfer_sheet(report.matrix))
+        sheets.append(sheets_of.standing_sheet(report.matrix, report.transfer))
         sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))
         measured = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
         sheets += [sheet for sheet in measured if sheet is not None]
