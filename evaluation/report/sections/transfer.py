@@ -1,0 +1,33 @@
+"""What every controller does on every system."""
+
+from __future__ import annotations
+
+from evaluation.report.contents import Report
+from evaluation.report.overview import command_sheet
+from evaluation.report.pictures import claims_picture, fitness_picture, traces_picture
+from evaluation.report.sections.section import Section, present
+from evaluation.report.tables import controller_sheet, finalist_sheet, measure_sheet, transfer_sheet
+from evaluation.report.transferring import unknown
+
+WORDS = "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."
+
+
+def section(report: Report) -> Section | None:
+    """Return the transfer matrix and what it says of each controller; None if none was evolved."""
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None:
+        return None
+    return Section(
+        "Transfer",
+        present(
+            transfer_sheet(matrix),
+            claims_picture(matrix, summary),
+            controller_sheet(matrix, summary),
+            measure_sheet(matrix),
+            finalist_sheet(matrix),
+            command_sheet(report),
+            fitness_picture(matrix),
+            traces_picture(matrix),
+        ),
+        [WORDS, *unknown(summary)],
+    )
