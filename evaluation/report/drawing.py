@@ -6,30 +6,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.typing import ColorType
 
 from evaluation.plots import new_figure, style, to_svg
-from evaluation.report.inline import VARIABLES, inline_svg
-
-DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
-
-
-@dataclass(frozen=True)
-class Key:
-    """One entry of a legend: a line in ``colour`` (CSS), with ``dashes`` (SVG)."""
-
-    label: str
-    colour: str
-    dashes: str
+from evaluation.report.chart import Key, chart_document, legend_of, mark_series, names_of
+from evaluation.report.inline import inline_svg
 
 
 @dataclass(frozen=True)
 class Drawing:
     """What ``draw`` puts on an empty figure of ``width`` by ``height`` inches.
 
-    ``key`` is its name among the drawings of a report; ``label`` is read aloud.
+    ``key`` is its name among the drawings of a report; ``label`` is read aloud. A ``keyed`` drawing has its legend
+    beside it in the page, and inside as a file. The series that are ``off`` are hidden until they are asked for.
     """
 
     key: str
@@ -37,34 +26,47 @@ class Drawing:
     draw: Callable[[Figure], object]
     width: float
     height: float
+    keyed: bool = False
+    off: frozenset[str] = frozenset()
 
     @cached_property
     def figure(self) -> Figure:
-        """The figure, drawn in the style of the report."""
-        with style():
-            figure = new_figure(self.width, self.height)
-            self.draw(figure)
+        """The figure of the page, drawn in the style of the report."""
+        figure = self._drawn()
+        if self.keyed:
+            for ax in figure.axes:
+                if (legend := ax.get_legend()) is not None:
+                    legend.remove()
+        mark_series(figure)
         return figure
 
     @cached_property
     def svg(self) -> str:
         """The figure as an element of the page."""
+        off = [number for number, name in enumerate(names_of(self.figure)) if name in self.off]
         with style():
-            return inline_svg(self.figure, self.key, self.label)
+            return inline_svg(self.figure, self.key, self.label, off)
 
     @property
     def file(self) -> str:
         """The figure as an SVG file of its own, on no background."""
-        return to_svg(self.figure)
+        figure = self._drawn()
+        if self.keyed and not any(ax.get_legend() for ax in figure.axes):
+            handles, labels = figure.axes[0].get_legend_handles_labels()
+            with style():
+                figure.legend(handles, labels, loc="outside upper center", ncols=max(1, round(self.width / 1.6)))
+        return to_svg(figure)
 
     @property
     def legend(self) -> tuple[Key, ...]:
-        """The named lines of the first axes."""
-        return tuple(
-            Key(str(line.get_label()), _variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
-            for line in self.figure.axes[0].get_lines()
-            if not str(line.get_label()).startswith("_")
-        )
+        """An entry for each named series, for a drawing that is keyed."""
+        return legend_of(self.figure) if self.keyed else ()
+
+    def _drawn(self) -> Figure:
+        with style():
+            figure = new_figure(self.width, self.height)
+            self.draw(figure)
+        return figure
 
 
 @dataclass(frozen=True)
@@ -86,26 +88,30 @@ class Panel:
         """The drawing for a phone; empty where the wide one does."""
         return "" if self.for_phone is None else self.for_phone.svg
 
+    @property
+    def chart(self) -> str:
+        """What the page's script needs to read values off the drawings, as JSON; empty where nothing is named."""
+        if not names_of(self.wide.figure):
+            return ""
+        _ = self.svg, self.narrow  # what is drawn is laid out
+        return chart_document(self.wide.figure, None if self.for_phone is None else self.for_phone.figure)
+
 
 @dataclass(frozen=True)
 class Picture:
-    """Drawings under one title; ``caption`` says what they show. With ``columns`` they stand side by side.
-
-    A ``keyed`` picture has a legend of its lines beside the drawings.
-    """
+    """Drawings under one title; ``caption`` says what they show. With ``columns`` they stand side by side."""
 
     title: str
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 0
-    keyed: bool = False
 
     @property
     def legend(self) -> tuple[Key, ...]:
-        """The legend of the first panel, for those that have one."""
-        return self.panels[0].wide.legend if self.keyed else ()
+        """The legend of the first panel, which is that of all."""
+        return self.panels[0].wide.legend
 
-
-def _variable(colour: ColorType) -> str:
-    value = to_hex(colour)
-    return VARIABLES.get(value, value)
+    @property
+    def off(self) -> frozenset[str]:
+        """The series that are hidden until they are asked for."""
+        return self.panels[0].wide.off

@@ -7,6 +7,7 @@ import re
 from evaluation.plots.theme import style_sheet
 from evaluation.report.contents import Report
 from evaluation.report.drawing import Picture
+from evaluation.report.headlines import headlines
 from evaluation.report.overview import overview_sheet
 from evaluation.report.replay import Replay
 from evaluation.report.sections import sections
@@ -35,6 +36,7 @@ def to_html(report: Report) -> str:
     environment.tests["replay"] = lambda item: isinstance(item, Replay)
     page: str = environment.get_template(TEMPLATE).render(
         report=report,
+        headlines=headlines(report),
         verdict=verdict(report),
         overview=overview_sheet(report),
         sections=sections(report),

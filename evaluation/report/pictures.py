@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,9 +38,7 @@ def horizon_picture(prediction: Prediction) -> Picture:
     """N over the horizon."""
 
     def draw(figure: Figure) -> None:
-        ax = plot_horizon_curve(prediction, figure.add_subplot())
-        if (legend := ax.get_legend()) is not None:
-            legend.remove()
+        plot_horizon_curve(prediction, figure.add_subplot())
 
     return Picture(
         "Error over the horizon",
@@ -47,31 +46,29 @@ def horizon_picture(prediction: Prediction) -> Picture:
         f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
         "lines: the horizons of the table.",
         (_both("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9),),
-        keyed=True,
     )
 
 
 def free_run_picture(prediction: Prediction) -> Picture:
     """Measured and predicted states in free run, one plot for each channel."""
     ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
-    models = [name for name in prediction.names if name in ranked[:SHOWN_MODELS]]
+    best, rest = ([name for name in prediction.names if name in part] for part in _parted(ranked))
     run, nx = _liveliest(prediction), prediction.cases.system.nx
 
     def draw(figure: Figure) -> None:
         plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
         for channel, ax in enumerate(plots):
-            plot_free_run(prediction, channel, models=models, run=run, ax=ax)
+            plot_free_run(prediction, channel, models=best, besides=rest, run=run, ax=ax)
             ax.label_outer()
         figure.align_ylabels(plots)
 
     label = "states in free run, measured and predicted"
-    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models" if len(ranked) > SHOWN_MODELS else ""
+    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
     return Picture(
         "Predicted and measured",
         f"Free run of {prediction.cases.free_runs[run].episode!r} from its sample {prediction.cases.protocol.first}, "
         f"under its recorded controls; at most 15 s from the first movement{left_out}.",
-        (_both("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx),),
-        keyed=True,
+        (_both("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
     )
 
 
@@ -88,6 +85,7 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
             lambda figure: plot_claims(summary, figure.add_subplot(), unit=matrix.unit, name_width=name_width),
             width,
             height,
+            keyed=True,
         )
 
     several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
@@ -114,14 +112,13 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
             ax.set_ylim(everything.min() - margin, everything.max() + margin)
 
         label = f"fitness of {champion.name} over generations"
-        panels.append(Panel(Drawing(f"fitness-{number}", label, draw, THIRD, 2.1), title=champion.name))
+        panels.append(Panel(Drawing(f"fitness-{number}", label, draw, THIRD, 2.1, keyed=True), title=champion.name))
     return Picture(
         "Fitness over generations",
         "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
         "in the trials of that generation.",
         tuple(panels),
         columns=3,
-        keyed=True,
     )
 
 
@@ -174,9 +171,23 @@ def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> Dra
     return Drawing(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)
 
 
-def _both(key: str, label: str, draw: Callable[[Figure], object], height: float, narrow_height: float) -> Panel:
-    """Return a drawing for a wide screen and for a phone, heights in inches."""
-    return Panel(Drawing(key, label, draw, WIDE, height), Drawing(f"{key}-narrow", label, draw, NARROW, narrow_height))
+def _both(
+    key: str,
+    label: str,
+    draw: Callable[[Figure], object],
+    height: float,
+    narrow_height: float,
+    *,
+    off: frozenset[str] = frozenset(),
+) -> Panel:
+    """Return a keyed drawing for a wide screen and for a phone, heights in inches."""
+    wide = Drawing(key, label, draw, WIDE, height, keyed=True, off=off)
+    return Panel(wide, replace(wide, key=f"{key}-narrow", width=NARROW, height=narrow_height))
+
+
+def _parted(ranked: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the models that are shown at once, and those that a reader may switch on."""
+    return ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
 
 
 def _liveliest(prediction: Prediction) -> int:
