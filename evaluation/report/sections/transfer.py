@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evaluation.report.contents import Report
 from evaluation.report.overview import command_sheet
-from evaluation.report.pictures import claims_picture, fitness_picture, traces_picture
+from evaluation.report.pictures import claims_picture, fitness_picture
 from evaluation.report.sections.section import Section, present
 from evaluation.report.tables import controller_sheet, finalist_sheet, measure_sheet, transfer_sheet
 from evaluation.report.transferring import unknown
@@ -27,7 +27,6 @@ def section(report: Report) -> Section | None:
             finalist_sheet(matrix),
             command_sheet(report),
             fitness_picture(matrix),
-            traces_picture(matrix),
         ),
         [WORDS, *unknown(summary)],
     )
