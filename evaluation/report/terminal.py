@@ -55,8 +55,9 @@ def tables(report: Report) -> list[RenderableType]:
         parts += to_rich(sheet)
     if report.exploitability:
         parts.append(Group(*(Text(model.sentence) for model in report.exploitability)))
-    if report.notes:
-        parts.append(Group(Text("Notes", style="bold"), *(Text(f"- {note}") for note in report.notes)))
+    for title, notes in (("Notes", report.notes), ("Not shown", _absent(report))):
+        if notes:
+            parts.append(Group(Text(title, style="bold"), *(Text(f"- {note}") for note in notes)))
     return parts
 
 
@@ -105,6 +106,12 @@ def _sheets(report: Report) -> list[Sheet]:
 
     shown = [section for section in sections(report) if not section.background]
     return [sheet for section in shown for sheet in section.sheets if not sheet.code]
+
+
+def _absent(report: Report) -> list[str]:
+    from evaluation.report.sections import sections  # brings matplotlib
+
+    return [sentence for section in sections(report) for sentence in section.absent]
 
 
 def _verdict(report: Report) -> list[RenderableType]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from evaluation.report.absences import of_prediction
 from evaluation.report.contents import Report
 from evaluation.report.pictures import free_run_picture, horizon_picture
 from evaluation.report.sections.section import Section, present
@@ -20,11 +21,11 @@ from evaluation.report.tables import (
 LOW_ERROR = "A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."
 
 
-def section(report: Report) -> Section | None:
-    """Return errors, their curves, and where they are; None if nothing was predicted."""
+def section(report: Report) -> Section:
+    """Return errors, their curves, and where they are; without any, why."""
     prediction = report.prediction
     if prediction is None:
-        return None
+        return Section("Prediction", absent=of_prediction(report))
     scored = [model for model in prediction.models if not model.failed]
     return Section(
         "Prediction",
@@ -42,4 +43,5 @@ def section(report: Report) -> Section | None:
             *(channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)),
         ),
         [LOW_ERROR] if report.matrix is not None else [],
+        absent=of_prediction(report),
     )

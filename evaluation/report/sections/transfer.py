@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from evaluation.report.absences import of_transfer
 from evaluation.report.contents import Report
 from evaluation.report.overview import command_sheet
 from evaluation.report.pictures import claims_picture, fitness_picture
@@ -12,11 +13,11 @@ from evaluation.report.transferring import unknown
 WORDS = "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."
 
 
-def section(report: Report) -> Section | None:
-    """Return the transfer matrix and what it says of each controller; None if none was evolved."""
+def section(report: Report) -> Section:
+    """Return the transfer matrix and what it says of each controller; without controllers, why."""
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
-        return None
+        return Section("Transfer", absent=of_transfer(report))
     return Section(
         "Transfer",
         present(
@@ -29,4 +30,5 @@ def section(report: Report) -> Section | None:
             fitness_picture(matrix),
         ),
         [WORDS, *unknown(summary)],
+        absent=of_transfer(report),
     )
