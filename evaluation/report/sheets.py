@@ -66,6 +66,15 @@ def plus_minus(estimate: Estimate | None) -> str:
     return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
 
 
+def within(estimate: Estimate | None, digits: int = 1) -> str:
+    """Return the value, and below it its interval: ``11.5`` over ``11.2 to 11.9``; a dash for None."""
+    if estimate is None:
+        return "–"
+    ends = (estimate.low, estimate.high)
+    known = all(map(np.isfinite, ends))
+    return lines(number(estimate.value, digits), " to ".join(number(end, digits) for end in ends) if known else "")
+
+
 def seed_range(controller: ControllerSummary) -> str:
     """Return the fitness of the worst and the best champion of several evolution seeds; empty for fewer than two."""
     found = controller.seed_fitness

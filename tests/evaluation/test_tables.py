@@ -116,7 +116,7 @@ def test_a_matrix_without_a_robot_has_no_line_and_one_of_zeros_no_paint() -> Non
 def test_a_negative_fitness_is_the_bottom_of_the_scale() -> None:
     heat = transfer_sheet(matrix({"a": {"a": 1.0, "b": -1.0, "c": 0.0}}, trials=1)).heat
     assert heat is not None
-    assert heat.shades == ((1.0, 0.0, 0.5),)
+    assert heat.shades == ((1.0, 0.0, 0.5, 0.25),)  # the last are the other families
 
 
 def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale() -> None:
