@@ -73,8 +73,8 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "transfer": _matrix(matrix),
         "controllers": _summary(summarise(matrix)),
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def report_schema() -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from evaluation.plots.theme import style_sheet
+from evaluation.report.cards import Cards
 from evaluation.report.contents import Report
 from evaluation.report.drawing import Picture
 from evaluation.report.replay import Replay
@@ -35,6 +36,7 @@ def page_of(story: Story) -> str:
     environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
     environment.filters["raw"] = Markup
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["cards"] = lambda item: isinstance(item, Cards)
     environment.tests["replay"] = lambda item: isinstance(item, Replay)
     page: str = environment.get_template(TEMPLATE).render(
         story=story,

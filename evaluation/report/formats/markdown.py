@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from evaluation.report.cards import Cards
 from evaluation.report.contents import Report
 from evaluation.report.drawing import Picture
 from evaluation.report.sections import Section
@@ -49,6 +50,12 @@ def _section(section: Section, figures: str) -> Iterator[str]:
     for item in section.items:
         if isinstance(item, Sheet):
             yield from _sheet(item, "###")
+        elif isinstance(item, Cards):
+            yield f"### {_text(item.title)}"
+            for card in item.cards:
+                yield f"**{_text(card.title)}** {_text(card.verdict)}"
+                if card.sentences:
+                    yield "\n".join(f"- {_text(sentence)}" for sentence in card.sentences)
         elif isinstance(item, Picture) and figures:
             yield f"### {_text(item.title)}"
             yield "\n".join(
