@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid_evo.arrays import Array
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
@@ -48,6 +49,21 @@ def judge(champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials
         replace(one, elsewhere=float(median)) for one, median in zip(champion.finalists, medians, strict=True)
     )
     return replace(champion, finalists=finalists, judges=tuple(judges))
+
+
+def of_each_seed(champion: Champion) -> Array:
+    """Return the controllers (S, n) that the S evolution runs of ``champion`` would have ended with, each alone.
+
+    Each is chosen as the champion was, among the finalists of its run. A champion of a single run, and one that
+    was polished, stands alone.
+    """
+    runs = range(len(champion.seed_fitness))
+    if champion.polished or len(runs) < 2:
+        return champion.parameters[None]
+    finalists = [[one for one in champion.finalists if one.run == run] for run in runs]
+    if not all(finalists):
+        return champion.parameters[None]
+    return np.stack([max(one, key=worth).parameters for one in finalists])
 
 
 def worth(finalist: Finalist) -> float:
