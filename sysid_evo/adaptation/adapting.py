@@ -73,13 +73,13 @@ def adaptation(
                 counter.advance()
         trials += [judged(_name(kind, ridge), plain, each) for ridge, each in errors.items()]
     for name, old in fits.items() if blocks else ():
-        again = _refits(model, old, dataset, blocks, rng, counter.advance)
-        if again is not None:
-            trials.append(judged(name, plain, again))
+        shown = _refits(model, old, dataset, blocks, rng, counter.advance)
+        if shown is not None:
+            trials.append(judged(name, plain, shown))
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
     if verdict.chosen in fits:
-        terms, again = Terms.of(dataset), refitted(model, fits[verdict.chosen], dataset, rng)
+        again, terms = refitted(model, fits[verdict.chosen], dataset, rng), Terms.of(dataset)
         return Adaptation(again, terms, np.zeros(terms.shape), verdict)
     return _learned(model, dataset, pieces, verdict)
 
