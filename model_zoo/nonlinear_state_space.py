@@ -9,7 +9,7 @@ import numpy as np
 
 from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson, joined
-from model_zoo.hidden.mixtures import MIXTURES, networks
+from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks
 from model_zoo.hidden.shooting import Spaces, Trained
 from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
@@ -17,6 +17,8 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
 FEWEST_STATES, ORDERS = 2, 3
+LIKELY = 4
+"""Mixtures of units of which more networks are begun."""
 SHARPNESS = 15.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
 ASTRAY = 10.0
@@ -35,9 +37,10 @@ class NonlinearStateSpace(StateSpaceModel):
     Levenberg-Marquardt with analytic gradients on free runs of 100 and at last of ``horizon`` steps, the initial state
     of each free, with a normal prior on W and V; residuals that are alike for long count less. After ``trial``
     iterations the order of the network with the lowest Bayesian information criterion (Schwarz 1978) is taken, and the
-    best ``members`` of that order, out of those and as many more, go on for ``iterations``, and half as many on long
-    runs. The output is their mean, in which one counts less the higher its criterion is, and one that goes astray
-    under the recorded controls in another order not at all; each has its own hidden states and its own gain K.
+    best ``members`` of that order, out of those and twice as many more with the mixtures that did best, go on for
+    ``iterations``, and for as many on long runs. The output is their mean, in which one counts less the higher its
+    criterion is, and one that goes astray under the recorded controls in another order not at all; each has its own
+    hidden states and its own gain K.
 
     Where the criterion of a linear space is lower than that of every network (a short record does not tell so many
     weights), that one is the model, and ``fit_note`` says so.
@@ -58,21 +61,23 @@ class NonlinearStateSpace(StateSpaceModel):
     most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        least, long = max(FEWEST_STATES, dataset.system.nx), max(1, self.iterations // 2)
+        least, long = max(FEWEST_STATES, dataset.system.nx), self.iterations
         orders = [max(self.order, dataset.system.nx)] if self.order else [least + more for more in range(ORDERS)]
         counter = Counter(progress, (3 * len(orders) + 1) * self.trial + self.iterations + long + 1)
         lesson = Lesson.of(dataset, self.horizon)
         linear = {order: lesson.linear_trained(order, self.trial, self.trial, counter.advance) for order in orders}
 
-        def begun(order: int, count: int) -> Trained:
-            mixtures = list(islice(cycle(MIXTURES), count))
+        def begun(order: int, mixtures: list[Mixture]) -> Trained:
+            count = len(mixtures)
             spaces = networks(linear[order].spaces, mixtures, self.hidden, rng)
             starts = lesson.states(linear[order], lesson.long)[:, lesson.short.begins].repeat(count, axis=0)
             return lesson.learned(spaces, starts, self.trial, counter.advance)
 
-        tried = {order: begun(order, max(len(MIXTURES), self.members)) for order in orders}
-        order = min(orders, key=lambda order: criterion(tried[order].error, tried[order].spaces, lesson).min())
-        pool = joined(tried[order], begun(order, self.members))
+        tried = {order: begun(order, list(MIXTURES)) for order in orders}
+        scores = {order: criterion(own.error, own.spaces, lesson) for order, own in tried.items()}
+        order = min(orders, key=lambda order: scores[order].min())
+        likely = [MIXTURES[i] for i in np.argsort(scores[order])[:LIKELY]]
+        pool = joined(tried[order], begun(order, list(islice(cycle(likely), 2 * self.members))))
         trained = pool[np.argsort(criterion(pool.error, pool.spaces, lesson))[: self.members]]
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
         trained = lesson.lengthened(trained, linear[order].spaces, long, counter.advance)

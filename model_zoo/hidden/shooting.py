@@ -231,15 +231,16 @@ def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objectiv
     starts = starts.copy()
     outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
     tangents = []
-    for s in range(len(spaces)):
-        outputs[s], derivatives = spaces.sensitivities(s, starts[s], objective.segments)
-        derivatives[..., np.flatnonzero(spaces.blind[s])] = 0.0
+    for member, blind in enumerate(spaces.blind):
+        outputs[member], derivatives = spaces.sensitivities(member, starts[member], objective.segments)
+        derivatives[..., np.flatnonzero(blind)] = 0.0
         tangents.append(derivatives)
     residuals = objective.residuals(outputs)
     scale = objective.scale(residuals)
     value = objective.value(residuals, scale, flat, starts)
     systems = [
-        _Normal.of(tangents[s], residuals[s], scale[s], objective.prior, flat[s], starts[s]) for s in range(len(spaces))
+        _Normal.of(*own, objective.prior, flat[member], starts[member])
+        for member, own in enumerate(zip(tangents, residuals, scale, strict=True))
     ]
     left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
     for _ in range(TRIES):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from model_zoo.hidden.learning import Lesson, radius, stabilised
+from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
 from model_zoo.hidden.shooting import Spaces, train
 from model_zoo.hidden.units import UNITS
@@ -71,6 +72,18 @@ def test_training_finds_the_space_that_made_the_data() -> None:
     starts[..., 0] = segments.outputs[:, 0, 0]
     trained = train(off, segments, starts, 40)
     assert trained.error[0] < 1e-8
+
+
+def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
+    lesson = Lesson.of(recording(0, bend=0.03), 100)
+    linear = lesson.linear_trained(2, 3, 3, lambda: None)
+    begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
+    trained = lesson.learned(begun, lesson.blank(lesson.short, begun), 3, lambda: None).spaces
+    assert np.abs(trained.outer[0, :, 4:6]).min() > 0.0
+    assert (trained.inner[0, 0] == 0.0).tolist() == [True, True, False, False]
+    assert (trained.inner[0, 1] != begun.inner[0, 1]).all()
+    assert not trained.inner[0, 2].any()
+    assert not trained.outer[0, :, 6].any()
 
 
 def test_a_sample_counts_once_whatever_the_segments() -> None:
