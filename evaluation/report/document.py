@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from evaluation.exploitability import ModelExploitability
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
+from evaluation.report.headlines import headlines
 from evaluation.report.verdict import verdict
 from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary, summarise
 from evaluation.transfer.nested import SHARE
@@ -22,6 +25,7 @@ from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
 SCHEMA = "sysid-evo/report/4"
+"""What ``report.schema.json`` describes."""
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -29,6 +33,7 @@ def to_json(report: Report) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "title": report.title,
+        "headlines": [asdict(headline) for headline in headlines(report)],
         "verdict": [asdict(finding) for finding in verdict(report)],
         "data": {
             "name": report.data.name,
@@ -70,6 +75,12 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _plain(document)
     return plain
+
+
+def report_schema() -> dict[str, Any]:
+    """Return the JSON schema of the document."""
+    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
+    return schema
 
 
 def _prediction(prediction: Prediction) -> dict[str, Any]:

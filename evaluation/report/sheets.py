@@ -41,6 +41,11 @@ class Sheet:
     code: bool = False
     heat: Heat | None = None
 
+    @property
+    def sorts(self) -> bool:
+        """Whether a reader may sort the rows."""
+        return not (self.prose or self.code) and len(self.rows) > 1
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
 
