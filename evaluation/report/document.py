@@ -256,7 +256,8 @@ def _controller(controller: ControllerSummary) -> dict[str, Any]:
 
 
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
-    return {**asdict(model), "exploited": model.exploited, "sentence": model.sentence}
+    found = {**asdict(model), "on_each": dict(model.on_each)}
+    return {**found, "exploited": model.exploited, "sentence": model.sentence}
 
 
 def plain(value: Any) -> Any:
