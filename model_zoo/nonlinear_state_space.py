@@ -34,13 +34,13 @@ class NonlinearStateSpace(StateSpaceModel):
     It begins at linear state spaces of three orders (subspace and output error), from 2 or the number of outputs on,
     unless ``order`` is given. From each begin networks of ``hidden`` units, of each of so many ``mixtures`` of kinds:
     smooth (tanh), kinked, sharply kinked, cubic, products, and units that see the controls alone. They are trained by
-    Levenberg-Marquardt with analytic gradients on free runs of 100 and at last of ``horizon`` steps, the initial state
-    of each free, with a normal prior on W and V; residuals that are alike for long count less. After ``trial``
+    Levenberg-Marquardt with analytic gradients on free runs of 100 and at last of ``horizon`` steps, the initial
+    state of each free, with a normal prior on W and V; residuals that are alike for long count less. After ``trial``
     iterations the order of the network with the lowest Bayesian information criterion (Schwarz 1978) is taken. More
-    networks of that order begin with the mixtures that did best, and after twice ``trial`` further iterations the best
-    ``members`` of all go on for ``iterations``, and for as many on long runs. The output is their mean, in which one counts less the higher its
-    criterion is, and one that goes astray under the recorded controls in another order not at all; each has its own
-    hidden states and its own gain K.
+    networks of that order begin with the mixtures that did best, and after twice ``trial`` further iterations the
+    best ``members`` of all go on for ``iterations``, and for as many on long runs. The output is their mean, in which
+    one counts less the higher its criterion is, and one that goes astray under the recorded controls in another order
+    not at all; each has its own hidden states and its own gain K.
 
     Where the criterion of a linear space is lower than that of every network (a short record does not tell so many
     weights), that one is the model, and ``fit_note`` says so.
