@@ -19,7 +19,7 @@ from sysid_evo.progress import Counter, Progress
 FEWEST_STATES, ORDERS = 2, 3
 LIKELY = 4
 """Mixtures of units of which more networks are begun."""
-SHARPNESS = 15.0
+SHARPNESS = 40.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
 ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
@@ -32,27 +32,28 @@ class NonlinearStateSpace(StateSpaceModel):
     """x' = A x + B u + c + W units(V (x, u, 1)) + K (y - C x - d), y = C x + d: free runs fitted by shooting.
 
     It begins at linear state spaces of three orders (subspace and output error), from 2 or the number of outputs on,
-    unless ``order`` is given. From each begin networks of ``hidden`` units, with each of several mixtures of kinds:
+    unless ``order`` is given. From each begin networks of ``hidden`` units, of each of so many ``mixtures`` of kinds:
     smooth (tanh), kinked, sharply kinked, cubic, products, and units that see the controls alone. They are trained by
-    Levenberg-Marquardt with analytic gradients on free runs of 100 and at last of ``horizon`` steps, the initial state
-    of each free, with a normal prior on W and V; residuals that are alike for long count less. After ``trial``
-    iterations the order of the network with the lowest Bayesian information criterion (Schwarz 1978) is taken, and the
-    best ``members`` of that order, out of those and twice as many more with the mixtures that did best, go on for
-    ``iterations``, and for as many on long runs. The output is their mean, in which one counts less the higher its
-    criterion is, and one that goes astray under the recorded controls in another order not at all; each has its own
-    hidden states and its own gain K.
+    Levenberg-Marquardt with analytic gradients on free runs of 100 and at last of ``horizon`` steps, the initial
+    state of each free, with a normal prior on W and V; residuals that are alike for long count less. After ``trial``
+    iterations the order of the network with the lowest Bayesian information criterion (Schwarz 1978) is taken. More
+    networks of that order begin with the mixtures that did best, and after twice ``trial`` further iterations the
+    best ``members`` of all go on for ``iterations``, and for as many on long runs. The output is their mean, in which
+    one counts less the higher its criterion is, and one that goes astray under the recorded controls in another order
+    not at all; each has its own hidden states and its own gain K.
 
     Where the criterion of a linear space is lower than that of every network (a short record does not tell so many
     weights), that one is the model, and ``fit_note`` says so.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"members": 3, "trial": 8, "iterations": 15, "horizon": 300, "most_steps": 3000}
+        "quick": {"members": 3, "mixtures": 4, "trial": 6, "iterations": 15, "horizon": 300, "most_steps": 3000}
     }
-    limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("members", "hidden", "trial")}
+    limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("members", "mixtures", "hidden", "trial")}
 
     order: int | None = None
     members: int = 6
+    mixtures: int = len(MIXTURES)
     hidden: int = 6
     trial: int = 15
     iterations: int = 60
@@ -61,9 +62,9 @@ class NonlinearStateSpace(StateSpaceModel):
     most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        least, long = max(FEWEST_STATES, dataset.system.nx), self.iterations
+        least = max(FEWEST_STATES, dataset.system.nx)
         orders = [max(self.order, dataset.system.nx)] if self.order else [least + more for more in range(ORDERS)]
-        counter = Counter(progress, (3 * len(orders) + 1) * self.trial + self.iterations + long + 1)
+        counter = Counter(progress, (3 * len(orders) + 3) * self.trial + 2 * self.iterations + 1)
         lesson = Lesson.of(dataset, self.horizon)
         linear = {order: lesson.linear_trained(order, self.trial, self.trial, counter.advance) for order in orders}
 
@@ -73,14 +74,15 @@ class NonlinearStateSpace(StateSpaceModel):
             starts = lesson.states(linear[order], lesson.long)[:, lesson.short.begins].repeat(count, axis=0)
             return lesson.learned(spaces, starts, self.trial, counter.advance)
 
-        tried = {order: begun(order, list(MIXTURES)) for order in orders}
+        tried = {order: begun(order, list(MIXTURES[: self.mixtures])) for order in orders}
         scores = {order: criterion(own.error, own.spaces, lesson) for order, own in tried.items()}
         order = min(orders, key=lambda order: scores[order].min())
         likely = [MIXTURES[i] for i in np.argsort(scores[order])[:LIKELY]]
         pool = joined(tried[order], begun(order, list(islice(cycle(likely), 2 * self.members))))
+        pool = lesson.learned(pool.spaces, pool.starts, 2 * self.trial, counter.advance)
         trained = pool[np.argsort(criterion(pool.error, pool.spaces, lesson))[: self.members]]
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
-        trained = lesson.lengthened(trained, linear[order].spaces, long, counter.advance)
+        trained = lesson.lengthened(trained, linear[order].spaces, self.iterations, counter.advance)
         self._mean_of(lesson, trained, list(linear.values()))
         counter.advance()
         return self
