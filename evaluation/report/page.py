@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from evaluation.plots.theme import style_sheet
 from evaluation.report import pictures as draw
 from evaluation.report.contents import Report
+from evaluation.report.forecasting import forecast_sheet, model_forecast_sheet
 from evaluation.report.overview import command_sheet, overview_sheet
 from evaluation.report.pictures import Picture
 from evaluation.report.replay import Replay, replay
@@ -94,6 +95,8 @@ def sections(report: Report) -> Iterable[Section]:
         yield _prediction(report)
     if report.matrix is not None and report.transfer is not None:
         yield _transfer(report, report.matrix, report.transfer)
+        if forecasting := _present(forecast_sheet(report), model_forecast_sheet(report)):
+            yield Section("Forecast", forecasting)
         if (shown := replay(report.matrix, first=report.transfer.pick)) is not None:
             yield Section("Replay", [shown])
     if report.exploitability:

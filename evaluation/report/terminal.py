@@ -13,6 +13,7 @@ from evaluation.advice import ModelAdvice
 from evaluation.labels import folded
 from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
+from evaluation.report.forecasting import forecast_sheet, model_forecast_sheet
 from evaluation.report.overview import drive_command, overview_sheet
 from evaluation.report.predicting import main_horizon
 from evaluation.report.sheets import Sheet
@@ -123,7 +124,8 @@ def _sheets(report: Report) -> list[Sheet]:
         sheets.append(sheets_of.transfer_sheet(report.matrix))
         sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))
         measured = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
-        sheets += [sheet for sheet in measured if sheet is not None]
+        expected = forecast_sheet(report), model_forecast_sheet(report)
+        sheets += [sheet for sheet in (*measured, *expected) if sheet is not None]
     if report.exploitability:
         sheets.append(sheets_of.exploitability_sheet(report.exploitability))
         if report.exploitability[0].probes:
