@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -15,12 +17,16 @@ from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
+from evaluation.report.headlines import headlines
 from evaluation.report.verdict import verdict
-from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, TransferSummary
+from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary, summarise
+from evaluation.transfer.nested import SHARE
+from evaluation.transfer.standing import judges_of
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
 SCHEMA = "sysid-evo/report/4"
+"""What ``report.schema.json`` describes."""
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -28,6 +34,7 @@ def to_json(report: Report) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "title": report.title,
+        "headlines": [asdict(headline) for headline in headlines(report)],
         "verdict": [asdict(finding) for finding in verdict(report)],
         "data": {
             "name": report.data.name,
@@ -58,6 +65,24 @@ def to_json(report: Report) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _plain(document)
     return plain
+
+
+def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
+    """Return a transfer matrix without a report as strict JSON: the parts that a report holds under the same names."""
+    document = {
+        "schema": SCHEMA,
+        "champions": [_champion(champion) for champion in matrix.champions],
+        "transfer": _matrix(matrix),
+        "controllers": _summary(summarise(matrix)),
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def report_schema() -> dict[str, Any]:
+    """Return the JSON schema of the document."""
+    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
+    return schema
 
 
 def _prediction(prediction: Prediction) -> dict[str, Any]:
@@ -174,6 +199,7 @@ def _champion(champion: Champion) -> dict[str, Any]:
 
 
 def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
+    figures = Figures(matrix)
     return {
         "unit": matrix.unit,
         "trials": matrix.trials,
@@ -182,11 +208,24 @@ def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
         "robot": matrix.robot,
         "other_robots": matrix.other_robots,
         "families": matrix.families,
-        "cells": [_cell(matrix.cell(row, column)) for row in matrix.rows for column in matrix.columns],
+        "interval": SHARE,
+        "cells": [_cell(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
+        "consensus": [_consensus(champion, figures) for champion in matrix.champions],
     }
 
 
-def _cell(cell: Cell) -> dict[str, Any]:
+def _consensus(champion: Champion, figures: Figures) -> dict[str, Any]:
+    median = figures.consensus(champion)
+    return {
+        "champion": champion.name,
+        "models": judges_of(champion, figures.matrix),
+        "median": None if median is None else median.value,
+        "interval": None if median is None else median.interval(),
+    }
+
+
+def _cell(cell: Cell, figures: Figures) -> dict[str, Any]:
+    figure = figures.singles.get((cell.champion, cell.column))
     return {
         "champion": cell.champion,
         "column": cell.column,
@@ -194,6 +233,8 @@ def _cell(cell: Cell) -> dict[str, Any]:
         "mean": cell.mean,
         "std": cell.std,
         "standard_error": cell.standard_error,
+        "interval": None if figure is None else figure.interval(),
+        "by_evolution_seed": cell.by_seed.mean(axis=1) if len(cell.by_seed) else [],
         "clipped_share": cell.clipped_share,
         "diverged_share": cell.diverged_share,
         "engine": cell.engine,

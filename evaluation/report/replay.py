@@ -15,6 +15,9 @@ from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array
 from sysid_evo.system import Channel, System
 
+MOST_NUMBERS = 1_200_000
+"""Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
+NO_NUMBER = 65535
 APART = 0.1
 """Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
 
@@ -34,16 +37,19 @@ CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first tri
 class Replay:
     """What the page's script plays: ``document`` is JSON for a script element, ``rows`` the names of the controllers.
 
-    ``paths`` tells whether bodies on a plane are shown, or states over time.
+    ``paths`` tells whether bodies on a plane are shown, or states over time; ``left_out`` trials would make the page
+    too large.
     """
 
     rows: tuple[str, ...]
     document: str
     paths: bool
+    left_out: int = 0
 
     @property
     def caption(self) -> str:
-        return (ON_A_PLANE if self.paths else OVER_TIME) + CONTROLS
+        fewer = f" {self.left_out} trials on other models are left out to keep the page small." if self.left_out else ""
+        return (ON_A_PLANE if self.paths else OVER_TIME) + CONTROLS + fewer
 
 
 def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None:
@@ -58,13 +64,17 @@ def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None
     paths = all(is_planar(trace) and not trace.targets for trace in kept.values())
     robots = [column for column in matrix.columns if column == matrix.robot]
     rows = tuple(name for name in matrix.rows if any((name, column) in kept for column in matrix.columns))
-    runs = []
+    runs: list[dict[str, Any]] = []
+    numbers = left_out = 0
     for champion in (champion for champion in matrix.champions if champion.name in rows):
         robot = kept.get((champion.name, matrix.robot or ""))
         own = [column for column in matrix.columns if column in champion.against]
         for column in dict.fromkeys((*robots, *own, *matrix.columns)):
             trace = kept.get((champion.name, column))
-            if trace is not None:
+            if trace is not None and numbers > MOST_NUMBERS and column not in (*robots, *own):
+                left_out += 1
+            elif trace is not None:
+                numbers += _numbers(trace, paths=paths)
                 other = robot if column != matrix.robot else None
                 apart = None if other is None else parting(trace, other, system, paths=paths)
                 told = {"row": champion.name, "column": column, "own": column in own, "robot": column == matrix.robot}
@@ -79,7 +89,7 @@ def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None
         "runs": runs,
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return Replay(rows, text.replace("<", "\\u003c"), paths)
+    return Replay(rows, text.replace("<", "\\u003c"), paths, left_out)
 
 
 def is_planar(trace: Trace) -> bool:
@@ -133,7 +143,7 @@ def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
     return {
         "dt": trajectory.dt,
         "fitness": round(trace.fitness, 4) if np.isfinite(trace.fitness) else None,
-        "states": _packed(trajectory.states),
+        "states": None if paths else _packed(trajectory.states),
         "controls": _packed(trajectory.controls),
         "pose": _packed(trajectory.pose) if paths and trajectory.pose is not None else None,
         "markers": trace.waypoints.round(3).tolist(),
@@ -146,10 +156,25 @@ def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
     }
 
 
+def _numbers(trace: Trace, *, paths: bool) -> int:
+    trajectory = trace.trajectory
+    shown = trajectory.pose if paths and trajectory.pose is not None else trajectory.states
+    return int(shown.size + trajectory.controls.size)
+
+
 def _packed(values: Array) -> dict[str, Any]:
-    """Return numbers (n, k) as little-endian float32 in base 64, with k; what is no number stays none."""
-    table = np.asarray(values, dtype="<f4")
-    return {
-        "width": 1 if table.ndim == 1 else table.shape[1],
-        "data": base64.b64encode(np.ascontiguousarray(table).tobytes()).decode("ascii"),
-    }
+    """Return numbers (n, k) as k columns of n steps from the lowest, 16 bit each in base 64, little-endian.
+
+    A number is that many times ``step`` above ``low``, to a 65534th of the range of its column; the highest number
+    stands for what is no number.
+    """
+    table = np.asarray(values, dtype=np.float64)
+    table = table[:, None] if table.ndim == 1 else table
+    known = np.where(np.isfinite(table), table, np.nan)
+    low = [float(np.nanmin(column)) if np.isfinite(column).any() else 0.0 for column in known.T]
+    high = [float(np.nanmax(column)) if np.isfinite(column).any() else 0.0 for column in known.T]
+    step = [(top - bottom) / (NO_NUMBER - 1) for top, bottom in zip(high, low, strict=True)]
+    scaled = (known - low) / np.where(np.array(step) > 0.0, step, 1.0)
+    steps = np.where(np.isfinite(scaled), np.round(scaled), NO_NUMBER).astype("<u2")
+    data = base64.b64encode(np.ascontiguousarray(steps).tobytes()).decode("ascii")
+    return {"low": low, "step": step, "data": data}

@@ -16,8 +16,10 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics.model import DynamicsModel
 from sysid_evo.progress import Counter, Progress
 
-KINDS = {"linear": False, "products": True}
-RIDGES = (0.003, 0.03, 0.3, 3.0)
+KINDS = ("linear", "gains", "products")
+"""What a correction may be linear in, the simplest first."""
+RIDGES = (3.0, 0.3, 0.03, 0.003)
+"""The strongest first, which leaves the simplest correction."""
 REFIT = "refit"
 
 
@@ -41,9 +43,10 @@ def adaptation(
 ) -> Adaptation:
     """Learn what ``model`` lacks in ``dataset``; with the ``training`` data, a refit with both is tried as well.
 
-    Corrections linear in (state, control, 1) and with products, each with several ridges, are learned by free runs
-    on two of three blocks of time and run freely over the third. What is best is learned again from everything, if it
-    is good enough (`decided`); otherwise the model stays as it is. Raises `InvalidData` if no window fits.
+    Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
+    several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
+    is learned again from everything, if it is good enough (`decided`); otherwise the model stays as it is. Raises
+    `InvalidData` if no window fits.
     """
     pieces, seconds = Pieces.of(model, dataset, model.envelope), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
@@ -51,14 +54,14 @@ def adaptation(
     held = [pieces[block.held(pieces.first)] for block in blocks]
     plain = [_run(model, Terms.of(dataset), None, part) for part in held]
     trials: list[Trial] = []
-    for kind, products in KINDS.items() if blocks else ():
+    for kind in KINDS if blocks else ():
         errors: dict[float, list[Held]] = {ridge: [] for ridge in RIDGES}
         for block, part in zip(blocks, held, strict=True):
-            terms = Terms.of(block.rest(dataset), products=products)
+            terms = _terms(kind, model, block.rest(dataset))
             learned = pieces[block.learned(pieces.first)]
             share = len(learned) / len(pieces)
             found = corrections(model, terms, learned, RIDGES, share * seconds)
-            for ridge, coefficients in zip(_strongest_first(), found, strict=True):
+            for ridge, coefficients in zip(RIDGES, found, strict=True):
                 errors[ridge].append(_run(model, terms, coefficients, part))
                 counter.advance()
         trials += [judged(_name(kind, ridge), plain, each) for ridge, each in errors.items()]
@@ -93,11 +96,11 @@ def _learned(
     terms = Terms.of(dataset)
     if verdict.chosen == REFIT and training is not None:
         return Adaptation(refitted(model, training, dataset, rng), terms, np.zeros(terms.shape), verdict)
-    for kind, products in KINDS.items():
-        for number, ridge in enumerate(_strongest_first()):
+    for kind in KINDS:
+        for number, ridge in enumerate(RIDGES):
             if verdict.chosen == _name(kind, ridge):
-                terms = Terms.of(dataset, products=products)
-                path = corrections(model, terms, pieces, _strongest_first()[: number + 1], verdict.seconds)
+                terms = _terms(kind, model, dataset)
+                path = corrections(model, terms, pieces, RIDGES[: number + 1], verdict.seconds)
                 return Adaptation(model, terms, list(path)[-1], verdict)
     return Adaptation(model, terms, np.zeros(terms.shape), replace(verdict, chosen=NONE))
 
@@ -127,9 +130,9 @@ def _run(model: DynamicsModel, terms: Terms, coefficients: Array | None, pieces:
     return Held(errors, (pieces.first * terms.system.dt).astype(np.int64))
 
 
+def _terms(kind: str, model: DynamicsModel, dataset: Dataset) -> Terms:
+    return Terms.of(dataset, products=kind == "products", model=None if kind == "linear" else model)
+
+
 def _name(kind: str, ridge: float) -> str:
     return f"{kind}, ridge {ridge:g}"
-
-
-def _strongest_first() -> list[float]:
-    return sorted(RIDGES, reverse=True)

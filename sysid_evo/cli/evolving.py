@@ -216,7 +216,9 @@ def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...
 
 def is_file(name: str) -> bool:
     """Whether ``name`` is the path of a stored model."""
-    return Path(name).suffix in (".json", ".safetensors")
+    from sysid_evo.store import is_stored
+
+    return is_stored(name, "model")
 
 
 def is_robot(name: str) -> bool:
@@ -241,12 +243,14 @@ def find_column(store: Store, name: str) -> Column:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
     from evaluation.comparison import Column, StoredModel, runner_of
     from sysid_evo.registry import robot_spec
+    from sysid_evo.store import stored_file
 
     if is_file(name):
-        own = record_of_file(store, Path(name))
+        file = stored_file(name, "model")
+        own = record_of_file(store, file)
         if own is not None:
             return column_of(store, own)
-        model = StoredModel(Path(name))
+        model = StoredModel(file)
         return Column(model.name, model.family, model=model)
     if is_robot(name):
         spec = robot_spec(name)

@@ -19,15 +19,27 @@ def report(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
     json: Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", help="Write it as markdown, latex (tables) or svg (figures), too; repeatable."),
+    ] = None,
 ) -> None:
     """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
+    from evaluation.report.formats import FORMATS, write_format
     from sysid_evo.cli.comparing import print_report
-    from sysid_evo.errors import InvalidData
+    from sysid_evo.errors import InvalidArgument, InvalidData
+
+    for name in formats or ():
+        if name not in FORMATS:
+            raise InvalidArgument(f"--format: expected one of {', '.join(FORMATS)}, got {name!r}")
 
     made = report_again(run)
     if made is None:
         raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
     print_report(made, run, json=json, verbose=verbose)
+    for name in formats or ():
+        first = write_format(made, name, run)[0]
+        tell(str(first.parent if name == "svg" else first), label=f"{name}: ", style="dim")
 
 
 def report_again(run: Path) -> Report | None:

@@ -24,6 +24,7 @@ from evaluation.report.tables.errors import (
     residual_sheet,
 )
 from evaluation.report.tables.prediction import channel_sheet, condition_sheet, coverage_sheet, prediction_sheet
+from evaluation.report.tables.standings import standing_sheet
 
 __all__ = [
     "advice_sheet",
@@ -46,5 +47,6 @@ __all__ = [
     "probe_sheet",
     "region_sheet",
     "residual_sheet",
+    "standing_sheet",
     "transfer_sheet",
 ]
