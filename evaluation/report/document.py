@@ -63,8 +63,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "versions": report.versions,
         "timings": report.timings,
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
@@ -75,8 +75,8 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "transfer": _matrix(matrix),
         "controllers": _summary(summarise(matrix)),
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def report_schema() -> dict[str, Any]:
@@ -274,19 +274,20 @@ def _forecast(report: Report) -> dict[str, Any]:
 
 
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
-    return {**asdict(model), "exploited": model.exploited, "sentence": model.sentence}
+    found = {**asdict(model), "on_each": dict(model.on_each)}
+    return {**found, "exploited": model.exploited, "sentence": model.sentence}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):

@@ -63,7 +63,7 @@ def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None
         return None
     paths = all(is_planar(trace) and not trace.targets for trace in kept.values())
     robots = [column for column in matrix.columns if column == matrix.robot]
-    rows = tuple(name for name in matrix.rows if any((name, column) in kept for column in matrix.columns))
+    rows = replayed_rows(matrix)
     runs: list[dict[str, Any]] = []
     numbers = left_out = 0
     for champion in (champion for champion in matrix.champions if champion.name in rows):
@@ -90,6 +90,11 @@ def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return Replay(rows, text.replace("<", "\\u003c"), paths, left_out)
+
+
+def replayed_rows(matrix: TransferMatrix) -> tuple[str, ...]:
+    """Return the controllers of which a trial was kept somewhere."""
+    return tuple(name for name in matrix.rows if any(matrix.cell(name, column).traces for column in matrix.columns))
 
 
 def is_planar(trace: Trace) -> bool:

@@ -19,7 +19,7 @@ BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
-AS_GOOD = 0.10
+AS_GOOD = 0.05
 """Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
 

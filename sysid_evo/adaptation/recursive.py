@@ -53,7 +53,7 @@ class SelfCorrection:
     patience: float = 5.0
 
     @classmethod
-    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = False, **settings: float) -> Self:
+    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = True, **settings: float) -> Self:
         """Make one whose terms cover what a fitted ``model`` learned from. Raises `InvalidArgument` without that."""
         pairs: Array | None = getattr(model, "pairs_", None)
         if pairs is None:

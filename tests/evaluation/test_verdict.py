@@ -54,6 +54,10 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         lambda: report(prediction({"persistence": 1.4, "linear": 1.13, "sindy": 1.3})),
         lambda: report(prediction({"persistence": 1.4, "linear": 0.97, "sindy": 1.3})),
     ),
+    "no model is significantly better than a constant, which has 1.": (
+        lambda: report(prediction({"persistence": 1.4, "linear": 0.99})),
+        lambda: report(prediction({"persistence": 1.4, "linear": 0.97})),
+    ),
     "no model is significantly better than that.": (
         lambda: predicted(linear=0.9),
         lambda: predicted(linear=0.3),
@@ -184,8 +188,9 @@ def test_a_model_that_is_only_as_good_as_a_constant_is_never_called_best() -> No
     assert "best" not in told(useless)
 
 
-def test_a_model_predicts_from_an_n_just_below_one() -> None:
-    assert "linear is best" in told(report(prediction({"persistence": 1.4, "linear": 0.99})))
+def test_a_model_predicts_where_its_whole_interval_is_below_that_of_the_mean() -> None:
+    assert "linear is best" in told(report(prediction({"persistence": 1.4, "linear": 0.975})))
+    assert "No model predicts" in told(report(prediction({"persistence": 1.4, "linear": 0.985})))
     assert "No model predicts" in told(report(prediction({"persistence": 1.4, "linear": 1.01})))
 
 

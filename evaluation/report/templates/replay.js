@@ -347,6 +347,18 @@
   play.addEventListener("click", () => start(!playing));
   slider.addEventListener("input", () => seek(Number(slider.value)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => seek(time));
+  for (const watch of document.querySelectorAll(".watch")) {
+    const button = element("button", watch, `Watch ${watch.dataset.row}`);
+    button.type = "button";
+    button.addEventListener("click", () => {
+      row.value = watch.dataset.row;
+      choose(row.value);
+      seek(0);
+      player.scrollIntoView();
+      play.focus();
+      start(true);
+    });
+  }
   player.hidden = false;
   row.value = story.first;
   choose(story.first);
