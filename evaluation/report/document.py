@@ -13,6 +13,7 @@ import numpy as np
 
 from evaluation.advice import advice_to_json
 from evaluation.exploitability import ModelExploitability
+from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
@@ -53,6 +54,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "forecast": None if report.matrix is None else _forecast(report),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "advice": None if report.advice is None else advice_to_json(report.advice),
@@ -253,6 +255,22 @@ def _summary(summary: TransferSummary) -> dict[str, Any]:
 
 def _controller(controller: ControllerSummary) -> dict[str, Any]:
     return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
+
+
+def _forecast(report: Report) -> dict[str, Any]:
+    achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
+    return {
+        "rule": asdict(RULE),
+        "controllers": [
+            {
+                **asdict(one),
+                "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
+                "held": None if real is None else one.holds(real),
+            }
+            for one in report.forecasts.values()
+        ],
+        "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
+    }
 
 
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
