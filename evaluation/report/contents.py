@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from evaluation.advice import ModelAdvice
+from evaluation.behaviour import Manner, manners
 from evaluation.exploitability import ModelExploitability
 from evaluation.prediction import ModelPrediction, Prediction, measured_cases
 from evaluation.prediction.conditions import ConditionErrors
@@ -146,6 +147,11 @@ class Report:
     def transfer(self) -> TransferSummary | None:
         """Claimed and achieved fitness of every controller."""
         return summarise(self.matrix) if self.matrix is not None and self.matrix.champions else None
+
+    @cached_property
+    def manners(self) -> tuple[Manner, ...]:
+        """How every controller goes about its task, on robots and where it was evolved."""
+        return () if self.matrix is None else manners(self.matrix)
 
     @property
     def all_failures(self) -> tuple[Failure, ...]:

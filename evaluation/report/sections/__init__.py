@@ -7,6 +7,7 @@ from collections.abc import Callable
 from evaluation.report.contents import Report
 from evaluation.report.sections import (
     advice,
+    behaviour,
     data,
     exploitability,
     failures,
@@ -21,6 +22,7 @@ SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
     prediction.section,
     advice.section,
     transfer.section,
+    behaviour.section,
     replaying.section,
     exploitability.section,
     failures.section,
