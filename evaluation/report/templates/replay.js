@@ -3,7 +3,9 @@
 (() => {
   "use strict";
 
-  const story = JSON.parse(document.getElementById("replay-data").textContent);
+  const data = document.getElementById("replay-data");
+  if (!data) return; // nothing to replay
+  const story = JSON.parse(data.textContent);
   const player = document.getElementById("replay-player");
   const screens = player.querySelector(".screens");
   const [row, play, pace, slider] = ["row", "play", "pace", "time"].map((name) => document.getElementById(`replay-${name}`));
@@ -61,7 +63,7 @@
       if (run.apart !== null) {
         const there = element("button", title, "Show where they part");
         there.type = "button";
-        there.setAttribute("aria-label", `Show where ${run.column} and the robot part`);
+        there.setAttribute("aria-label", `Show where they part: ${run.column} and the robot`);
         there.addEventListener("click", () => { start(false); seek(run.apart); });
       }
       const canvas = element("canvas", figure);
