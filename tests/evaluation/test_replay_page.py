@@ -156,7 +156,7 @@ def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(
     tab.evaluate(f"{watched}.click()")
     assert tab.evaluate("document.getElementById('replay-row').value") == "sliding_c"
     assert tab.evaluate("document.getElementById('replay-play').textContent") == "Pause"
-    tab.click(".screen .name button")
+    tab.click(".screen button")
     assert tab.evaluate("document.getElementById('replay-play').textContent") == "Play"
     there = tab.evaluate("[...document.querySelectorAll('.screen')].find(e => e.querySelector('button')).innerText")
     assert f"as on the robot for {tab.evaluate(CLOCK)}" in there
