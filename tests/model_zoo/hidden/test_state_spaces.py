@@ -70,8 +70,18 @@ def test_rest_is_left_by_a_control_and_kept_without_in_both_forms(linear: Dynami
         np.testing.assert_allclose(compiled, stepped, atol=1e-9)
 
 
+def test_where_a_record_is_too_short_for_a_network_the_model_is_linear_and_says_so() -> None:
+    few: dict[str, Any] = {"order": 2, "members": 2, "trial": 3, "iterations": 2, "horizon": 100}
+    short = make_model("nonlinear_state_space", **few).fit(recording(0, 120, bend=0.01, noise=0.05), rng=0)
+    assert "this is a linear state space of order 2" in short.fit_note
+    assert [len(units) for units in short.inner_] == [0]
+    long = make_model("nonlinear_state_space", **few).fit(recording(0, 600, bend=0.03, noise=0.01), rng=0)
+    assert not long.fit_note
+    assert all(len(units) for units in long.inner_)
+
+
 OWN: dict[str, dict[str, Any]] = {
-    "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 5, "iterations": 25, "horizon": 300},
+    "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 6, "iterations": 15, "horizon": 300},
     "subnet": {"hidden": 8, "updates": 400, "horizon": 40, "batch": 64, "learning_rate": 0.01},
 }
 
