@@ -11,14 +11,16 @@ from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson, joined
 from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks
 from model_zoo.hidden.shooting import Spaces, Trained
-from model_zoo.linear_state_space import STEPS, LinearStateSpace
+from model_zoo.linear_state_space import STEPS
 from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import time_blocks
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.registry import make_model
 
+LINEAR = "linear_state_space"
 FEWEST_STATES, ORDERS = 2, 3
 LIKELY = 4
 """Mixtures of units of which more networks are begun."""
@@ -96,10 +98,13 @@ class NonlinearStateSpace(StateSpaceModel):
         counter.advance()
         return self
 
+    def uses(self) -> tuple[str, ...]:
+        return (LINEAR,) if self.gated else ()
+
     def _gate(self, dataset: Dataset, seed: int) -> None:
         """Become the linear state space, unless networks are better in free runs on held-out blocks of time."""
-        plain = LinearStateSpace(
-            order=self.order, iterations=self.trial, horizon=self.horizon, folds=1, rest_hold=self.rest_hold
+        plain: StateSpaceModel = make_model(
+            LINEAR, order=self.order, iterations=self.trial, horizon=self.horizon, folds=1, rest_hold=self.rest_hold
         )
         errors = [0.0, 0.0]
         for learned, held in (time_blocks(dataset, fold, GATE_FOLDS) for fold in range(GATE_FOLDS)):
