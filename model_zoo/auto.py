@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.selection.candidates import Candidate, named, offered, plugins, structure_of, unusable
+from model_zoo.selection.candidates import (
+    PROCESSORS,
+    SHARE,
+    Candidate,
+    named,
+    offered,
+    plugins,
+    structure_of,
+    unusable,
+)
 from model_zoo.selection.choosing import Choosing
 from model_zoo.selection.fitting import Work
 from model_zoo.selection.gate import weights_of
@@ -26,22 +36,22 @@ HORIZONS = [10, 20, 60]
 class Auto(MeanOfMembers):
     """The mean of the next states of the candidates that run free best on what was held out.
 
-    Every candidate (a family with lags and parameters) learns from what is left of the recordings when a group of
-    them is held out, ``folds`` times (blocks of time where there is one recording), and runs free there. Its error is
-    that after ``horizons`` steps (10, 20, 60): RMSE / standard deviation, the mean over states and horizons. What fails
-    or diverges is dropped with its reason, and so is what is more than ``gate`` times as far off as the best; the
-    gate is narrowed where the mean of all inside is worse on what was held out than the mean of fewer, but what is not
-    significantly worse than the best stays (paired bootstrap). Those kept learn again from all data. Their weights are
-    equal in each class of structure (networks that see earlier samples, networks that do not, polynomials,
-    neighbours, physics), and equal across the classes. For a given state the next one is affine in the acceleration, so
-    that the mean of next states is that of accelerations. Every member starts each step from the mean, and keeps its
-    own memory beside it.
+    Every candidate (a family with lags and parameters) learns from what is left of the recordings when a group of them
+    is held out, ``folds`` times (blocks of time where there is one recording), and runs free there. Its error is that
+    after ``horizons`` steps (10, 20, 60): RMSE / standard deviation, the mean over states and horizons. What is far
+    behind the first time (1.25 times the gate, and significantly) is not tried again. What fails or diverges is dropped
+    with its reason, and so is what is more than ``gate`` times as far off as the best; the gate is narrowed where the
+    mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
+    the best stays (paired bootstrap). Those kept learn again from all data. Their weights are equal in each class of
+    structure (networks that see earlier samples, networks that do not, polynomials, neighbours, physics), and equal
+    across the classes. For a given state the next one is affine in the acceleration, so that the mean of next states is
+    that of accelerations. Every member starts each step from the mean, and keeps its own memory beside it.
 
-    ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they
-    are *expected* to take and by no clock: the same data, seed and installed families give the same model on any
-    machine and number of processors, and a slow machine takes longer. ``candidates`` names others, such as
-    ``[narx, neural_ode(updates=200)]``, which are all tried; a family alone stands for its usual settings.
-    Work that takes long is spread over the processors that this process may use.
+    ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they are
+    *expected* to take and by no clock; what is saved with those that fall behind is spent on more. The same data, seed
+    and installed families give the same model on any machine and number of processors, and a slow machine takes longer.
+    ``candidates`` names others, such as ``[narx, neural_ode(updates=200)]``, which are all tried; a family alone stands
+    for its usual settings. Work that takes long is spread over the processors that this process may use.
 
     With ``stochastic`` every step adds normal noise: the members' disagreement and the one-step residual on what was
     held out, scaled so that 90 % intervals hold 90 % of free runs of one second there. Such a model has no compiled
@@ -70,12 +80,14 @@ class Auto(MeanOfMembers):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = folds_of(dataset, self.folds)
-        tried, left_out = self._tried(dataset, len(pairs))
+        tried, left_out = self._tried(dataset)
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
         judge = Judge.of(dataset, [Trial.of(held, horizons, history_of(pairs)) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
-        work = Work(progress, sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried))
-        choice = Choosing(dataset, pairs, judge, tried, seeds, work).choice(self.gate, self._mean)
+        budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
+        costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
+        work = Work(progress, min(budget, costs))
+        choice = Choosing(dataset, pairs, judge, tried, seeds, budget, work).choice(self.gate, self._mean)
         self.become(choice.models, weights_of([structure_of(model) for model in choice.models]))
         standing = Standing.of(choice, tried, self.weights_, left_out=left_out, horizons=horizons, pairs=pairs)
         for name, value in standing.learned().items():
@@ -85,10 +97,10 @@ class Auto(MeanOfMembers):
             self.calibrate([(mean, held) for mean, (_, held) in zip(means, pairs, strict=True)], rng, work.still)
         return self
 
-    def _tried(self, dataset: Dataset, folds: int) -> tuple[list[Candidate], list[str]]:
+    def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
         """Return the candidates, and why others are not among them. Raises what the registry says of wrong names."""
         if self.candidates is None:
-            return offered(dataset.system, dataset.n_steps, budget=self.budget, folds=folds)
+            return offered(dataset.system)
         reasons = [(one, unusable(one, dataset.system)) for one in named(self.candidates)]
         return [one for one, reason in reasons if not reason], [
             f"{o.name}: {reason}" for o, reason in reasons if reason

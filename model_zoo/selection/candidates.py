@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -97,26 +97,25 @@ SHIPPED: tuple[Candidate, ...] = (
 """What is tried unless candidates are named, the most telling for their time first."""
 
 
-def offered(system: System, steps: int, *, budget: float, folds: int) -> tuple[list[Candidate], list[str]]:
-    """Return the candidates that ``budget`` seconds of two processors are enough for, and remarks on those left out.
+def offered(system: System) -> tuple[list[Candidate], list[str]]:
+    """Return the candidates for ``system`` in their order, and why others are none.
 
-    They are taken in their order, each that still fits into what is left, by `Candidate.cost`: by what they are
-    expected to take and not by a clock, so that the choice is the same on every machine. The first that can be used
-    is always taken. Registered families that declare a ``structure`` and are not among the shipped come first.
+    Registered families that declare a ``structure`` and are not among the shipped come first.
     """
-    left, taken, remarks = PROCESSORS * SHARE * budget, list[Candidate](), list[str]()
-    for candidate in (*plugins(), *SHIPPED):
-        reason = unusable(candidate, system)
-        if reason:
-            remarks.append(f"{candidate.name}: {reason}")
-            continue
-        cost = candidate.cost(system, steps, folds)
-        if cost <= left or not taken:
-            taken.append(candidate)
+    reasons = [(candidate, unusable(candidate, system)) for candidate in (*plugins(), *SHIPPED)]
+    return [candidate for candidate, reason in reasons if not reason], [
+        f"{candidate.name}: {reason}" for candidate, reason in reasons if reason
+    ]
+
+
+def affordable(costs: Mapping[int, float], left: float) -> list[int]:
+    """Return what is taken of these ``costs`` while something is ``left``: in their order, each that still fits."""
+    taken: list[int] = []
+    for number, cost in costs.items():
+        if cost <= left:
+            taken.append(number)
             left -= cost
-        else:
-            remarks.append(f"{candidate.name}: not tried, the budget of {budget:g} s is spent on others")
-    return taken, remarks
+    return taken
 
 
 def named(texts: Sequence[str]) -> list[Candidate]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from model_zoo.selection.candidates import Candidate
+from model_zoo.selection.candidates import Candidate, affordable
 from model_zoo.selection.fitting import Outcome, Task, Work
 from model_zoo.selection.gate import Passed, chosen
 from sysid_evo.arrays import IntArray
@@ -18,14 +19,18 @@ from sysid_evo.judging import Errors, Judge, interval
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""
+HOPELESS = 1.25
+"""Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
+
+UNTRIED = "not tried, the budget is spent on others"
 
 
 @dataclass(frozen=True)
 class Choice:
     """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
 
-    ``kept`` are the numbers of those inside the gate that was ``passed``, ``models`` what they learned from all data,
-    ``rough`` what they learned without each fold.
+    The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the
+    gate that was ``passed``, ``models`` what they learned from all data, ``rough`` what they learned without each fold.
     """
 
     errors: list[Errors | None]
@@ -38,13 +43,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Choosing:
-    """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits."""
+    """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits.
+
+    As many are tried as ``budget`` seconds of one processor are expected to be enough for: no clock decides, so that
+    the choice is the same on every machine.
+    """
 
     dataset: Dataset
     pairs: Sequence[tuple[Dataset, Dataset]]
     judge: Judge
     candidates: Sequence[Candidate]
     seeds: IntArray
+    budget: float
     work: Work
 
     def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> Choice:
@@ -52,10 +62,13 @@ class Choosing:
 
         Raises `InvalidData` if no candidate can be used.
         """
-        count, folds = len(self.candidates), range(len(self.pairs))
-        outcomes = self.work.outcomes([self._task(n, fold) for n in range(count) for fold in folds])
-        rough = [[outcomes[number, fold] for fold in folds] for number in range(count)]
-        errors, reasons = judged(rough, self.judge)
+        folds = range(len(self.pairs))
+        outcomes, errors, reasons = self._first_turn(HOPELESS * gate)
+        going_on = [number for number, reason in enumerate(reasons) if not reason]
+        outcomes |= self._fits(going_on, folds[1:])
+        rough = {number: [outcomes[number, fold] for fold in folds] for number in going_on}
+        for number, error, reason in zip(going_on, *judged(list(rough.values()), self.judge), strict=True):
+            errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
         self._expect(len(usable) > 0, reasons)
 
@@ -81,6 +94,50 @@ class Choosing:
                 kept[number] = outcome.model
         self._expect(len(kept) > 0, reasons)
         return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
+
+    def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
+        return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
+
+    def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], Outcome], list[Errors | None], list[str]]:
+        """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
+
+        What is saved with those that are dropped, see `_thinned`, is spent on the next ones. Returns the outcomes, the
+        errors, and why a candidate is not tried in the other folds; empty if it is.
+        """
+        costs = {number: self._cost(number) for number in range(len(self.candidates))}
+        errors: list[Errors | None] = [None for _ in costs]
+        reasons = [UNTRIED for _ in costs]
+        outcomes: dict[tuple[int, int], Outcome] = {}
+        batch = affordable(costs, self.budget) or [0]
+        while batch:
+            outcomes |= self._fits(batch, [0])
+            tried = [number for number, _ in sorted(outcomes)]
+            found = self._thinned([outcomes[number, 0] for number in tried], gate)
+            for number, error, reason in zip(tried, *found, strict=True):
+                errors[number], reasons[number] = error, reason
+            spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
+            batch = affordable({n: cost for n, cost in costs.items() if n not in tried}, self.budget - spent)
+        return outcomes, errors, reasons
+
+    def _thinned(self, outcomes: Sequence[Outcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+        """Return the errors of candidates in the first fold, and why they are not worth the others; empty if they are.
+
+        They are worth it if they are at most ``gate`` times as far off as the best, or not surely worse (paired
+        bootstrap).
+        """
+        errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
+        usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
+        best = min(usable, key=lambda error: error.mean, default=None)
+        for number, error in enumerate(errors):
+            if best is None or error is None or len(self.pairs) == 1:
+                continue
+            if error.mean > gate * best.mean and interval(best, error)[0] > 0.0:
+                times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
+                reasons[number] = reasons[number] or times
+        return errors, reasons
+
+    def _cost(self, number: int) -> float:
+        return self.candidates[number].cost(self.dataset.system, self.dataset.n_steps, len(self.pairs))
 
     def _task(self, number: int, fold: int) -> Task:
         """Return the fit of one candidate without one fold, or to all data after the last of them."""

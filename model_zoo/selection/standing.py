@@ -114,6 +114,8 @@ class Standing:
                 f"; the best and the second best candidate do{surely} differ significantly (by {low:+.3f} to "
                 f"{high:+.3f}, 95 % interval)"
             )
+        elif len(self.candidates) > 1:
+            text += "; every other candidate fell out in the first turn"
         return text
 
 

@@ -9,9 +9,8 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.adaptation.learning import OF_PRODUCTS
-from sysid_evo.adaptation.pieces import run_beside
-from sysid_evo.adaptation.terms import Terms, state_scale
+from sysid_evo.adaptation.pieces import FARTHEST, run_beside
+from sysid_evo.adaptation.terms import Terms, foreseen, state_scale
 from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.data.support import split_pairs
 from sysid_evo.data.trajectory import Trajectory
@@ -21,7 +20,6 @@ from sysid_evo.errors import InvalidArgument
 STEP = 1e-4
 TOLERATED = 1.5
 """Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
-FARTHEST = 10.0
 STILL = 0.2
 """Standard deviations within which all states of a run stay that says nothing: the body stands."""
 
@@ -55,13 +53,18 @@ class SelfCorrection:
     patience: float = 5.0
 
     @classmethod
-    def of(cls, model: Dynamics, *, products: bool = False, **settings: float) -> Self:
+    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = True, **settings: float) -> Self:
         """Make one whose terms cover what a fitted ``model`` learned from. Raises `InvalidArgument` without that."""
         pairs: Array | None = getattr(model, "pairs_", None)
         if pairs is None:
             raise InvalidArgument("self-correction: expected a fitted model, which knows what data it learned from")
         states, controls = split_pairs(model.system, pairs)
-        terms = widened(Terms.of_pairs(model.system, states, controls, products=products))
+        lags = model.n_lags
+        pushes = None
+        if gains:
+            history = np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1)
+            pushes = foreseen(model, *history, controls)
+        terms = widened(Terms.of_pairs(model.system, states, controls, products=products, pushes=pushes))
         return cls(model, terms, state_scale(model.system, states), **settings)  # type: ignore[arg-type]  # by name
 
     @cached_property
@@ -158,8 +161,7 @@ class SelfCorrection:
         aim = np.einsum("nbe,bn->be", slopes, now) - errors[2]
         right = fade * memory[:, places["right"]] + np.einsum("bne,be->bn", weighed, aim)
         after[:, places["normal"]], after[:, places["right"]] = normal.reshape(batch, -1), right
-        weight = np.repeat(np.where(np.arange(self.terms.size) <= self.terms.n_inputs, 1.0, OF_PRODUCTS), nx)
-        found = np.linalg.solve(normal + self.ridge * np.diag(weight), right[:, :, None])[:, :, 0]
+        found = np.linalg.solve(normal + self.ridge * np.diag(self.terms.weight.ravel()), right[:, :, None])[:, :, 0]
         after[:, places["now"]] = found
         turn = memory[:, places["weight"]] % self.horizon == 0
         after[:, places["known"]] = np.where(turn, memory[:, places["pending"]], known)
@@ -172,9 +174,9 @@ WIDER = 2.0
 
 
 def widened(terms: Terms) -> Terms:
-    """Return ``terms`` whose inputs and products are kept within twice the range of the recording."""
+    """Return ``terms`` that are kept within twice the range of the recording."""
     out = []
-    for low, high in ((terms.low, terms.high), (terms.least, terms.most)):
+    for low, high in ((terms.low, terms.high), (terms.least, terms.most), (terms.weakest, terms.strongest)):
         middle, half = 0.5 * (low + high), 0.5 * WIDER * (high - low)
         out += [middle - half, middle + half]
-    return replace(terms, low=out[0], high=out[1], least=out[2], most=out[3])
+    return replace(terms, low=out[0], high=out[1], least=out[2], most=out[3], weakest=out[4], strongest=out[5])

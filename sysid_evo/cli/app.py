@@ -24,6 +24,7 @@ from sysid_evo.cli import (
     reporting,
     robots,
     runs,
+    transferring,
     tuning,
 )
 from sysid_evo.cli.console import complain, err, out, session, tell
@@ -51,6 +52,7 @@ app.command("tune")(tuning.tune)
 app.command("adapt")(adapting.adapt)
 app.command("evolve")(evolving.evolve)
 app.command("exploit")(exploiting.exploit)
+app.command("transfer")(transferring.transfer)
 app.command("coevolve")(racing.coevolve)
 app.command("match")(racing.match)
 app.command("drive")(driving.drive)

@@ -25,6 +25,7 @@ from evaluation import compare
 from evaluation.comparison.champion_cells import RECOMMENDED
 from evaluation.transfer import TransferMatrix
 from sysid_evo.arrays import Array
+from sysid_evo.registry import split
 
 FAMILIES = "parametrised,sindy,narx,backprop27,hybrid_ode,nearest_neighbour,evolved3"
 PAPER = ("evolved3+nearest_neighbour", "backprop27+nearest_neighbour+parametrised")
@@ -97,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--yardstick", action="store_true", help="evolve on each car itself as well")
     parser.add_argument("--yardsticks", type=Path, help="what tests.benchmarks.search kept with --json")
     given = parser.parse_args(arguments)
-    models = tuple(given.models.split(","))
+    models = tuple(split(given.models))
     console, found = Console(width=110), []
     for car in map(int, given.cars.split(",")):
         for seed in range(given.seeds):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from model_zoo.auto import Auto
-from model_zoo.selection.candidates import SHIPPED, offered, structure_of
+from model_zoo.selection.candidates import SHIPPED, Candidate, offered, structure_of
+from model_zoo.selection.choosing import UNTRIED, Choosing
 from model_zoo.selection.fitting import Task, Work, fitted
 from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import balanced, folds_of
@@ -18,7 +19,7 @@ from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
-from sysid_evo.registry import make_model, models, register_model
+from sysid_evo.registry import Spec, make_model, models, register_model
 from sysid_evo.testing import example_dataset
 
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
@@ -126,10 +127,20 @@ def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason(
     model.fit(example_dataset(), rng=0)
     rows = {row["candidate"]: row for row in model.standing()}
     assert rows[FEW[0]]["weight"] == "1.00"
-    assert rows["linear(state_lags=0)"]["remark"].startswith("above 1")
+    assert rows["linear(state_lags=0)"]["remark"].endswith("x the best in the first of 3 turns")
     assert "of its free runs diverge" in rows["nearest_neighbour"]["remark"]
     assert "no episode is longer than 500 steps" in rows["narx(state_lags=500, control_lags=0)"]["remark"]
     assert "kept 1 of 4 candidates" in model.fit_note
+    assert "every other candidate fell out in the first turn" in model.fit_note
+
+
+def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_turn() -> None:
+    """With a wide gate the same candidate is judged in all turns."""
+    for gate, remark in ((1.25, "5.5 x the best in the first of 3 turns"), (5.0, "above")):
+        model = make_model("auto", candidates=FEW, gate=gate)
+        model.fit(example_dataset(), rng=0)
+        row = next(row for row in model.standing() if row["candidate"] == "linear(state_lags=0)")
+        assert row["remark"].startswith(remark)
     assert "do differ significantly" in model.fit_note
 
 
@@ -174,15 +185,28 @@ def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> N
     assert horizons_of(single, [10, 20, 60]) == [10, 20]
 
 
-def test_a_budget_decides_by_expected_time_and_never_by_a_clock() -> None:
-    system = example_dataset().system
-    little, _ = offered(system, 7200, budget=20.0, folds=2)
-    much, left_out = offered(system, 7200, budget=1000.0, folds=2)
-    assert [one.spec for one in much] == [one.spec for one in SHIPPED]
+def test_all_that_is_shipped_is_offered_to_a_car() -> None:
+    found, left_out = offered(example_dataset().system)
+    assert [one.spec for one in found] == [one.spec for one in SHIPPED]
     assert not left_out
-    assert 0 < len(little) < len(much)
-    assert sum(one.cost(system, 7200, 2) for one in little) <= 40.0
-    assert offered(system, 7200, budget=20.0, folds=2)[0] == little
+
+
+@pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
+def test_a_budget_is_spent_by_expected_time_and_what_falls_behind_makes_room_for_others(
+    budget: float, tried: str
+) -> None:
+    """Each is expected to take so many seconds four times: in three folds and for all data; b falls behind in one."""
+    data = example_dataset()
+    pairs = folds_of(data, 3)
+    specs = {"a": (FEW[0], 1.0), "b": ("linear(state_lags=0)", 1.0)}
+    specs |= {"c": ("linear(state_lags=1, ridge=0.1)", 0.9), "d": ("linear(state_lags=2)", 0.7)}
+    candidates = [Candidate(Spec.parse(f"{name}={text}"), cost, 0.0) for name, (text, cost) in specs.items()]
+    judge = Judge.of(data, [Trial.of(held, [10], 3) for _, held in pairs])
+    choosing = Choosing(data, pairs, judge, candidates, np.zeros((4, 4), dtype=np.int64), budget, Work(None, budget))
+    choice = choosing.choice(1.25, lambda models: learned().of(models, weights_of(["one"] * len(models))))
+    assert "".join(one.name for one, error in zip(candidates, choice.errors, strict=True) if error) == tried
+    untried = [reason for error, reason in zip(choice.errors, choice.reasons, strict=True) if error is None]
+    assert all(reason == UNTRIED for reason in untried)
 
 
 def test_a_plugin_that_declares_a_structure_is_a_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +225,7 @@ def test_a_plugin_that_declares_a_structure_is_a_candidate(monkeypatch: pytest.M
             return 0.0 * carry
 
     data = example_dataset()
-    assert offered(data.system, 600, budget=1.0, folds=2)[0][0].spec.name == "made_up_zero"
+    assert offered(data.system)[0][0].spec.name == "made_up_zero"
     model = make_model("auto", candidates=["made_up_zero"]).fit(data, rng=0)
     assert structure_of(model.members_[0]) == "nothing moves"  # type: ignore[attr-defined]  # it is an Auto
 

@@ -39,7 +39,7 @@ def thrust_lacking(learning: SelfCorrection, memory: Array) -> float:
 
 
 def test_it_finds_what_a_model_lacks_and_opens_the_gate(model: Dynamics) -> None:
-    learning = SelfCorrection.of(model, ridge=0.01)
+    learning = SelfCorrection.of(model, gains=False, ridge=0.01)
     seen = memories(learning, drive(OTHER, seconds=25.0, seed=2).episodes[0])
     assert thrust_lacking(learning, seen[-1]) == pytest.approx(-1.2, abs=0.2)
     opened = learning.open(seen)
@@ -59,7 +59,7 @@ def test_what_it_knows_comes_from_the_past_alone(model: Dynamics) -> None:
 
 
 def test_it_forgets_a_condition_that_is_over(model: Dynamics) -> None:
-    learning = SelfCorrection.of(model, forgetting=5.0, ridge=0.01)
+    learning = SelfCorrection.of(model, gains=False, forgetting=5.0, ridge=0.01)
     first, then = drive(OTHER, seconds=12.0, seed=2).episodes[0], drive(FloorCar(), seconds=20.0, seed=4).episodes[0]
     memory = memories(learning, first)[-1:]
     assert thrust_lacking(learning, memory[0]) < -0.8

@@ -2,19 +2,23 @@
 
     python -m tests.benchmarks.choosing [RECORDING ...] [--preset standard] [--seeds 3] [--alone 1] [--keep FOLDER]
 
-RECORDING is one of the two real cars (slippery_20hz, free_20hz), or a robot that is emulated here (emulated_car,
-pendulum, cart_pole, thermal), which is recorded for six minutes; the last quarter of its episodes is held back. N is
-that of `tests.benchmarks.prediction`: RMSE / standard deviation, the mean over states, after 1, 10, 20 and 60 steps.
+RECORDING is one of the two real cars (slippery_20hz, free_20hz); a drive of a third on one of four floors (DS1, DS3,
+DS4, DS5), the last 30 % held back; a robot that is emulated here (emulated_car, pendulum, cart_pole, thermal); or a
+system of `tests.benchmarks.choosing.systems` (own_cart_pole, hover_channel). What is simulated is recorded for six
+minutes, and again for the test. N is that of `tests.benchmarks.prediction`: RMSE / standard deviation, the mean over
+states, after 1, 10, 20 and 60 steps.
 
 First come `auto` with its note, seed by seed, and what all its fits took of the processors. Then, for ``--alone``
 seeds (0: none), every candidate fitted alone to all that `auto` learned from; the best in hindsight is the one with the
 lowest N after 20 steps. A difference is marked where its 95 % interval (paired block bootstrap, pooled over the seeds)
-is without zero. With ``--keep`` fitted models are kept in a folder, and are not fitted again.
+is without zero. With ``--keep`` fitted models are kept in a folder, and are not fitted again; ``--seeds 0`` fits the
+candidates only.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import sys
 import time
@@ -23,7 +27,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from evaluation.comparison import Split
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
 from evaluation.prediction.bootstrap import interval
 from evaluation.prediction.cases import MeasuredCases
@@ -32,22 +35,30 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.registry import Spec, make_model, make_robot, models
 from sysid_evo.store import load_model, save_model
+from tests.benchmarks.choosing.systems import SIMULATED
 from tests.benchmarks.prediction import SECOND, TEST_EPISODE, pooled
 from tests.benchmarks.prediction import recording as car_recording
 
 PEERS = {"slippery_20hz": {10: 0.266, 20: 0.296, 60: 0.305}, "free_20hz": {10: 0.192, 20: 0.204, 60: 0.212}}
 """The lowest N of any peer at each horizon, under the same rules."""
 ROBOTS = ("emulated_car", "pendulum", "cart_pole", "thermal")
-RECORDED_TIME, HELD_BACK = 360.0, 0.25
+FLOORS = ("DS1", "DS3", "DS4", "DS5")
+RECORDED_TIME, TESTED_TIME = 360.0, 720.0
+LAST_OF_A_DRIVE = 0.3
 
 
 def recording(name: str) -> tuple[Dataset, Dataset]:
-    """Return training and test set of a real car, or of an emulated robot."""
+    """Return training and test set of a real car, of an emulated robot, or of a system simulated here."""
     if name in TEST_EPISODE:
         return car_recording(name)
-    parts = Split(share=HELD_BACK).of(make_robot(name).record(seed=0, duration=RECORDED_TIME).dataset)
-    assert parts.test is not None
-    return parts.training, parts.test
+    if name in FLOORS:
+        root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[3].parent / "shared" / "data"))
+        return Dataset.read(root / "f1tenth_frictionmaps" / f"{name}_20hz.csv").split(LAST_OF_A_DRIVE)
+    if name in SIMULATED:
+        return SIMULATED[name]().recording(seed=0), SIMULATED[name]().recording(seed=1)
+    robot = make_robot(name)
+    training, test = robot.record(seed=0, duration=RECORDED_TIME), robot.record(seed=1, duration=TESTED_TIME)
+    return training.dataset, test.dataset
 
 
 class Fits:
@@ -107,8 +118,9 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
         found.append(row)
         write(f"  auto, {preset}, seed {seed}:  {line([row])}  ({took})\n    {model.fit_note}\n")
         sys.stdout.flush()
-    write(f"  auto, mean of {seeds} seeds:  {line(found)}\n")
-    for horizon, peer in PEERS.get(name, {}).items():
+    if found:
+        write(f"  auto, mean of {seeds} seeds:  {line(found)}\n")
+    for horizon, peer in PEERS.get(name, {}).items() if found else ():
         own = pooled(found, horizon)[0]
         write(f"    after {horizon} steps {own:.3f}, the best peer {peer:.3f}: {100.0 * (own / peer - 1.0):+.1f} %\n")
     rivals: dict[str, list[ModelPrediction]] = {}
@@ -117,7 +129,7 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
             rivals[candidate.name] = [fits.score(candidate.spec, seed)[0] for seed in range(alone)]
             write(f"  {line(rivals[candidate.name])}  {candidate.name}\n")
             sys.stdout.flush()
-    if rivals:
+    if rivals and found:
         best = min(rivals, key=lambda one: pooled(rivals[one], SECOND)[0])
         told = ", ".join(f"{horizon}: {difference(found, rivals[best], horizon)}" for horizon in horizons)
         write(f"  auto against the best alone in hindsight, {best}: {told}\n")
@@ -126,7 +138,9 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=f"of {', '.join([*TEST_EPISODE, *ROBOTS])}")
+    parser.add_argument(
+        "recordings", nargs="*", metavar="RECORDING", help=", ".join([*TEST_EPISODE, *FLOORS, *ROBOTS, *SIMULATED])
+    )
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--alone", type=int, default=1)

@@ -1,0 +1,1 @@
+"""Whether `auto` chooses as well as one could by hand."""
