@@ -103,7 +103,7 @@ class NonlinearStateSpace(StateSpaceModel):
 
     def _gate(self, dataset: Dataset, seed: int) -> None:
         """Become the linear state space, unless networks are better in free runs on held-out blocks of time."""
-        plain: StateSpaceModel = make_model(
+        plain = make_model(
             LINEAR, order=self.order, iterations=self.trial, horizon=self.horizon, folds=1, rest_hold=self.rest_hold
         )
         errors = [0.0, 0.0]
