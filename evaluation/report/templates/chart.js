@@ -41,6 +41,7 @@
       this.svg.addEventListener("pointermove", (event) => this.point(event));
       this.svg.addEventListener("pointerdown", (event) => this.point(event));
       this.svg.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && this.clear());
+      document.addEventListener("pointerdown", (event) => holder.contains(event.target) || this.clear());
       holder.addEventListener("focus", () => holder.matches(":focus-visible") && this.show());
       holder.addEventListener("blur", () => this.clear());
       holder.addEventListener("keydown", (event) => this.step(event));
