@@ -118,7 +118,7 @@
         made("td", row, "", number(one.value));
         made("td", row, "", one.interval ? `${number(one.interval[0])} to ${number(one.interval[1])}` : "");
         const [cx, cy] = spot(one);
-        if (cx < left - 1 || cx > left + width + 1 || cy < top - 1 || cy > top + height + 1) continue;
+        if (sideways || cx < left - 1 || cx > left + width + 1 || cy < top - 1 || cy > top + height + 1) continue;
         const dot = this.marks.appendChild(document.createElementNS(SVG, "circle"));
         for (const [name, text] of Object.entries({ cx, cy, r: chosen ? 4.5 : 3 })) dot.setAttribute(name, text);
         dot.style.fill = key;
