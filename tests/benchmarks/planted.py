@@ -4,7 +4,8 @@ Each fault of `tests.evaluation.habits` is planted into the toy car or the pendu
 beside it. What drives there is looked at as a comparison does: random commands, the champion of an ordinary evolution,
 and the controller of the search for exploits. A fault is named where one of the probes that it is to trip fires, or a
 fact of the data is broken about one of the states it is to show in. Then the equations of sound robots stand for
-models, ``--seeds`` (5) of each kind: whatever is named there is a false alarm.
+models, ``--seeds`` (5) of each kind, and every recording of a real car for what was driven in one: whatever is named
+there is a false alarm.
 
 Ends with 1 if a fault that helps controllers is not found by the search and named, if one that does not is not named
 at all, or if there is a false alarm. ``--generations`` (200) of each evolution.
@@ -15,7 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -37,6 +38,7 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.registry import Spec, make_robot
+from tests.benchmarks.prediction import recording
 from tests.evaluation.habits import FAULTS, Fault, driven, equations
 
 TASKS = {
@@ -45,6 +47,7 @@ TASKS = {
     "cart_pole": "balance",
     "thermal": "set_point",
 }
+LOG = "slippery_20hz"
 MINUTES = 6.0
 MODEL, ROBOT = "model", "robot"
 
@@ -135,6 +138,17 @@ def alarms(robot: str, generations: int) -> tuple[set[str], set[str]]:
     return shown.named(driven(sound)), names(shown.looked_at(champion, {MODEL: sound}))
 
 
+def recorded(log: str) -> Iterator[tuple[str, set[str]]]:
+    """Yield what is named of each recording of a real car, as if driven in a model of the others."""
+    training, test = recording(log)
+    episodes = [*training.episodes, *test.episodes]
+    for number, episode in enumerate(episodes):
+        others = [other for other in episodes if other is not episode]
+        held_out = others.pop(number % len(others))
+        shown = Shown(log, training.with_episodes(others), training.with_episodes([held_out]))
+        yield f"{log}, {episode.name[-8:]}", shown.named([episode])
+
+
 def _yes(found: bool) -> str:
     return "yes" if found else "no"
 
@@ -159,13 +173,16 @@ def main() -> None:
                 well &= right
         console.print(table)
     if arguments.only != "faults":
-        table = Table("sound robot", "random commands", "evolved in it", title="false alarms")
+        table = Table("sound robot", "random commands, or as recorded", "evolved in it", title="false alarms")
         for kind in TASKS:
             for seed in range(arguments.seeds):
                 robot = f"{kind}:{seed}" if seed else kind
                 found = alarms(robot, arguments.generations)
                 table.add_row(robot, *(", ".join(sorted(one)) or "–" for one in found))
                 well &= not any(found)
+        for name, named in recorded(LOG):
+            table.add_row(name, ", ".join(sorted(named)) or "–", "")
+            well &= not named
         console.print(table)
     console.print(f"{time.process_time():.0f} s of processor time")
     sys.exit(0 if well else 1)
