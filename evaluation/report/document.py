@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 
 from evaluation.advice import advice_to_json
+from evaluation.behaviour import Manner, described, manners
+from evaluation.behaviour.manner import unit_of
 from evaluation.exploitability import ModelExploitability
+from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
@@ -53,6 +56,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "forecast": None if report.matrix is None else _forecast(report),
+        "behaviour": [] if report.matrix is None else _behaviour(report.manners, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "advice": None if report.advice is None else advice_to_json(report.advice),
@@ -61,8 +66,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "versions": report.versions,
         "timings": report.timings,
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
@@ -72,15 +77,26 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "champions": [_champion(champion) for champion in matrix.champions],
         "transfer": _matrix(matrix),
         "controllers": _summary(summarise(matrix)),
+        "behaviour": _behaviour(manners(matrix), matrix),
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def report_schema() -> dict[str, Any]:
     """Return the JSON schema of the document."""
     schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
     return schema
+
+
+def _behaviour(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
+    """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
+    sentences = described(found, matrix.robot)
+    rows = []
+    for manner in found:
+        measures = {name: {**asdict(one), "unit": unit_of(name)} for name, one in manner.measures.items()}
+        rows.append({**asdict(manner), "measures": measures, "sentence": sentences.get(manner.controller, "")})
+    return rows
 
 
 def _prediction(prediction: Prediction) -> dict[str, Any]:
@@ -255,21 +271,37 @@ def _controller(controller: ControllerSummary) -> dict[str, Any]:
     return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
+def _forecast(report: Report) -> dict[str, Any]:
+    achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
+    return {
+        "rule": asdict(RULE),
+        "controllers": [
+            {
+                **asdict(one),
+                "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
+                "held": None if real is None else one.holds(real),
+            }
+            for one in report.forecasts.values()
+        ],
+        "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
+    }
+
+
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
     found = {**asdict(model), "on_each": dict(model.on_each)}
     return {**found, "exploited": model.exploited, "sentence": model.sentence}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from evaluation.report.contents import Report
 from evaluation.report.sections import (
     advice,
+    behaviour,
     data,
     exploitability,
     failures,
+    forecast,
     prediction,
     replaying,
     settings,
@@ -21,6 +23,8 @@ SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
     prediction.section,
     advice.section,
     transfer.section,
+    forecast.section,
+    behaviour.section,
     replaying.section,
     exploitability.section,
     failures.section,
