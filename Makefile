@@ -5,7 +5,7 @@ STAMP := .venv/.complete
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup compare test pytest lint clean
+.PHONY: setup compare test pytest lint docs clean
 
 setup: $(STAMP)
 
@@ -15,7 +15,7 @@ $(STAMP): pyproject.toml constraints.txt
 		{ echo "sysid-evo needs Python 3.11 or newer; name it with make PYTHON=python3.11"; exit 1; }
 	rm -rf .venv
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all,dev,docs]'
 	touch $@
 
 compare: setup
@@ -33,6 +33,11 @@ test: setup
 
 pytest: setup
 	SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest -n 3
+
+# The pages of docs/ as a site in build/site; a broken link or name is an error.
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo build/site/index.html
 
 clean:
 	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

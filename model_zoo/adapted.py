@@ -14,12 +14,13 @@ from sysid_evo.arrays import Array
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
+from sysid_evo.store import is_stored
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
-OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most")
+OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most", "weakest", "strongest", "strength")
 
 
 @register_model("adapted")
@@ -28,10 +29,11 @@ class Adapted(DynamicsModel):
 
     ``base`` is the path of a stored model, or a family, which is then fitted to the same data first; None in a model
     that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
-    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then their products, kept within
-    what the data cover. C is learned by free runs of a second and shrunk towards nothing. The gate holds back three
-    blocks of time in turn: a correction must be 15 % better than none there, in no block worse, and by more than
-    chance explains; otherwise the model is its base. `fit_note` says what was decided.
+    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then the accelerations that the
+    base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
+    free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
+    must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
+    its base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"
@@ -47,14 +49,16 @@ class Adapted(DynamicsModel):
         return self
 
     def check_system(self, system: System) -> None:
-        if self.base is not None and not _stored(self.base):
+        if self.base is not None and not is_stored(self.base, "model"):
             make_model(self.base).check_system(system)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         training = vars(self).pop("_training", None)
         if self.base is not None:
             self.base_ = (
-                load_model(Path(self.base)) if _stored(self.base) else make_model(self.base).fit(dataset, rng=rng)
+                load_model(Path(self.base))
+                if is_stored(self.base, "model")
+                else make_model(self.base).fit(dataset, rng=rng)
             )
         elif not hasattr(self, "base_"):
             raise InvalidArgument(
@@ -166,9 +170,3 @@ class Adapted(DynamicsModel):
             sums = " ".join(f"{value:+.3g} {name}" for name, value in zip(names, of_channel, strict=True))
             added.append(f"d {channel.name}/dt += {sums}   (standardised)")
         return [*of_base, *added]
-
-
-def _stored(base: str) -> bool:
-    """Whether ``base`` is the path of a stored model and no family."""
-    path = Path(base)
-    return path.suffix in (".json", ".safetensors") or path.with_name(f"{path.name}.json").is_file()

@@ -16,7 +16,7 @@ from .evolution import (
     evolve,
     evolve_controller,
 )
-from .interoperation import to_control
+from .interoperation import TransitionRegressor, to_control
 from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
 from .registry import (
@@ -41,8 +41,10 @@ from .registry import (
 from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState, register_reward
+from .version import __version__
 
 __all__ = [
+    "__version__",
     "Aggregate",
     "Champion",
     "Channel",
@@ -71,6 +73,7 @@ __all__ = [
     "Task",
     "TaskState",
     "Trajectory",
+    "TransitionRegressor",
     "Transitions",
     "View",
     "Windows",

@@ -8,13 +8,15 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid_evo.data import Dataset
 from sysid_evo.data.thinning import thinned
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.unnamed import from_samples
 from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.progress import Progress, shown
@@ -29,12 +31,17 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
     @functools.wraps(fit)
     def wrapped(
         self: DynamicsModel,
-        dataset: Dataset | Sequence[Dataset],
+        dataset: Dataset | Sequence[Dataset] | npt.ArrayLike,
         *,
         rng: np.random.Generator | int | None = None,
         progress: Progress | bool | None = None,
+        t: float | npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+        u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
     ) -> DynamicsModel:
-        data, generator = as_dataset(dataset, f"{type(self).__name__}.fit"), as_generator(rng)
+        called, generator = f"{type(self).__name__}.fit", as_generator(rng)
+        if u is not None and t is None:
+            raise InvalidArgument(f"{called}: expected the time step or the times as well as u: fit(x, t=0.05, u=u)")
+        data = as_dataset(dataset, called) if t is None else from_samples(cast(npt.ArrayLike, dataset), t, u)
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
@@ -101,7 +108,7 @@ def as_dataset(given: object, asked_by: str) -> Dataset:
     elif type(given).__module__.split(".")[0] in ("pandas", "polars"):
         hint = "make one of a table with Dataset.from_pandas(system, table)"
     else:
-        hint = "make one of arrays with Dataset.from_arrays(system, states, controls)"
+        hint = "make one of arrays with Dataset.from_arrays(system, states, controls), or say fit(x, t=dt, u=u)"
     raise InvalidData(f"{asked_by}: expected a Dataset, got a {type(given).__name__}: {hint}")
 
 

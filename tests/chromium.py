@@ -20,7 +20,16 @@ from websockets.sync.client import ClientConnection, connect
 
 START_UP = 60.0  # s
 ANSWER = 20.0  # s
-KEY_CODES = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Space": 32, "KeyR": 82, "KeyW": 87}
+KEY_CODES = {
+    "Home": 36,
+    "ArrowLeft": 37,
+    "ArrowUp": 38,
+    "ArrowRight": 39,
+    "ArrowDown": 40,
+    "Space": 32,
+    "KeyR": 82,
+    "KeyW": 87,
+}
 
 
 def find_chromium() -> str:
@@ -127,6 +136,14 @@ class Tab:
     def release(self, code: str) -> None:
         """Let go of a key."""
         self._key("keyUp", code)
+
+    def move_to(self, x: float, y: float) -> None:
+        """Move the pointer to a place in the window, in CSS pixels."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def click(self, selector: str) -> None:
+        """Click the element that a selector finds first."""
+        self.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
 
     def picture(self, file: Path, *, width: int, height: int, dark: bool = False) -> None:
         """Write a picture of the page at this size in CSS pixels."""

@@ -8,11 +8,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from evaluation.plots.theme import GRID, INK, LINES, REFERENCE_GREY
+from sysid_evo.arrays import Array
 
 STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
@@ -64,6 +67,20 @@ def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 3.6) -> Axe
 def line_style(number: int) -> dict[str, Any]:
     """Return colour and dashes of line ``number``: 24 that can be told apart."""
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
+
+
+class Band(PolyCollection):
+    """The interval ``low`` to ``high`` (n,) about the line called ``name`` at the same places ``x`` (n,)."""
+
+    def __init__(self, name: str, x: Array, low: Array, high: Array, *, color: str, alpha: float) -> None:
+        known = np.isfinite(low) & np.isfinite(high)
+        places = np.flatnonzero(known)
+        runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+        outlines = [
+            np.column_stack([np.r_[x[run], x[run][::-1]], np.r_[low[run], high[run][::-1]]]) for run in runs if len(run)
+        ]
+        super().__init__(outlines, facecolors=color, alpha=alpha, linewidths=0.0)
+        self.name, self.low, self.high = name, low, high
 
 
 def to_svg(figure: Figure) -> str:

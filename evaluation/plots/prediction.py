@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from evaluation.plots.canvas import MEASURED, REFERENCE, axes_or_new, line_style
+from evaluation.plots.canvas import MEASURED, REFERENCE, Band, axes_or_new, line_style
 from evaluation.prediction import PERSISTENCE, Prediction
 from sysid_evo.arrays import Array
 from sysid_evo.system import System
@@ -33,13 +33,13 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
     drawn = []
     for model in prediction.models:
         if len(model.curve) and np.isfinite(model.curve).any():
-            seconds = dt * np.arange(1, len(model.curve) + 1)
+            seconds = dt * np.arange(1.0, len(model.curve) + 1.0)
             curve = np.maximum(model.curve, FLOOR)
             ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
             if model.curve_interval.shape[1] == len(curve):
                 low, high = np.maximum(model.curve_interval, FLOOR)
                 colour = model_style(prediction, model.name)["color"]
-                ax.fill_between(seconds, low, high, color=colour, alpha=BAND, linewidth=0.0)
+                ax.add_collection(Band(model.name, seconds, low, high, color=colour, alpha=BAND))
             drawn.append(curve[np.isfinite(curve)])
     for horizon in prediction.cases.horizons:
         ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)
@@ -62,6 +62,7 @@ def plot_free_run(
     channel: int,
     *,
     models: Sequence[str] | None = None,
+    besides: Sequence[str] = (),
     run: int = 0,
     seconds: tuple[float, float] | None = None,
     ax: Axes | None = None,
@@ -69,7 +70,7 @@ def plot_free_run(
     """Draw one state channel as measured and as predicted in free run from the start of an episode.
 
     ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three
-    half ranges of what was measured there are cut off.
+    half ranges of what was measured there are cut off. The models ``besides`` are drawn too, as far as they fit.
     """
     ax = axes_or_new(ax)
     cases = prediction.cases
@@ -80,21 +81,22 @@ def plot_free_run(
     shown = (time >= first) & (time <= last)
     measured = _drawn(cases.system, case.states[shown], channel)
     ax.plot(time[shown], measured, color=MEASURED, linewidth=2.2, label="measured", alpha=0.85)
-    for name in [m.name for m in prediction.models if m.free_states] if models is None else models:
-        states = prediction.model(name).free_states[run]
-        ax.plot(
-            time[shown],
-            _drawn(cases.system, states[shown], channel),
-            linewidth=1.1,
-            label=name,
-            **model_style(prediction, name),
-        )
+
+    def draw(names: Sequence[str]) -> None:
+        for name in names:
+            states = _drawn(cases.system, prediction.model(name).free_states[run][shown], channel)
+            ax.plot(time[shown], states, linewidth=1.1, label=name, **model_style(prediction, name))
+
+    draw([m.name for m in prediction.models if m.free_states] if models is None else models)
     if len(measured):
         middle = (np.nanmax(measured) + np.nanmin(measured)) / 2.0
         half = (np.nanmax(measured) - np.nanmin(measured)) / 2.0
         low, high = ax.get_ylim()
         reach = 3.0 * max(half, 1e-9)
         ax.set_ylim(max(low, middle - reach), min(high, middle + reach))
+    limits = ax.get_ylim()
+    draw(besides)
+    ax.set_ylim(*limits)
     state = cases.system.states[channel]
     ax.set_xlim(first, last)
     ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from evaluation.advice import advice_to_json
+from evaluation.behaviour import Manner, described, manners
+from evaluation.behaviour.manner import unit_of
 from evaluation.exploitability import ModelExploitability
+from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
+from evaluation.report.headlines import headlines
 from evaluation.report.verdict import verdict
-from evaluation.transfer import Cell, ControllerSummary, TransferMatrix, TransferSummary
+from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary, summarise
+from evaluation.transfer.nested import SHARE
+from evaluation.transfer.standing import judges_of
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
-SCHEMA = "sysid-evo/report/3"
+SCHEMA = "sysid-evo/report/4"
+"""What ``report.schema.json`` describes."""
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -27,6 +36,7 @@ def to_json(report: Report) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "title": report.title,
+        "headlines": [asdict(headline) for headline in headlines(report)],
         "verdict": [asdict(finding) for finding in verdict(report)],
         "data": {
             "name": report.data.name,
@@ -46,6 +56,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "forecast": None if report.matrix is None else _forecast(report),
+        "behaviour": [] if report.matrix is None else _behaviour(report.manners, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "advice": None if report.advice is None else advice_to_json(report.advice),
@@ -54,8 +66,37 @@ def to_json(report: Report) -> dict[str, Any]:
         "versions": report.versions,
         "timings": report.timings,
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
+
+
+def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
+    """Return a transfer matrix without a report as strict JSON: the parts that a report holds under the same names."""
+    document = {
+        "schema": SCHEMA,
+        "champions": [_champion(champion) for champion in matrix.champions],
+        "transfer": _matrix(matrix),
+        "controllers": _summary(summarise(matrix)),
+        "behaviour": _behaviour(manners(matrix), matrix),
+    }
+    strict: dict[str, Any] = plain(document)
+    return strict
+
+
+def report_schema() -> dict[str, Any]:
+    """Return the JSON schema of the document."""
+    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
+    return schema
+
+
+def _behaviour(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
+    """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
+    sentences = described(found, matrix.robot)
+    rows = []
+    for manner in found:
+        measures = {name: {**asdict(one), "unit": unit_of(name)} for name, one in manner.measures.items()}
+        rows.append({**asdict(manner), "measures": measures, "sentence": sentences.get(manner.controller, "")})
+    return rows
 
 
 def _prediction(prediction: Prediction) -> dict[str, Any]:
@@ -172,6 +213,7 @@ def _champion(champion: Champion) -> dict[str, Any]:
 
 
 def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
+    figures = Figures(matrix)
     return {
         "unit": matrix.unit,
         "trials": matrix.trials,
@@ -180,11 +222,24 @@ def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
         "robot": matrix.robot,
         "other_robots": matrix.other_robots,
         "families": matrix.families,
-        "cells": [_cell(matrix.cell(row, column)) for row in matrix.rows for column in matrix.columns],
+        "interval": SHARE,
+        "cells": [_cell(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
+        "consensus": [_consensus(champion, figures) for champion in matrix.champions],
     }
 
 
-def _cell(cell: Cell) -> dict[str, Any]:
+def _consensus(champion: Champion, figures: Figures) -> dict[str, Any]:
+    median = figures.consensus(champion)
+    return {
+        "champion": champion.name,
+        "models": judges_of(champion, figures.matrix),
+        "median": None if median is None else median.value,
+        "interval": None if median is None else median.interval(),
+    }
+
+
+def _cell(cell: Cell, figures: Figures) -> dict[str, Any]:
+    figure = figures.singles.get((cell.champion, cell.column))
     return {
         "champion": cell.champion,
         "column": cell.column,
@@ -192,6 +247,8 @@ def _cell(cell: Cell) -> dict[str, Any]:
         "mean": cell.mean,
         "std": cell.std,
         "standard_error": cell.standard_error,
+        "interval": None if figure is None else figure.interval(),
+        "by_evolution_seed": cell.by_seed.mean(axis=1) if len(cell.by_seed) else [],
         "clipped_share": cell.clipped_share,
         "diverged_share": cell.diverged_share,
         "engine": cell.engine,
@@ -214,20 +271,37 @@ def _controller(controller: ControllerSummary) -> dict[str, Any]:
     return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
+def _forecast(report: Report) -> dict[str, Any]:
+    achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
+    return {
+        "rule": asdict(RULE),
+        "controllers": [
+            {
+                **asdict(one),
+                "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
+                "held": None if real is None else one.holds(real),
+            }
+            for one in report.forecasts.values()
+        ],
+        "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
+    }
+
+
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
-    return {**asdict(model), "exploited": model.exploited, "sentence": model.sentence}
+    found = {**asdict(model), "on_each": dict(model.on_each)}
+    return {**found, "exploited": model.exploited, "sentence": model.sentence}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.typing import ColorType
 
 from evaluation.labels import folded
 from evaluation.plots import (
-    new_figure,
     plot_claims,
     plot_fitness,
     plot_free_run,
@@ -20,11 +17,10 @@ from evaluation.plots import (
     plot_state,
     plot_trace,
     plotted_places,
-    style,
 )
 from evaluation.prediction import PERSISTENCE, Prediction
 from evaluation.prediction.metrics import mean_over_channels
-from evaluation.report.inline import VARIABLES, inline_svg
+from evaluation.report.drawing import Drawing, Panel, Picture
 from evaluation.report.replay import is_planar
 from evaluation.transfer import Trace, TransferMatrix, TransferSummary
 from sysid_evo.evolution import Champion
@@ -36,80 +32,43 @@ SQUARE = (0.19, 0.17, 0.79, 0.79)
 SHOWN_MODELS = 5
 SHOWN_TRACES = 24
 OVER_TIME = "Blue: what the states did, grey: what they were to do, with the tolerance"
-DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
-
-
-@dataclass(frozen=True)
-class Key:
-    """One entry of a legend: a line in ``colour`` (CSS), with ``dashes`` (SVG)."""
-
-    label: str
-    colour: str
-    dashes: str
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One drawing; ``narrow`` is the same for a phone, empty where ``svg`` does for both."""
-
-    svg: str
-    narrow: str = ""
-    title: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """Drawings under one title; ``caption`` says what they show. With ``columns`` they stand side by side."""
-
-    title: str
-    caption: str
-    panels: tuple[Panel, ...]
-    legend: tuple[Key, ...] = ()
-    columns: int = 0
 
 
 def horizon_picture(prediction: Prediction) -> Picture:
     """N over the horizon."""
 
     def draw(figure: Figure) -> None:
-        ax = plot_horizon_curve(prediction, figure.add_subplot())
-        if (legend := ax.get_legend()) is not None:
-            legend.remove()
+        plot_horizon_curve(prediction, figure.add_subplot())
 
-    panel, legend = _both("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9)
     return Picture(
         "Error over the horizon",
         "N at every step of a free run under recorded controls from measured states "
         f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
         "lines: the horizons of the table.",
-        (panel,),
-        legend,
+        (_both("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9),),
     )
 
 
 def free_run_picture(prediction: Prediction) -> Picture:
     """Measured and predicted states in free run, one plot for each channel."""
     ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
-    models = [name for name in prediction.names if name in ranked[:SHOWN_MODELS]]
+    best, rest = ([name for name in prediction.names if name in part] for part in _parted(ranked))
     run, nx = _liveliest(prediction), prediction.cases.system.nx
 
     def draw(figure: Figure) -> None:
         plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
         for channel, ax in enumerate(plots):
-            plot_free_run(prediction, channel, models=models, run=run, ax=ax)
+            plot_free_run(prediction, channel, models=best, besides=rest, run=run, ax=ax)
             ax.label_outer()
         figure.align_ylabels(plots)
 
     label = "states in free run, measured and predicted"
-    panel, legend = _both("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx)
-    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models" if len(ranked) > SHOWN_MODELS else ""
+    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
     return Picture(
         "Predicted and measured",
         f"Free run of {prediction.cases.free_runs[run].episode!r} from its sample {prediction.cases.protocol.first}, "
         f"under its recorded controls; at most 15 s from the first movement{left_out}.",
-        (panel,),
-        legend,
+        (_both("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
     )
 
 
@@ -117,16 +76,17 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
     """Claimed and achieved fitness of each controller."""
     names = [controller.name for controller in summary.controllers]
 
-    def drawn(key: str, width: float, name_width: int) -> str:
+    def drawn(key: str, width: float, name_width: int) -> Drawing:
         lines = max(folded(name, name_width).count("\n") + 1 for name in names)
         height = 1.4 + (0.2 + 0.1 * lines) * len(names)
-        return _drawn(
+        return Drawing(
             key,
             "claimed and achieved fitness of each controller",
             lambda figure: plot_claims(summary, figure.add_subplot(), unit=matrix.unit, name_width=name_width),
             width,
             height,
-        )[0]
+            keyed=True,
+        )
 
     several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
     seeds = " Ticks: the champions of several evolution seeds." if several else ""
@@ -145,7 +105,6 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
     everything = np.concatenate([champion.history for champion in champions])
     margin = 0.05 * (float(np.ptp(everything)) or 1.0)
     panels: list[Panel] = []
-    legend: tuple[Key, ...] = ()
     for number, champion in enumerate(champions):
 
         def draw(figure: Figure, champion: Champion = champion) -> None:
@@ -153,14 +112,12 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
             ax.set_ylim(everything.min() - margin, everything.max() + margin)
 
         label = f"fitness of {champion.name} over generations"
-        svg, legend = _drawn(f"fitness-{number}", label, draw, THIRD, 2.1)
-        panels.append(Panel(svg, title=champion.name))
+        panels.append(Panel(Drawing(f"fitness-{number}", label, draw, THIRD, 2.1, keyed=True), title=champion.name))
     return Picture(
         "Fitness over generations",
         "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
         "in the trials of that generation.",
         tuple(panels),
-        legend,
         columns=3,
     )
 
@@ -174,8 +131,8 @@ def traces_picture(matrix: TransferMatrix) -> Picture | None:
     panels = []
     for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
         label = f"{name} on {column}"
-        svg = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
-        panels.append(Panel(svg, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
+        drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
+        panels.append(Panel(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
     drawn = _path_words([trace for _, _, trace in found]) if paths else OVER_TIME
     return Picture(
@@ -192,15 +149,15 @@ def _path_words(traces: Sequence[Trace]) -> str:
     return f"Blue: forwards, orange: backwards; from the dot{walls}{waypoints}. Positions in metres"
 
 
-def _path(number: int, label: str, trace: Trace) -> str:
+def _path(number: int, label: str, trace: Trace) -> Drawing:
     def draw(figure: Figure) -> None:
         figure.set_layout_engine("none")
         plot_trace(trace, figure.add_axes(SQUARE))
 
-    return _drawn(f"trace-{number}", f"path of {label}", draw, QUARTER, QUARTER)[0]
+    return Drawing(f"trace-{number}", f"path of {label}", draw, QUARTER, QUARTER)
 
 
-def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> str:
+def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> Drawing:
     system = champion.system
     assert system is not None
     places = plotted_places(trace, system)
@@ -211,36 +168,26 @@ def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> str
             ax.label_outer()
 
     height = 0.5 + 1.3 * len(places)
-    return _drawn(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)[0]
+    return Drawing(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)
 
 
 def _both(
-    key: str, label: str, draw: Callable[[Figure], object], height: float, narrow_height: float
-) -> tuple[Panel, tuple[Key, ...]]:
-    """Return a drawing for a wide screen and for a phone, heights in inches, and its legend."""
-    wide, legend = _drawn(key, label, draw, WIDE, height)
-    narrow, _ = _drawn(f"{key}-narrow", label, draw, NARROW, narrow_height)
-    return Panel(wide, narrow), legend
+    key: str,
+    label: str,
+    draw: Callable[[Figure], object],
+    height: float,
+    narrow_height: float,
+    *,
+    off: frozenset[str] = frozenset(),
+) -> Panel:
+    """Return a keyed drawing for a wide screen and for a phone, heights in inches."""
+    wide = Drawing(key, label, draw, WIDE, height, keyed=True, off=off)
+    return Panel(wide, replace(wide, key=f"{key}-narrow", width=NARROW, height=narrow_height))
 
 
-def _drawn(
-    key: str, label: str, draw: Callable[[Figure], object], width: float, height: float
-) -> tuple[str, tuple[Key, ...]]:
-    """Draw a new figure of that size in inches; return the drawing and the legend of its first axes."""
-    with style():
-        figure = new_figure(width, height)
-        draw(figure)
-        legend = tuple(
-            Key(str(line.get_label()), _variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
-            for line in figure.axes[0].get_lines()
-            if not str(line.get_label()).startswith("_")
-        )
-        return inline_svg(figure, key, label), legend
-
-
-def _variable(colour: ColorType) -> str:
-    value = to_hex(colour)
-    return VARIABLES.get(value, value)
+def _parted(ranked: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the models that are shown at once, and those that a reader may switch on."""
+    return ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
 
 
 def _liveliest(prediction: Prediction) -> int:

@@ -41,6 +41,11 @@ class Sheet:
     code: bool = False
     heat: Heat | None = None
 
+    @property
+    def sorts(self) -> bool:
+        """Whether a reader may sort the rows."""
+        return not (self.prose or self.code) and len(self.rows) > 1
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
 
@@ -59,6 +64,15 @@ def three_digits(value: float) -> str:
 def plus_minus(estimate: Estimate | None) -> str:
     """Return ``11.5 ±0.3``, the value and its standard error; a dash for None."""
     return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
+
+
+def within(estimate: Estimate | None, digits: int = 1) -> str:
+    """Return the value, and below it its interval: ``11.5`` over ``11.2 to 11.9``; a dash for None."""
+    if estimate is None:
+        return "–"
+    ends = (estimate.low, estimate.high)
+    known = all(map(np.isfinite, ends))
+    return lines(number(estimate.value, digits), " to ".join(number(end, digits) for end in ends) if known else "")
 
 
 def seed_range(controller: ControllerSummary) -> str:

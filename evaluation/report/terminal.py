@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
@@ -11,12 +12,11 @@ from rich.text import Text
 
 from evaluation.advice import ModelAdvice
 from evaluation.labels import folded
-from evaluation.report import tables as sheets_of
 from evaluation.report.contents import Report
 from evaluation.report.overview import drive_command, overview_sheet
-from evaluation.report.predicting import main_horizon
 from evaluation.report.sheets import Sheet
-from evaluation.report.verdict import SAID, limits_question, verdict
+from evaluation.report.tables import condition_sheet
+from evaluation.report.verdict import SAID, Finding, limits_question, verdict
 
 WIDTH = 80
 GAP = 2
@@ -39,7 +39,7 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
         reasons = [_indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [_indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
-    for sheet in (overview_sheet(report), sheets_of.condition_sheet(report.conditions)):
+    for sheet in (overview_sheet(report), condition_sheet(report.conditions)):
         parts += [] if sheet is None else to_rich(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
@@ -56,8 +56,9 @@ def tables(report: Report) -> list[RenderableType]:
         parts += to_rich(sheet)
     if report.exploitability:
         parts.append(Group(*(Text(model.sentence) for model in report.exploitability)))
-    if report.notes:
-        parts.append(Group(Text("Notes", style="bold"), *(Text(f"- {note}") for note in report.notes)))
+    for title, notes in (("Notes", report.notes), ("Not shown", _absent(report))):
+        if notes:
+            parts.append(Group(Text(title, style="bold"), *(Text(f"- {note}") for note in notes)))
     return parts
 
 
@@ -88,7 +89,7 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
             wraps = column == 0 or _width(sheet, column, names) > WIDTH // 2
             table.add_column(
                 Text(sheet.columns[column]),
-                justify="left" if wraps else "right",
+                justify="left" if wraps or sheet.prose else "right",
                 no_wrap=not wraps,
                 overflow="fold",
                 vertical="top",
@@ -102,43 +103,28 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
 
 
 def _sheets(report: Report) -> list[Sheet]:
-    sheets = []
-    if report.prediction is not None:
-        sheets.append(sheets_of.prediction_sheet(report.prediction))
-        found = (
-            sheets_of.coverage_sheet(report.prediction),
-            sheets_of.difference_sheet(report.prediction),
-            sheets_of.region_sheet(report.prediction),
-            sheets_of.residual_sheet(report.prediction),
-            sheets_of.episode_error_sheet(report.prediction),
-            sheets_of.fit_sheet(report.prediction),
-        )
-        sheets += [sheet for sheet in found if sheet is not None]
-        ends = (main_horizon(report.prediction), *report.prediction.horizons[-1:])
-        chosen = [horizon for horizon in dict.fromkeys(ends) if horizon in report.prediction.horizons]
-        sheets += [sheets_of.channel_sheet(report.prediction, horizon) for horizon in chosen]
-    if (conditions := sheets_of.condition_sheet(report.conditions)) is not None:
-        sheets.append(conditions)
-    if report.matrix is not None and report.transfer is not None:
-        sheets.append(sheets_of.transfer_sheet(report.matrix))
-        sheets.append(sheets_of.controller_sheet(report.matrix, report.transfer))
-        measured = sheets_of.measure_sheet(report.matrix), sheets_of.finalist_sheet(report.matrix)
-        sheets += [sheet for sheet in measured if sheet is not None]
-    if report.exploitability:
-        sheets.append(sheets_of.exploitability_sheet(report.exploitability))
-        if report.exploitability[0].probes:
-            sheets.append(sheets_of.probe_sheet(report.exploitability))
-    if report.all_failures:
-        sheets.append(sheets_of.failure_sheet(report))
-    return sheets
+    from evaluation.report.sections import sections  # brings matplotlib
+
+    shown = [section for section in sections(report) if not section.background]
+    return [sheet for section in shown for sheet in section.sheets if not sheet.code]
+
+
+def _absent(report: Report) -> list[str]:
+    from evaluation.report.sections import sections  # brings matplotlib
+
+    return [sentence for section in sections(report) for sentence in section.absent]
 
 
 def _verdict(report: Report) -> list[RenderableType]:
-    parts: list[RenderableType] = [Text(report.title, style="bold")]
-    for finding in verdict(report):
-        answers = [_indented(answer) for answer in finding.answers]
-        parts.append(Group(Text(finding.question, style="bold cyan"), *answers))
-    return parts
+    return [Text(report.title, style="bold"), *findings_lines(verdict(report))]
+
+
+def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:
+    """Return questions and their answers."""
+    return [
+        Group(Text(finding.question, style="bold cyan"), *(_indented(answer) for answer in finding.answers))
+        for finding in findings
+    ]
 
 
 def _indented(text: str) -> Padding:

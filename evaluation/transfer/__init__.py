@@ -4,6 +4,8 @@ from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces,
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
+from evaluation.transfer.nested import Nested, regrets
+from evaluation.transfer.standing import Figures, Standing, standings
 from evaluation.transfer.storage import load_cell, save_cell
 from evaluation.transfer.summary import (
     AT_REST,
@@ -19,8 +21,11 @@ __all__ = [
     "NOT_RUN",
     "ControllerSummary",
     "Estimate",
+    "Figures",
     "Measured",
+    "Nested",
     "RankCorrelation",
+    "Standing",
     "Trace",
     "TransferMatrix",
     "TransferSummary",
@@ -31,11 +36,13 @@ __all__ = [
     "load_cell",
     "load_measured",
     "person",
+    "regrets",
     "run_cell",
     "run_on",
     "save_cell",
     "save_measured",
     "seed_spread",
+    "standings",
     "summarise",
     "transfer",
     "transfer_seeds",

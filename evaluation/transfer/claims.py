@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,20 +18,28 @@ LEAST_GAP = 0.1
 """A claim is exploited only if the gap is more than this share of it."""
 SURE = 2.0
 """A claim is exploited only if the gap is more than this many standard errors."""
+ENDS = (0.05, 0.95)
+"""Quantiles of the draws between which a 90 % interval lies."""
+UNKNOWN = math.nan
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitness, or a difference of two, and its standard error (bootstrap over trials; nan for one trial)."""
+    """A fitness, or a difference of two, its standard error and 90 % interval (nan for one trial, and if not known)."""
 
     value: float
     standard_error: float
+    low: float = UNKNOWN
+    high: float = UNKNOWN
 
     @classmethod
     def of(cls, draws: Array | None) -> Estimate | None:
         """Take the value and the spread of the draws behind it, (1 + draws,)."""
-        return None if draws is None else cls(float(draws[0]), float(draws[1:].std()))
+        if draws is None:
+            return None
+        low, high = np.quantile(draws[1:], ENDS)
+        return cls(float(draws[0]), float(draws[1:].std()), float(low), float(high))
 
 
 def fitness_on(champion: Champion, columns: Sequence[str], matrix: TransferMatrix, *, seed: int = 0) -> Array | None:

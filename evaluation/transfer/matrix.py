@@ -19,7 +19,8 @@ from sysid_evo.progress import Progress
 class TransferMatrix:
     """Cells by row and column; the ``robot``, if there is one, is the last column.
 
-    ``families`` names the family of each model column. ``other_robots`` are columns that are neither
+    ``families`` names the family of each model column, and of other models that a controller was evolved against, if it
+    is known. ``other_robots`` are columns that are neither
     models nor the robot whose fitness counts as achieved.
     """
 
@@ -57,7 +58,7 @@ class TransferMatrix:
             for column in ordered:
                 placed.setdefault((name, column), Cell(name, column, reason=NOT_RUN))
         given = families or {}
-        named = {column: given.get(column, column) for column in ordered}
+        named = {**given, **{column: given.get(column, column) for column in ordered}}
         return cls(tuple(champions), ordered, placed, named, robot, tuple(other_robots))
 
     @property

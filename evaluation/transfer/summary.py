@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
 from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.standing import Standing, judges_of, standings
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion
 
@@ -26,7 +27,9 @@ class ControllerSummary:
     robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
     None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run;
     ``polished`` as in `Champion`. ``floor`` is what controls at rest achieve on the robot, if that was run: shares
-    are measured from there, since fitness may be negative; else from 0.
+    are measured from there, since fitness may be negative; else from 0. ``standing`` says with intervals over trials
+    what is to be expected of it, ``over_seeds`` what of another one evolved in the same way, from several evolution
+    seeds; None for a single one.
     """
 
     name: str
@@ -43,6 +46,8 @@ class ControllerSummary:
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
     floor: float | None = None
+    standing: Standing = field(default_factory=lambda: Standing(1))
+    over_seeds: Standing | None = None
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -103,7 +108,10 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
         champion.name for champion in matrix.champions if champion.controller.name == AT_REST and not champion.against
     ]
     floor = next((c.achieved.value for c in controllers if c.name in at_rest and c.achieved is not None), None)
-    controllers = tuple(replace(controller, floor=floor) for controller in controllers)
+    alone, several = (standings(matrix, next(iter(at_rest), None), all_seeds=both) for both in (False, True))
+    controllers = tuple(
+        replace(one, floor=floor, standing=alone[one.name], over_seeds=several.get(one.name)) for one in controllers
+    )
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
     judged = [c for c in elsewhere if c.other_families is not None]
     best = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
@@ -121,9 +129,8 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
 
 def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> ControllerSummary:
     name, against = champion.name, champion.against
-    families = {matrix.families.get(column, column) for column in against}
+    judges = judges_of(champion, matrix)
     others = [column for column in matrix.models if column not in against]
-    judges = [column for column in others if matrix.families[column] not in families]
 
     def alone(columns: Sequence[str]) -> list[Array]:
         found = [fitness_on(champion, [column], matrix, seed=seed) for column in columns]
@@ -144,7 +151,7 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
         achieved=Estimate.of(achieved),
         exploitation_gap=Estimate.of(None if claimed is None or mean is None else claimed - mean),
         reality_gap=Estimate.of(None if claimed is None or achieved is None else claimed - achieved),
-        judges=tuple(column for column in judges if not matrix.cell(name, column).failed),
+        judges=judges,
         on_robot=matrix.robot is not None and matrix.robot in against,
         seed_fitness=tuple(champion.seed_fitness),
         polished=champion.polished,

@@ -1,4 +1,4 @@
-"""A correction learned by free runs: damped least squares with derivatives by differences."""
+"""A correction learned by free runs: damped least squares with derivatives along the runs."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sysid_evo.adaptation.pieces import Pieces, free_runs, off
+from sysid_evo.adaptation.pieces import FARTHEST, Pieces, free_runs, off
+from sysid_evo.adaptation.sensitivities import sensitivities
 from sysid_evo.adaptation.terms import Terms
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics.stepping import Dynamics
 
-STEP = 1e-4
 ROUNDS = 2
 """Linearisations for each ridge; the first starts where that of the stronger one ended."""
 SHORTENINGS = (1.0, 0.3, 0.1)
-OF_PRODUCTS = 10.0
-"""How much stronger the ridge is for products."""
 TOLERATED = 1.5
 """Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
 
@@ -24,17 +22,16 @@ TOLERATED = 1.5
 def corrections(
     model: Dynamics, terms: Terms, pieces: Pieces, ridges: Sequence[float], seconds: float
 ) -> Iterator[Array]:
-    """Yield the coefficients (size, nx) for each of ``ridges``, the strongest first.
+    """Yield the coefficients (size, nx) for each of ``ridges``, which begin with the strongest.
 
-    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), with weight 10 for products, errors
+    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), with the weight of the terms, errors
     in standard deviations over windows, steps and states: a ridge of 3 counts as much as three seconds of such data.
     Large errors count less (Huber's weights), since a run that diverges says little of what would prevent it.
     """
     found = np.zeros(terms.shape)
-    weight = np.where(np.arange(terms.size) <= terms.n_inputs, 1.0, OF_PRODUCTS)[:, None] * np.ones(terms.shape)
-    for ridge in sorted(ridges, reverse=True):
+    for ridge in ridges:
         for _ in range(ROUNDS):
-            found, moved = _improved(model, terms, pieces, found, ridge * weight, seconds)
+            found, moved = _improved(model, terms, pieces, found, ridge * terms.weight, seconds)
             if not moved:
                 break
         yield found
@@ -45,10 +42,9 @@ def _improved(
 ) -> tuple[Array, bool]:
     """Return better coefficients by one linearisation, and whether there are any."""
     size = start.size
-    tried = start + np.concatenate([np.zeros((1, size)), STEP * np.eye(size)]).reshape(-1, *start.shape)
-    errors = off(terms, free_runs(model, terms, tried, pieces), pieces)
-    here = errors[0].ravel()
-    slopes = (errors[1:].reshape(size, -1) - here) / STEP
+    runs, derivatives = sensitivities(model, terms, start, pieces)
+    here = off(terms, runs[None], pieces).ravel()
+    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
     weights = _weights(here)
     share = seconds / here.size
     normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())

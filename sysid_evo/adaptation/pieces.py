@@ -15,6 +15,8 @@ from sysid_evo.errors import InvalidData
 
 SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
 STRIDE = 3
+FARTHEST = 10.0
+"""Standard deviations that an error counts at most."""
 ROWS = 2**14
 """Free runs side by side."""
 
@@ -104,9 +106,9 @@ def run_beside(
 
 
 def off(terms: Terms, runs: Array, pieces: Pieces) -> Array:
-    """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts 10."""
+    """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts most."""
     wrong = terms.system.difference(runs, np.broadcast_to(pieces.truth, runs.shape)) / pieces.scale
-    return np.where(np.isfinite(wrong), np.clip(wrong, -10.0, 10.0), 10.0)
+    return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
 
 
 def error_of(errors: Array) -> float:

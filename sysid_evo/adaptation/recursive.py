@@ -9,9 +9,8 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.adaptation.learning import OF_PRODUCTS
-from sysid_evo.adaptation.pieces import run_beside
-from sysid_evo.adaptation.terms import Terms, state_scale
+from sysid_evo.adaptation.pieces import FARTHEST, run_beside
+from sysid_evo.adaptation.terms import Terms, foreseen, state_scale
 from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.data.support import split_pairs
 from sysid_evo.data.trajectory import Trajectory
@@ -21,7 +20,6 @@ from sysid_evo.errors import InvalidArgument
 STEP = 1e-4
 TOLERATED = 1.5
 """Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
-FARTHEST = 10.0
 STILL = 0.2
 """Standard deviations within which all states of a run stay that says nothing: the body stands."""
 
@@ -36,10 +34,11 @@ class SelfCorrection:
         sum exp(-age / forgetting) dt mean(error + J (C - C_then))^2 + ridge |C|^2
 
     with errors in standard deviations and their slopes J, both at the coefficients of that sample. The ridge bounds
-    the covariance where nothing excites it. The gate compares runs with the coefficients that were known where they
-    began, and without: only while the former were lower by the share ``better``, over about the last ``judged`` s and
-    for at least ``patience`` s, do `coefficients` give any. A sample costs ``horizon`` steps of size nx + 3 rows and
-    one solution of size nx equations, however long it has gone on.
+    the covariance where nothing excites it. The same sum without gains and products has a simple minimum beside it.
+    The gate compares runs with the coefficients that were known where they began, of either kind, and without: only
+    while the better kind was lower by the share ``better``, over about the last ``judged`` s and for at least
+    ``patience`` s, do `coefficients` give any. A sample costs ``horizon`` steps of size nx + 4 rows and one solution of
+    size nx equations, however long it has gone on.
 
     Source: Ljung and Soderstrom, "Theory and Practice of Recursive Identification" (1983), Gauss-Newton algorithm.
     """
@@ -55,13 +54,18 @@ class SelfCorrection:
     patience: float = 5.0
 
     @classmethod
-    def of(cls, model: Dynamics, *, products: bool = False, **settings: float) -> Self:
+    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = True, **settings: float) -> Self:
         """Make one whose terms cover what a fitted ``model`` learned from. Raises `InvalidArgument` without that."""
         pairs: Array | None = getattr(model, "pairs_", None)
         if pairs is None:
             raise InvalidArgument("self-correction: expected a fitted model, which knows what data it learned from")
         states, controls = split_pairs(model.system, pairs)
-        terms = widened(Terms.of_pairs(model.system, states, controls, products=products))
+        lags = model.n_lags
+        pushes = None
+        if gains:
+            history = np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1)
+            pushes = foreseen(model, *history, controls)
+        terms = widened(Terms.of_pairs(model.system, states, controls, products=products, pushes=pushes))
         return cls(model, terms, state_scale(model.system, states), **settings)  # type: ignore[arg-type]  # by name
 
     @cached_property
@@ -78,8 +82,12 @@ class SelfCorrection:
             "now": n,
             "pending": n,
             "known": n,
+            "simple_now": n,
+            "simple_pending": n,
+            "simple_known": n,
             "plain": 1,
             "corrected": 1,
+            "simple": 1,
             "weight": 1,
         }
         ends = np.cumsum(list(sizes.values()))
@@ -109,14 +117,18 @@ class SelfCorrection:
 
     def coefficients(self, memory: Array) -> Array:
         """Return what is to be added, (B, size, nx): the present coefficients where the gate is open, else zero."""
-        now = memory[:, self.places["now"]].reshape(-1, *self.terms.shape)
-        return np.where(self.open(memory)[:, None, None], now, 0.0)
+        now, simple = (memory[:, self.places[name]] for name in ("now", "simple_now"))
+        corrected, simply = (memory[:, self.places[name]] for name in ("corrected", "simple"))
+        better = np.where(simply <= corrected, simple, now).reshape(-1, *self.terms.shape)
+        return np.where(self.open(memory)[:, None, None], better, 0.0)
 
     def open(self, memory: Array) -> BoolArray:
         """Whether recent runs with the coefficients that were known before were better than without, (B,)."""
-        plain, corrected, weight = (memory[:, self.places[name]][:, 0] for name in ("plain", "corrected", "weight"))
+        plain, corrected, simple, weight = (
+            memory[:, self.places[name]][:, 0] for name in ("plain", "corrected", "simple", "weight")
+        )
         dt = self.model.system.dt
-        return (weight * dt >= self.patience) & (corrected <= (1.0 - self.better) ** 2 * plain)
+        return (weight * dt >= self.patience) & (np.minimum(corrected, simple) <= (1.0 - self.better) ** 2 * plain)
 
     def along(self, episode: Trajectory) -> Iterator[Array]:
         """Yield the memory (1, n_memory) at every sample of a recorded episode, from what was before it alone."""
@@ -132,8 +144,9 @@ class SelfCorrection:
         dt, batch, n = self.model.system.dt, len(memory), self.terms.size * self.model.system.nx
         draws = np.zeros((batch, self.model.n_draws))
         start = self.model.start(states[:, : lags + 1], controls[:, :lags], draws)
-        now, known = memory[:, places["now"]], memory[:, places["known"]]
-        tried = np.concatenate([np.zeros_like(now)[None], known[None], now[None], now + STEP * np.eye(n)[:, None]])
+        now = memory[:, places["now"]]
+        known = [np.zeros_like(now), memory[:, places["known"]], memory[:, places["simple_known"]]]
+        tried = np.concatenate([*(one[None] for one in (*known, now)), now + STEP * np.eye(n)[:, None]])
         runs = run_beside(
             self.model,
             self.terms,
@@ -147,23 +160,26 @@ class SelfCorrection:
         errors = wrong.reshape(len(tried), batch, -1)
         after = memory.copy()
         keep = np.exp(-dt / self.judged)
-        for name, row in (("plain", 0), ("corrected", 1)):
+        for row, name in enumerate(("plain", "corrected", "simple")):
             after[:, places[name]] = keep * memory[:, places[name]] + np.mean(errors[row] ** 2, axis=1)[:, None]
         after[:, places["weight"]] += 1.0
-        slopes = (errors[3:] - errors[2]) / STEP
-        share = dt / (self.horizon * nx) * np.minimum(1.0, TOLERATED / np.maximum(np.abs(errors[2]), 1e-12))
+        here, slopes = errors[3], (errors[4:] - errors[3]) / STEP
+        share = dt / (self.horizon * nx) * np.minimum(1.0, TOLERATED / np.maximum(np.abs(here), 1e-12))
         weighed = np.einsum("nbe,be->bne", slopes, share)
         fade = np.exp(-dt / self.forgetting)
         normal = fade * memory[:, places["normal"]].reshape(batch, n, n) + np.einsum("bne,mbe->bnm", weighed, slopes)
-        aim = np.einsum("nbe,bn->be", slopes, now) - errors[2]
+        aim = np.einsum("nbe,bn->be", slopes, now) - here
         right = fade * memory[:, places["right"]] + np.einsum("bne,be->bn", weighed, aim)
         after[:, places["normal"]], after[:, places["right"]] = normal.reshape(batch, -1), right
-        weight = np.repeat(np.where(np.arange(self.terms.size) <= self.terms.n_inputs, 1.0, OF_PRODUCTS), nx)
-        found = np.linalg.solve(normal + self.ridge * np.diag(weight), right[:, :, None])[:, :, 0]
-        after[:, places["now"]] = found
+        bounded, own = normal + self.ridge * np.diag(self.terms.weight.ravel()), (1 + self.terms.n_inputs) * nx
+        simple = np.zeros_like(now)
+        simple[:, :own] = np.linalg.solve(bounded[:, :own, :own], right[:, :own, None])[:, :, 0]
         turn = memory[:, places["weight"]] % self.horizon == 0
-        after[:, places["known"]] = np.where(turn, memory[:, places["pending"]], known)
-        after[:, places["pending"]] = np.where(turn, found, memory[:, places["pending"]])
+        for kind, found in (("", np.linalg.solve(bounded, right[:, :, None])[:, :, 0]), ("simple_", simple)):
+            last, pending, used = (places[kind + name] for name in ("now", "pending", "known"))
+            after[:, last] = found
+            after[:, used] = np.where(turn, memory[:, pending], memory[:, used])
+            after[:, pending] = np.where(turn, found, memory[:, pending])
         return after
 
 
@@ -172,9 +188,9 @@ WIDER = 2.0
 
 
 def widened(terms: Terms) -> Terms:
-    """Return ``terms`` whose inputs and products are kept within twice the range of the recording."""
+    """Return ``terms`` that are kept within twice the range of the recording."""
     out = []
-    for low, high in ((terms.low, terms.high), (terms.least, terms.most)):
+    for low, high in ((terms.low, terms.high), (terms.least, terms.most), (terms.weakest, terms.strongest)):
         middle, half = 0.5 * (low + high), 0.5 * WIDER * (high - low)
         out += [middle - half, middle + half]
-    return replace(terms, low=out[0], high=out[1], least=out[2], most=out[3])
+    return replace(terms, low=out[0], high=out[1], least=out[2], most=out[3], weakest=out[4], strongest=out[5])

@@ -128,9 +128,9 @@ def drive_controller(
 
 def is_stored(controller: str) -> bool:
     """Whether ``controller`` is a file, not the spec of a controller."""
-    from sysid_evo.store import champion_file
+    from sysid_evo.store import is_stored as is_artefact
 
-    return Path(controller).suffix in (".json", ".safetensors") or champion_file(controller).is_file()
+    return is_artefact(controller, "controller")
 
 
 def run_stepped(

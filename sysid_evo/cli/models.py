@@ -73,10 +73,11 @@ def show_model(
     """Show the card of a model family, or of a fitted model with its size, lags, training time and speed."""
     from sysid_evo.cli.cards import card_table, family_card, model_card
     from sysid_evo.registry import models
+    from sysid_evo.store import is_stored
 
     load_plugins(plugin)
-    stored = Path(name).suffix in (".json", ".safetensors") or Path(f"{name}.json").is_file()
-    card = model_card(Path(name)) if stored and name not in models.names() else family_card(name)
+    stored = name not in models.names() and is_stored(name, "model")
+    card = model_card(Path(name)) if stored else family_card(name)
     if as_json:
         out.print_json(json.dumps(card))
         return

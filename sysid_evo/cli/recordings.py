@@ -28,6 +28,10 @@ def import_(
         list[str] | None,
         typer.Option(help="NAME=PATTERN: logs whose names fit were recorded in this condition, as wet='rain_*'."),
     ] = None,
+    condition_column: Annotated[
+        str | None,
+        typer.Option(help="Column of the logs that names the condition of each row; a change of it splits a log."),
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """Turn log files into a data set: check, prepare, store.
@@ -41,7 +45,7 @@ def import_(
 
     load_plugins(plugin)
     patterns = parsed("--condition", condition or [])
-    recording = read_recording(logs, columns=columns)
+    recording = read_recording(logs, columns=columns, condition_column=condition_column)
     dataset = recording.dataset().labelled(patterns)
     dataset.save(folder)
     _tell(dataset.notes, recording.doubts)

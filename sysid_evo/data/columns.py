@@ -118,7 +118,10 @@ class MotionRoles(_Strict):
 
 
 class ColumnMap(_Strict):
-    """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion."""
+    """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion.
+
+    ``condition`` is the column that names the condition of each row, text or numbers.
+    """
 
     name: str
     dt: Annotated[float, Field(gt=0)]
@@ -128,6 +131,7 @@ class ColumnMap(_Strict):
     pose: dict[str, Column] = {}
     extra: dict[str, Column] = {}
     motion: MotionRoles | None = None
+    condition: str | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

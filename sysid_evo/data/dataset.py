@@ -24,6 +24,7 @@ from sysid_evo.system import System
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.after)
+
+    def as_arrays(self) -> tuple[Array, Array]:
+        """Return what scikit-learn calls X and y: carry and control (N, n_carry + nu), and the state after (N, nx)."""
+        return np.concatenate([self.carry, self.control], axis=1), self.after
 
     @property
     def state(self) -> Array:
@@ -139,36 +144,44 @@ class Dataset:
         if a column is missing, `InvalidArgument` if there is no table.
         """
         _expect_system(system, "Dataset.from_pandas(system, frame)")
-        if not hasattr(frame, "columns") or not hasattr(frame, "groupby"):
-            raise InvalidArgument(
-                f"from_pandas: expected a pandas table, got {type(frame).__name__}. Arrays become a data set by "
-                "Dataset.from_arrays(system, states, controls), log files by Dataset.read(path, columns=...)"
-            )
-        wanted = [*system.state_names, *system.control_names, *([episode] if episode else [])]
-        missing = [name for name in wanted if name not in frame.columns]
-        if missing:
-            raise InvalidData(
-                f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}. "
-                "Each channel needs a column of its name: rename them, as frame.rename(columns={...})"
-            )
-        pose_names = [] if system.motion is None else list(system.motion.pose_names)
-        has_pose = bool(pose_names) and all(name in frame.columns for name in pose_names)
-        groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]
-        tables = [(str(name), table) for name, table in groups]
-        return cls.from_arrays(
-            system,
-            [table[list(system.state_names)].to_numpy() for _, table in tables],
-            [table[list(system.control_names)].to_numpy() for _, table in tables],
-            poses=[table[pose_names].to_numpy() for _, table in tables] if has_pose else None,
-            names=[name for name, _ in tables],
-        )
+        from sysid_evo.data.frames import from_frame
+
+        return from_frame(system, frame, episode=episode)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row a sample: the columns ``episode`` and ``time`` (s), then states, controls and pose by name.
+
+        The controls of an episode's last sample are nan, as nobody held them any longer.
+        ``Dataset.from_pandas(system, frame, episode="episode")`` makes the data set again. Raises `InvalidData` if a
+        channel has the name of another column.
+        """
+        from sysid_evo.data.frames import to_frame
+
+        return to_frame(self)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return one variable (episode, time) for each channel, with its unit and its role (state, control, pose).
+
+        Shorter episodes end in nan; the coordinate ``length`` says how many samples each has, ``condition`` when or
+        where it was recorded. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
+        coordinate.
+        """
+        from sysid_evo.data.frames import to_labelled
+
+        return to_labelled(self)
 
     @classmethod
-    def read(cls, paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Dataset:
+    def read(
+        cls,
+        paths: str | Path | Iterable[str | Path],
+        *,
+        columns: str | Path | None = None,
+        condition_column: str | None = None,
+    ) -> Dataset:
         """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`."""
         from sysid_evo.data.reading import read_dataset
 
-        return read_dataset(paths, columns=columns)
+        return read_dataset(paths, columns=columns, condition_column=condition_column)
 
     def __len__(self) -> int:
         """Return the number of episodes."""

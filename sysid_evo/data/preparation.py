@@ -81,8 +81,8 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     is in Hz (default 0.3 / dt). Then every n-th sample is taken. States that stand in ``log.extra``
     under their names are not derived from the pose, only filtered. Controls are held: each tick has
     the command of the last row up to half a row after it. A hole longer than ``max_gap`` seconds
-    (default 0.025, or 2.5 rows if that is longer) splits the log. Each piece loses half a filter
-    length at both ends, because nothing is made up beyond them.
+    (default 0.025, or 2.5 rows if that is longer) splits the log, and so does a change of condition. Each piece loses
+    half a filter length at both ends, because nothing is made up beyond them.
 
     Raises `InvalidData`, `InvalidArgument`, or `ShapeError`.
     """
@@ -102,7 +102,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     taps = low_pass(cutoff, 1.0 / step, 0.5 / system.dt)
     margin = REACH + len(taps) // 2
     clock = fit_clock(log.time, pose[:, :2], step) if pose.size else Clock(log.time, step)
-    runs = pieces(steps > max_gap)
+    runs = pieces((steps > max_gap) | log.changes)
     episodes = []
     for rows in runs:
         samples = clock.samples(rows)
@@ -120,6 +120,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
                 dt=system.dt,
                 pose=trace[ticks - samples[0]] if pose.size else None,
                 name=log.name if len(runs) == 1 else f"{log.name}[{first}:{last}]",
+                condition=log.condition_at(rows.start),
             )
         )
     if not episodes:
@@ -133,20 +134,22 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
         f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz taken down to "
         f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each piece",
         *([clock.note] if clock.note else []),
-        *_holes(steps, period, max_gap, len(runs) - len(episodes)),
+        *_holes(steps, period, max_gap, int(log.changes.sum()), len(runs) - len(episodes)),
     ]
     return Prepared(log.name, tuple(episodes), tuple(notes))
 
 
-def _holes(steps: Array, period: float, max_gap: float, left_out: int) -> list[str]:
+def _holes(steps: Array, period: float, max_gap: float, changes: int, left_out: int) -> list[str]:
     bridged = steps[(steps > 1.5 * period) & (steps <= max_gap)]
     splits = int((steps > max_gap).sum())
     notes = []
     if len(bridged):
         notes.append(f"{len(bridged)} holes of up to {bridged.max() * 1e3:.0f} ms bridged by straight lines")
-    if splits:
+    if splits or changes:
         short = f"; {left_out} pieces shorter than the filter left out" if left_out else ""
-        notes.append(f"split at {splits} holes of up to {steps.max():.3g} s{short}")
+        where = [f"{splits} holes of up to {steps.max():.3g} s"] * bool(splits)
+        where += [f"{changes} changes of condition"] * bool(changes)
+        notes.append(f"split at {' and '.join(where)}{short}")
     return notes
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
@@ -48,11 +49,17 @@ class Recording:
         return Dataset(self.system, tuple(episodes), tuple(dict.fromkeys(notes)))
 
 
-def read_recording(paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Recording:
+def read_recording(
+    paths: str | Path | Iterable[str | Path],
+    *,
+    columns: str | Path | None = None,
+    condition_column: str | None = None,
+) -> Recording:
     """Read log files, or folders of them, as one recording.
 
     ``columns`` is a column map (a TOML file or the name of a shipped one); without it the shipped map
-    that fits the header is taken. Raises `InvalidData`, which names file, row and column.
+    that fits the header is taken. ``condition_column`` names the condition of each row, text or numbers, instead of
+    the column that the map says. Raises `InvalidData`, which names file, row and column.
     """
     files = log_files(paths)
     notes = []
@@ -63,7 +70,8 @@ def read_recording(paths: str | Path | Iterable[str | Path], *, columns: str | P
     else:
         chosen = load_columns(columns)
     tables = [reader_for(file).read(file, chosen.columns) for file in files]
-    logs = [_log(table, chosen, notes) for table in tables]
+    named = condition_column or chosen.condition
+    logs = [_log(table, chosen, _conditions(table, named), notes) for table in tables]
     envelope = _envelope(logs, chosen, notes)
     doubts = constant_controls(logs, tables, chosen)
     doubts += [doubt for log, table in zip(logs, tables, strict=True) for doubt in findings(log, table, chosen)]
@@ -78,7 +86,12 @@ def read_recording(paths: str | Path | Iterable[str | Path], *, columns: str | P
     return Recording(chosen.system(envelope), tuple(logs), tuple(notes), tuple(doubts))
 
 
-def read_dataset(paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None) -> Dataset:
+def read_dataset(
+    paths: str | Path | Iterable[str | Path],
+    *,
+    columns: str | Path | None = None,
+    condition_column: str | None = None,
+) -> Dataset:
     """Read logs (`read_recording`), or a folder that `Dataset.save` wrote, as a data set.
 
     Each doubt about a log is also one `DataWarning`.
@@ -87,8 +100,12 @@ def read_dataset(paths: str | Path | Iterable[str | Path], *, columns: str | Pat
     if stored is not None:
         if columns is not None:
             raise InvalidArgument(f"{stored}: this is a stored data set, which takes no column map")
+        if condition_column is not None:
+            raise InvalidArgument(
+                f"{stored}: this is a stored data set; name its conditions when the logs are imported"
+            )
         return Dataset.load(stored)
-    recording = read_recording(paths, columns=columns)
+    recording = read_recording(paths, columns=columns, condition_column=condition_column)
     for doubt in recording.doubts:
         warnings.warn(doubt, DataWarning, stacklevel=3)
     return recording.dataset()
@@ -135,7 +152,7 @@ def _stored(paths: str | Path | Iterable[str | Path]) -> Path | None:
     return listed[0] if len(listed) == 1 and is_stored(listed[0]) else None
 
 
-def _log(table: Table, columns: ColumnMap, notes: list[str]) -> RawLog:
+def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | None, notes: list[str]) -> RawLog:
     """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits."""
     data = table.columns
     if columns.time is None:
@@ -166,7 +183,13 @@ def _log(table: Table, columns: ColumnMap, notes: list[str]) -> RawLog:
         pose=np.stack(pose, axis=1) if pose else np.empty((len(table), 0)),
         controls=controls,
         extra={**states, **extra},
+        condition=condition,
     )
+
+
+def _conditions(table: Table, column: str | None) -> npt.NDArray[np.str_] | None:
+    """Return what ``column`` calls the condition of each row of ``table``, (N,); None without such a column."""
+    return None if column is None else np.array(reader_for(table.path).labels(table.path, column), dtype=np.str_)
 
 
 def _pose_names(columns: ColumnMap) -> tuple[str, ...]:

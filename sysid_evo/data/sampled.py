@@ -36,8 +36,8 @@ def episodes_of(log: RawLog, system: System) -> Prepared:
 def take_rows(log: RawLog, system: System) -> Prepared:
     """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
 
-    ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt splits the log
-    into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
+    ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
+    log into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
     `InvalidData`.
     """
     missing = [name for name in system.state_names if name not in log.extra]
@@ -47,7 +47,7 @@ def take_rows(log: RawLog, system: System) -> Prepared:
     states = np.stack([log.extra[name] for name in system.state_names], axis=1)
     steps = np.diff(log.time)
     broken = (steps < SHORTEST * system.dt) | (steps > LONGEST * system.dt)
-    runs = pieces(broken)
+    runs = pieces(broken | log.changes)
     episodes = [
         Trajectory(
             states=states[rows],
@@ -55,6 +55,7 @@ def take_rows(log: RawLog, system: System) -> Prepared:
             dt=system.dt,
             pose=pose[rows] if pose.size else None,
             name=log.name if len(runs) == 1 else f"{log.name}[{rows.start}:{rows.stop - 1}]",
+            condition=log.condition_at(rows.start),
         )
         for rows in runs
         if rows.stop - rows.start > 1
@@ -72,9 +73,10 @@ def take_rows(log: RawLog, system: System) -> Prepared:
     )
     notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
     if len(runs) > 1:
+        changes = f" and {int(log.changes.sum())} changes of condition" if log.changes.any() else ""
         notes.append(
             f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
-            f"{LONGEST * system.dt * 1e3:g} ms split it into {len(episodes)} pieces; "
+            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
             f"{len(runs) - len(episodes)} single rows left out"
         )
     return Prepared(log.name, tuple(episodes), tuple(notes))

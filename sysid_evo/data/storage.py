@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sysid_evo.arrays import Array
+from sysid_evo.data.frames import channel_names, pose_names, sample_table
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import ArtefactError, InvalidData
+from sysid_evo.errors import ArtefactError
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
 
@@ -30,24 +31,14 @@ def save_dataset(dataset: Dataset, folder: Path) -> Path:
     Raises `InvalidData` if two columns would have the same name.
     """
     system = dataset.system
-    columns: dict[str, list[Any]] = {"episode": [], "step": []}
-    names = (*system.state_names, *system.control_names, *_pose_names(system))
-    taken = sorted({name for name in names if name in columns or names.count(name) > 1})
-    if taken:
-        raise InvalidData(
-            f"data set: the channels {', '.join(taken)} cannot be stored, as the columns episode and step and the "
-            "coordinates of the pose have these names; rename the channels"
-        )
-    columns.update({name: [] for name in names})
+    names = channel_names(system, "episode", "step")
+    columns: dict[str, list[Any]] = {"episode": [], "step": []} | {name: [] for name in names}
     for episode in dataset.episodes:
-        rows = len(episode) + 1
-        blank = np.full((1, system.nu), np.nan)
-        pose = np.full((rows, system.n_pose), np.nan) if episode.pose is None else episode.pose
-        table = np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
-        columns["episode"].append(pa.repeat(episode.name, rows))
-        columns["step"].append(pa.array(np.arange(rows)))
+        samples = sample_table(system, episode)
+        columns["episode"].append(pa.repeat(episode.name, len(samples)))
+        columns["step"].append(pa.array(np.arange(len(samples))))
         for i, name in enumerate(names):
-            columns[name].append(pa.array(table[:, i], from_pandas=True))
+            columns[name].append(pa.array(samples[:, i], from_pandas=True))
     table = pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
     header = {
         "schema": SCHEMA,
@@ -72,7 +63,7 @@ def load_dataset(folder: Path) -> Dataset:
         if header.get("schema") != SCHEMA:
             raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
         system = System.from_dict(header["system"])
-        names = (*system.state_names, *system.control_names, *_pose_names(system))
+        names = (*system.state_names, *system.control_names, *pose_names(system))
         table = pq.read_table(folder / SAMPLES, columns=list(names))
         data = {name: table[name].to_numpy(zero_copy_only=False) for name in names}
         episodes, first = [], 0
@@ -81,7 +72,7 @@ def load_dataset(folder: Path) -> Dataset:
             first = rows.stop
             states = _columns(data, system.state_names, rows)
             controls = _columns(data, system.control_names, rows)[:-1]
-            pose = _columns(data, _pose_names(system), rows) if entry["pose"] else None
+            pose = _columns(data, pose_names(system), rows) if entry["pose"] else None
             episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"], entry.get("condition", "")))
         del table, data
         pa.default_memory_pool().release_unused()
@@ -109,7 +100,3 @@ def _columns(data: Mapping[str, Array], names: Sequence[str], rows: slice) -> Ar
     """Return these columns side by side, (rows, len(names)); there may be none."""
     columns = [data[name][rows] for name in names]
     return np.column_stack(columns) if columns else np.empty((rows.stop - rows.start, 0))
-
-
-def _pose_names(system: System) -> tuple[str, ...]:
-    return () if system.motion is None else system.motion.pose_names

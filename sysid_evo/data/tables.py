@@ -48,6 +48,10 @@ class Reader(ABC):
     def read(self, path: Path, columns: Sequence[str]) -> Table:
         """Return these columns. Raises `InvalidData`, which names file, row and column."""
 
+    def labels(self, path: Path, column: str) -> list[str]:
+        """Return what a column calls each row that `read` returns; here its numbers, as texts."""
+        return [f"{value:g}" for value in self.read(path, [column]).columns[column]]
+
 
 @register_reader("csv")
 class CsvReader(Reader):
@@ -74,6 +78,13 @@ class CsvReader(Reader):
             return self._line_by_line(path, columns, header, places)
         rows = np.arange(2, len(values[0]) + 2, dtype=np.int64)
         return _finite(Table(path, rows, dict(zip(columns, values, strict=True))))
+
+    def labels(self, path: Path, column: str) -> list[str]:
+        header = self.header(path)
+        place = _place(column, header, path)
+        lines = _lines(path)
+        reader = csv.reader(lines, delimiter=_delimiter(next(lines, "")))
+        return [line[place].strip() if place < len(line) else "" for line in reader if line]
 
     def _line_by_line(self, path: Path, columns: Sequence[str], header: Sequence[str], places: Sequence[int]) -> Table:
         lines = _lines(path)
@@ -139,6 +150,13 @@ class ParquetReader(Reader):
                 raise InvalidData(f"{path.name}, column {name!r}: expected numbers, got {kind}")
             data[name] = np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
         return _finite(Table(path, np.arange(1, table.num_rows + 1), data))
+
+    def labels(self, path: Path, column: str) -> list[str]:
+        import pyarrow.parquet as pq
+
+        _place(column, self.header(path), path)
+        values = pq.read_table(path, columns=[column])[column].to_pylist()
+        return ["" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for value in values]
 
 
 def reader_for(path: Path) -> Reader:

@@ -72,7 +72,8 @@ class DynamicsModel(Dynamics, Estimator):
 
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
-    ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error.
+    ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error. Arrays without names do as well, as in
+    pysindy: ``fit(x, t=0.05, u=u)`` (`sysid_evo.data.unnamed.from_samples`).
 
     What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is

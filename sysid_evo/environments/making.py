@@ -15,7 +15,6 @@ check_installed("an environment", ("gymnasium",))
 
 Source: TypeAlias = Dynamics | str | Path
 """A model or an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
-MODEL_FILES = (".json", ".safetensors")
 
 
 def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
@@ -39,9 +38,9 @@ def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict
 def _dynamics(source: Source) -> Dynamics:
     if isinstance(source, Dynamics):
         return source
-    if Path(source).suffix in MODEL_FILES:
-        from sysid_evo.store import load_model
+    from sysid_evo.store import is_stored, load_model
 
+    if is_stored(str(source), "model"):
         return load_model(source)
     dynamics: Dynamics | None = make_robot(str(source)).dynamics
     if dynamics is None:

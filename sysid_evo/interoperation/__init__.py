@@ -1,5 +1,5 @@
 """Models in the tools that users know already."""
 
-from sysid_evo.interoperation.control import to_control
+import lazy_loader
 
-__all__ = ["to_control"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from sysid_evo.errors import ArtefactError, InvalidArgument, ShapeError
 from sysid_evo.evolution import Champion
-from sysid_evo.store.manifest import read_artefact, write_artefact
+from sysid_evo.store.manifest import read_artefact, stored_file, write_artefact
 
 
 def save_champion(champion: Champion, path: str | Path, *, data: str | None = None) -> Path:
@@ -26,31 +25,9 @@ def save_champion(champion: Champion, path: str | Path, *, data: str | None = No
     return write_artefact(Path(path), champion.tensors, fields)
 
 
-def champion_file(path: str | Path) -> Path:
-    """Return the manifest that ``path`` names: a run's controller may be named without the digest in its file's name.
-
-    So ``controllers/best`` or ``controllers/best.json`` is ``controllers/best-0123abcd.json``, if there is but one.
-    Raises `ArtefactError` if there are several; a path of which there is no file comes back.
-    """
-    path = Path(path)
-    stem = path.with_suffix("").name if path.suffix in (".json", ".safetensors") else path.name
-    named = path.with_name(f"{stem}.json")
-    found = [] if named.is_file() or not path.parent.is_dir() else _of_a_run(path.parent, stem)
-    if len(found) > 1:
-        raise ArtefactError(
-            f"{named}: expected the file of one controller, found {', '.join(file.name for file in found)}: name one"
-        )
-    return found[0] if found else named
-
-
-def _of_a_run(folder: Path, name: str) -> list[Path]:
-    digest = re.compile(rf"{re.escape(name)}-[0-9a-f]{{8}}\.json")
-    return sorted(file for file in folder.iterdir() if digest.fullmatch(file.name))
-
-
 def load_champion(path: str | Path) -> Champion:
-    """Read what `save_champion` wrote, see `champion_file`. Raises `ArtefactError`."""
-    path = champion_file(path)
+    """Read what `save_champion` wrote, see `stored_file`. Raises `ArtefactError`."""
+    path = stored_file(path, "controller")
     manifest, tensors = read_artefact(path, "controller")
     try:
         found = {**manifest.learned, "system": manifest.system}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
+import re
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -17,6 +18,7 @@ from safetensors.numpy import load_file, save
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.files import write_atomically
 
+SUFFIXES = (".json", ".safetensors")
 SCHEMA: Literal["sysid-evo/artefact/3"] = "sysid-evo/artefact/3"
 MAX_MANIFEST_BYTES = 4 * 2**20
 MAX_HEADER_BYTES = 2**20
@@ -96,8 +98,39 @@ def write_artefact(path: Path, tensors: dict[str, np.ndarray[Any, Any]], fields:
     return write_atomically(_with(path, ".json"), lambda temporary: temporary.write_text(text))
 
 
+def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
+    """Return the manifest that ``path`` names: what is in a run may be named without the digest in its file's name.
+
+    So ``models/linear`` or ``models/linear.json`` is ``models/linear-0123abcd.json``, if there is but one. Raises
+    `ArtefactError` if there are several; a path of which there is no file comes back.
+    """
+    path = Path(path)
+    stem = path.with_suffix("").name if path.suffix in SUFFIXES else path.name
+    named = path.with_name(f"{stem}.json")
+    found = [] if named.is_file() or not path.parent.is_dir() else _of_a_run(path.parent, stem)
+    if len(found) > 1:
+        raise ArtefactError(
+            f"{named}: expected the file of one {kind}, found {', '.join(file.name for file in found)}: name one"
+        )
+    return found[0] if found else named
+
+
+def is_stored(name: str, kind: Literal["model", "controller"]) -> bool:
+    """Whether ``name`` is the path of something stored, and not the name of a plugin."""
+    return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
+
+
+def _of_a_run(folder: Path, name: str) -> list[Path]:
+    digest = re.compile(rf"{re.escape(name)}-[0-9a-f]{{8}}\.json")
+    return sorted(file for file in folder.iterdir() if digest.fullmatch(file.name))
+
+
 def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Manifest, dict[str, np.ndarray[Any, Any]]]:
-    """Return manifest and tensors. Raises `ArtefactError` with the reason if either is not what it claims."""
+    """Return manifest and tensors of what `stored_file` finds.
+
+    Raises `ArtefactError` with the reason if either is not what it claims.
+    """
+    path = stored_file(path, kind)
     source, target = _with(path, ".json"), _with(path, ".safetensors")
     for file in (source, target):
         if not file.is_file():

@@ -11,7 +11,7 @@ import numpy as np
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted, PluginError, UnknownName
 from sysid_evo.registry import models
-from sysid_evo.store.manifest import read_artefact, write_artefact
+from sysid_evo.store.manifest import read_artefact, stored_file, write_artefact
 from sysid_evo.system import System
 
 ENVELOPE = "envelope_"
@@ -71,8 +71,11 @@ def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dic
 
 
 def load_model(path: str | Path) -> DynamicsModel:
-    """Read what `save_model` wrote. Raises `ArtefactError`; no code in the file is ever run."""
-    path = Path(path)
+    """Read what `save_model` wrote; of a run, ``runs/mine/models/linear`` will do (`stored_file`).
+
+    Raises `ArtefactError`; no code in the file is ever run.
+    """
+    path = stored_file(path, "model")
     manifest, tensors = read_artefact(path, "model")
     return _restored(path, {name: getattr(manifest, name) for name in NESTED}, tensors)
 

@@ -32,6 +32,12 @@ def test_import_stores_what_read_returns_and_tells_the_notes(write_csv, table, c
     assert "note" not in results
 
 
+def test_import_takes_the_conditions_from_a_column(write_csv, table, columns_file, tmp_path):
+    path = write_csv({**table, "battery": np.repeat([1.0, 2.0], [100, 101])})
+    run("import", path, "--columns", columns_file(), "--condition-column", "battery", "--out", tmp_path / "data")
+    assert Dataset.load(tmp_path / "data").conditions == ("1.0", "2.0")
+
+
 def test_import_warns_of_what_looks_wrong(write_csv, table, columns_file, tmp_path):
     table["throttle"][:] = 0.25
     _, remarks = run("import", write_csv(table), "--columns", columns_file(), "--out", tmp_path / "data")

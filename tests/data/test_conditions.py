@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from sysid_evo import ConditionFold, Dataset
+from sysid_evo.arrays import Array
+from sysid_evo.data import prepare
 from sysid_evo.data.conditions import parsed
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.testing import example_dataset
+
+from .conftest import Drive
 
 
 @pytest.fixture
@@ -54,3 +63,60 @@ def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days: Datas
     assert parsed("--condition", ["wet=rain_*"]) == {"wet": "rain_*"}
     with pytest.raises(InvalidArgument, match="--condition: expected NAME=PATTERN"):
         parsed("--condition", ["wet"])
+
+
+FLOORS = np.array(["tiles"] * 80 + ["carpet"] * 120 + [""])
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_column_names_the_condition_of_each_row_and_splits_the_log_where_it_changes(
+    kind: str,
+    table: dict[str, Array],
+    write_csv: Callable[..., Path],
+    columns_file: Callable[..., Path],
+    tmp_path: Path,
+) -> None:
+    named = {**table, "floor": FLOORS}
+    path = tmp_path / "log.parquet"
+    if kind == "parquet":
+        pq.write_table(pa.table(named), path)
+    else:
+        path = write_csv(named)
+        path.write_text(path.read_text().replace("'", ""))
+    data = Dataset.read(path, columns=columns_file(), condition_column="floor")
+    assert {e.name: (e.condition, len(e)) for e in data} == {
+        "log[0:79]": ("tiles", 79),
+        "log[80:199]": ("carpet", 119),
+    }
+    assert any("0 steps outside 25 to 75 ms and 2 changes of condition split it into 2 pieces" in n for n in data.notes)
+    np.testing.assert_array_equal(data.episodes[1].states[:, 0], table["u"][80:200])
+    by_map = columns_file(('name = "test car"', 'name = "test car"\ncondition = "floor"'), name="floors.toml")
+    assert Dataset.read(path, columns=by_map).conditions == ("tiles", "carpet")
+
+
+def test_numbers_name_conditions_too_and_a_missing_column_is_named(
+    table: dict[str, Array], write_csv: Callable[..., Path], columns_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({**table, "day": np.repeat([1.0, 2.0], [100, 101])}), path)
+    data = Dataset.read(path, columns=columns_file(), condition_column="day")
+    assert data.conditions == ("1", "2")
+    with pytest.raises(InvalidData, match=r"log\.csv, row 1: column 'floor' is missing"):
+        Dataset.read(write_csv(table), columns=columns_file(), condition_column="floor")
+    stored = data.save(tmp_path / "data")
+    with pytest.raises(InvalidArgument, match="name its conditions when the logs are imported"):
+        Dataset.read(stored, condition_column="day")
+
+
+def test_a_fast_log_is_filtered_within_each_condition_alone(make_drive: type[Drive]) -> None:
+    drive = make_drive()
+    log = drive.log()
+    floors = np.where(log.time < 3.0, "tiles", "carpet")
+    system = example_dataset().system
+    known = prepare(replace(log, condition=floors), system)
+    assert [episode.condition for episode in known.episodes] == ["tiles", "carpet"]
+    assert any("split at 1 changes of condition" in note for note in known.notes)
+    alone = prepare(log, system).episodes[0]
+    assert known.episodes[0].duration + known.episodes[1].duration < alone.duration
+    with pytest.raises(ShapeError, match=r"condition of 'drive': expected shape \(1201,\), got \(3,\)"):
+        replace(log, condition=floors[:3])

@@ -263,7 +263,9 @@ def test_no_window_has_less_history_than_asked_for(first, start):
 
 def test_a_channel_named_like_a_column_of_the_file_is_refused_when_stored(tmp_path, rng):
     counted = Dataset.from_arrays(System(("step",), (), 0.1), rng.normal(size=5))
-    with pytest.raises(InvalidData, match=r"the channels step cannot be stored.*rename the channels"):
+    with pytest.raises(
+        InvalidData, match=r"the channels step cannot become columns, as episode, step.*rename the channels"
+    ):
         counted.save(tmp_path / "data")
     assert not (tmp_path / "data").exists()
 

@@ -30,8 +30,8 @@ OWN_TEST = {
     "robots.md": "tests/hardware/test_robots_page.py",
     "your_own_system.md": "tests/docs/test_your_own_system.py",
 }
-"""Pages whose Python wants more than a folder of logs."""
-PYTHON = [page for page in PAGES if blocks(page, "python") and page not in OWN_TEST]
+"""Pages whose Python wants more than a folder of logs; tutorials have a test of their own, too."""
+PYTHON = [page for page in PAGES if blocks(page, "python") and page not in OWN_TEST and "tutorials/" not in page]
 EXAMPLES = {
     "model": ("models.md", "bilinear"),
     "task": ("tasks.md", "hold"),

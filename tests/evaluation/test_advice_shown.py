@@ -8,7 +8,7 @@ from pathlib import Path
 from evaluation.advice import ModelAdvice, Remark, advice_from_json
 from evaluation.comparison import Experiment, plan_comparison
 from evaluation.report import Report, advice_lines, tables, to_json, verdict
-from evaluation.report.page import sections
+from evaluation.report.sections import sections
 from sysid_evo.plan import Store, execute
 from tests.evaluation.made_up import prediction, report
 from tests.evaluation.planted import Fault, drive

@@ -116,7 +116,7 @@ def test_a_matrix_without_a_robot_has_no_line_and_one_of_zeros_no_paint() -> Non
 def test_a_negative_fitness_is_the_bottom_of_the_scale() -> None:
     heat = transfer_sheet(matrix({"a": {"a": 1.0, "b": -1.0, "c": 0.0}}, trials=1)).heat
     assert heat is not None
-    assert heat.shades == ((1.0, 0.0, 0.5),)
+    assert heat.shades == ((1.0, 0.0, 0.5, 0.25),)  # the last are the other families
 
 
 def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale() -> None:
@@ -209,12 +209,13 @@ def test_pictures_of_nothing_are_left_out() -> None:
     assert fitness_picture(replace(made, champions=without)) is None
 
 
-def test_the_free_run_shows_the_best_models_and_says_how_many_are_left_out() -> None:
+def test_the_free_run_shows_the_best_models_and_says_how_many_can_be_switched_on() -> None:
     whole = make_report({f"model{i}": fitted(Known()) for i in range(SHOWN_MODELS + 1)}, robot=False).prediction
     assert whole is not None
     picture = free_run_picture(whole)
-    assert [key.label for key in picture.legend] == ["measured", *(f"model{i}" for i in range(SHOWN_MODELS))]
-    assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models" in picture.caption
+    assert [key.label for key in picture.legend] == ["measured", *(f"model{i}" for i in range(SHOWN_MODELS + 1))]
+    assert picture.off == {f"model{SHOWN_MODELS}"}
+    assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models are switched on" in picture.caption
     for channel in ("forward_speed (m/s)", "lateral_speed (m/s)", "yaw_rate (rad/s)", "time (s)"):
         assert channel in picture.panels[0].svg
         assert channel in picture.panels[0].narrow

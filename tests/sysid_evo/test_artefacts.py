@@ -20,7 +20,7 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
 from sysid_evo.registry import Spec, make_model, models
-from sysid_evo.store import family_name, load_champion, load_model, save_champion, save_model
+from sysid_evo.store import family_name, is_stored, load_champion, load_model, save_champion, save_model
 from sysid_evo.testing.examples import switched_car
 
 CHAMPION = Champion(
@@ -268,6 +268,14 @@ def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_th
         load_champion(tmp_path / "best of 1.5")
     with pytest.raises(ArtefactError, match=r"best.json: expected one half of a stored controller, found no such file"):
         load_champion(tmp_path / "best")
+
+
+def test_a_model_of_a_run_is_found_without_the_digest_too(stored: Path) -> None:
+    for suffix in (".json", ".safetensors"):
+        stored.with_suffix(suffix).rename(stored.with_name(f"model-0123abcd{suffix}"))
+    assert type(load_model(stored)) is type(load_model(stored.with_name("model-0123abcd")))
+    assert is_stored(str(stored), "model")
+    assert not is_stored("linear", "model")
 
 
 def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:

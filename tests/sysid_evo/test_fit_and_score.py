@@ -77,7 +77,7 @@ def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
     gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
     assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
     assert Drawn().fit(DATA).gain_ == gains[0]
-    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress"]
+    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress", "t", "u"]
 
 
 @pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])

@@ -8,22 +8,47 @@ from evaluation.exploitability import ModelExploitability
 from evaluation.labels import folded, percent
 from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
 from evaluation.report.transferring import ONE_SEED
-from evaluation.transfer import NOT_RUN, Cell, ControllerSummary, TransferMatrix, TransferSummary
+from evaluation.transfer import (
+    NOT_RUN,
+    Cell,
+    ControllerSummary,
+    Figures,
+    Nested,
+    TransferMatrix,
+    TransferSummary,
+)
 from sysid_evo.evolution import Finalist, worth
 
+CONSENSUS = "(other\nfamilies)"
+"""The heading of what models of other families say together."""
 FAINTEST = 1e-3
 """The share from which on a cell is painted."""
 
 
 def transfer_sheet(matrix: TransferMatrix) -> Sheet:
-    """Mean fitness (standard deviation over trials) of every controller on every system."""
-    columns = tuple(lines(folded(c), "(robot)" if c == matrix.robot else "") for c in matrix.columns)
+    """Mean fitness (standard deviation over trials) of every controller on every system, and on other families."""
+    places = _with_consensus(matrix)
+    columns = tuple(
+        CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
+    )
+    figures = Figures(matrix)
+    medians = {champion.name: figures.consensus(champion) for champion in matrix.champions}
     rows = [
-        (champion.name, *(_fitness_cell(matrix.cell(champion.name, c), c in champion.against) for c in matrix.columns))
+        (
+            champion.name,
+            *(
+                _consensus_cell(medians[champion.name])
+                if c is None
+                else _fitness_cell(matrix.cell(champion.name, c), c in champion.against)
+                for c in places
+            ),
+        )
         for champion in matrix.champions
     ]
     unit = matrix.unit or "fitness"
-    means = matrix.means()
+    means = np.array(
+        [[_value(medians[row]) if c is None else matrix.cell(row, c).mean for c in places] for row in matrix.rows]
+    ).reshape(len(matrix.rows), len(places))
     known = means[np.isfinite(means)]
     low, top = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
     shades = tuple(
@@ -32,19 +57,20 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
     own = frozenset(
         (i, j)
         for i, champion in enumerate(matrix.champions)
-        for j, column in enumerate(matrix.columns)
+        for j, column in enumerate(places)
         if column in champion.against
     )
-    robots = len(matrix.columns) - len(matrix.models)
+    models = sum(column is None or column in matrix.models for column in places)
     return Sheet(
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
         rows=tuple(rows),
         note=(
             f"{_trials(matrix)} = evolved against this model. "
+            "other families: median over the models of families that it was not evolved in. "
             "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
         ),
-        heat=Heat(shades, own, len(matrix.models) if robots and matrix.models else None),
+        heat=Heat(shades, own, models if 0 < models < len(places) else None),
     )
 
 
@@ -63,7 +89,7 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            f"chosen: without the robot, the best on other families.{unknown}"
+            f"chosen: without the robot, by its forecast.{unknown}"
         ),
     )
 
@@ -89,7 +115,7 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
 
 
 def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
-    """The best of each niche, what it claims, and what models of other families say; None without niches."""
+    """The best of each niche, what it claims, and what all models say together; None without niches."""
     rows = []
     for champion in matrix.champions:
         best: dict[str, Finalist] = {}
@@ -105,11 +131,11 @@ def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
         return None
     return Sheet(
         title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
-        columns=("controller", "niche", "claimed", "other\nfamilies"),
+        columns=("controller", "niche", "claimed", "forecast"),
         rows=tuple(rows),
         note=(
             "niche: the side of a channel on which a search was kept more than half of the time; the best of its "
-            "starts. other families: median over the models of families that it was not evolved in."
+            "starts. forecast: what all models say of it together, by which it was chosen."
         ),
     )
 
@@ -181,6 +207,21 @@ def _trials(matrix: TransferMatrix) -> str:
     if len(counts) > 1:
         return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
     return f"{matrix.trials} fresh trials, the same in every cell."
+
+
+def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
+    """Return the columns with None for the consensus of other families, before the robots, if these are several."""
+    families = {matrix.families[column] for column in matrix.models}
+    robots = tuple(column for column in matrix.columns if column not in matrix.models)
+    return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
+
+
+def _value(figure: Nested | None) -> float:
+    return float("nan") if figure is None else figure.value
+
+
+def _consensus_cell(figure: Nested | None) -> str:
+    return "–" if figure is None else f"{number(figure.value)} ±{number(figure.standard_error)}"
 
 
 def _fitness_cell(cell: Cell, own: bool) -> str:

@@ -3,7 +3,9 @@
 (() => {
   "use strict";
 
-  const story = JSON.parse(document.getElementById("replay-data").textContent);
+  const data = document.getElementById("replay-data");
+  if (!data) return; // nothing to replay
+  const story = JSON.parse(data.textContent);
   const player = document.getElementById("replay-player");
   const screens = player.querySelector(".screens");
   const [row, play, pace, slider] = ["row", "play", "pace", "time"].map((name) => document.getElementById(`replay-${name}`));
@@ -18,16 +20,20 @@
   const minus = (text) => text.replace("-", "\u2212");
   const number = (value) => minus(String(Number(value.toPrecision(3))));
 
-  function unpacked({ width, data }) {
-    const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
-    const values = new Float32Array(bytes.buffer);
-    return Array.from({ length: values.length / width }, (_, i) => values.subarray(i * width, (i + 1) * width));
+  // Rows of numbers, kept as 16 bit steps above the lowest of each column.
+  function unpacked({ low, step, data }) {
+    const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0)), width = low.length;
+    const steps = new DataView(bytes.buffer), row = (i) => (_, k) => {
+      const count = steps.getUint16(2 * (i * width + k), true);
+      return count === 65535 ? NaN : low[k] + count * step[k];
+    };
+    return Array.from({ length: bytes.length / 2 / width }, (_, i) => Array.from({ length: width }, row(i)));
   }
 
   function opened(run) {
     const targets = run.targets.map((target) => ({ ...target, values: unpacked(target.values).map((value) => value[0]) }));
-    const [states, controls] = [unpacked(run.states), unpacked(run.controls)];
-    return { ...run, states, controls, pose: run.pose && unpacked(run.pose), targets };
+    const [states, pose] = [run.states && unpacked(run.states), run.pose && unpacked(run.pose)];
+    return { ...run, states, pose, controls: unpacked(run.controls), last: (pose ?? states).length - 1, targets };
   }
 
   const element = (kind, parent, text = "") => {
@@ -59,9 +65,15 @@
       canvas.setAttribute("aria-label", `${run.row} on ${run.column}: ${told(run)}`);
       const now = element("p", figure);
       now.className = "now";
+      if (run.apart !== null) {
+        const there = element("button", figure, "Show where they part");
+        there.type = "button";
+        there.setAttribute("aria-label", `Show where they part: ${run.column} and the robot`);
+        there.addEventListener("click", () => { start(false); seek(run.apart); });
+      }
       return { run, canvas, now, robot: run.robot ? null : robot, view };
     });
-    slider.max = Math.max(...runs.map((run) => (run.states.length - 1) * run.dt));
+    slider.max = Math.max(...runs.map((run) => run.last * run.dt));
     slider.step = Math.min(...runs.map((run) => run.dt));
     seek(Math.min(time, Number(slider.max)));
   }
@@ -116,8 +128,8 @@
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, wide, high);
     pen.font = FONT;
-    const step = Math.min(run.states.length - 1, Math.round(time / run.dt));
-    const over = time > (run.states.length - 1) * run.dt + run.dt / 2;
+    const step = Math.min(run.last, Math.round(time / run.dt));
+    const over = time > run.last * run.dt + run.dt / 2;
     now.textContent = (story.paths ? onPlane(pen, colour, screen, step, wide) : overTime(pen, colour, screen, step, wide)) + (over ? "; over" : "");
     controls(pen, colour, run, step, wide, high - bars + 4);
   }
@@ -337,6 +349,18 @@
   play.addEventListener("click", () => start(!playing));
   slider.addEventListener("input", () => seek(Number(slider.value)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => seek(time));
+  for (const watch of document.querySelectorAll(".watch")) {
+    const button = element("button", watch, `Watch ${watch.dataset.row}`);
+    button.type = "button";
+    button.addEventListener("click", () => {
+      row.value = watch.dataset.row;
+      choose(row.value);
+      seek(Number(watch.dataset.time));
+      player.scrollIntoView();
+      play.focus();
+      start(true);
+    });
+  }
   player.hidden = false;
   row.value = story.first;
   choose(story.first);

@@ -24,6 +24,7 @@ HEAD = Layout(
     "inputs",
     "count",
     "products",
+    "gains",
     "carried_at",
     "dt",
     "limited",
@@ -50,7 +51,8 @@ def correction_kernel(
         return None
     per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])
     of_inputs = np.concatenate([terms.low, terms.high, terms.centre, 1.0 / terms.scale, terms.least, terms.most])
-    of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits)])
+    foreseen = [terms.weakest, terms.strongest, 1.0 / terms.strength] if terms.gains else [np.zeros(3 * system.nx)]
+    of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits), *foreseen])
     numbers = np.zeros(1) if coefficients is None else np.ravel(coefficients)
     parts = [padded(of_inputs), padded(of_states), padded(numbers), padded(motion.parameters)]
     places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
@@ -62,6 +64,7 @@ def correction_kernel(
         inputs=terms.n_inputs,
         count=terms.size,
         products=terms.products,
+        gains=terms.gains,
         carried_at=carried_at if coefficients is None else -1,
         dt=system.dt,
         limited=system.limited,
@@ -72,15 +75,15 @@ def correction_kernel(
         own=places[4],
     )
     bindings = {"inner": inner.source, "integrate": motion.integrate}
-    room = 2 * system.nx + terms.size + inner.n_scratch
+    room = 3 * system.nx + terms.size + inner.n_scratch
     return DynamicsKernel(KernelSource(corrected, bindings), parameters, room, inner.precision)
 
 
 def corrected(carry, control, noise, parameters, scratch):
-    """Find how far the correction moves the state, step the inner dynamics, and move what comes of it."""
+    """Step the inner dynamics, find how far the correction moves the state, and move what comes of it."""
     nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
-    rows, size = nx * LANES, int(parameters[HEAD.count])
-    pushed, coasting, terms = scratch, view(scratch, rows), view(scratch, 2 * rows)
+    rows, size, dt = nx * LANES, int(parameters[HEAD.count]), parameters[HEAD.dt]
+    before, pushed, coasting, terms = scratch, view(scratch, rows), view(scratch, 2 * rows), view(scratch, 3 * rows)
     states = view(parameters, int(parameters[HEAD.states_at]))
     write_terms(
         carry,
@@ -93,22 +96,33 @@ def corrected(carry, control, noise, parameters, scratch):
         view(parameters, int(parameters[HEAD.inputs_at])),
         terms,
     )
-    numbers, carried_at = view(parameters, int(parameters[HEAD.coefficients_at])), int(parameters[HEAD.carried_at])
     for row in range(nx):
-        total = splat(0.0)
-        if carried_at >= 0:
-            carried = view(carry, (carried_at + row) * LANES)
-            for term in range(size):
-                total = total + load(carried, term * rows) * load(terms, term * LANES)
-        else:
-            for term in range(size):
-                total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
-        store(pushed, row * LANES, total * splat(states[nx + row]))
+        store(before, row * LANES, load(carry, row * LANES))
         store(coasting, row * LANES, splat(0.0))
     frame = view(parameters, int(parameters[HEAD.frame]))
-    integrate(carry, pushed, nx, parameters[HEAD.dt], frame)
-    integrate(carry, coasting, nx, parameters[HEAD.dt], frame)
-    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 2 * rows + size * LANES))
+    integrate(before, coasting, nx, dt, frame)
+    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 3 * rows + size * LANES))
+    own = size
+    if parameters[HEAD.gains] > 0.0:
+        own = size - nx
+        write_gains(carry, coasting, nx, dt, states, view(terms, own * LANES))
+    numbers, carried_at = view(parameters, int(parameters[HEAD.coefficients_at])), int(parameters[HEAD.carried_at])
+    for row in range(nx):
+        total, gained = splat(0.0), splat(0.0)
+        if carried_at >= 0:
+            carried = view(carry, (carried_at + row) * LANES)
+            for term in range(own):
+                total = total + load(carried, term * rows) * load(terms, term * LANES)
+            for term in range(own, size):
+                gained = gained + load(carried, term * rows) * load(terms, term * LANES)
+        else:
+            for term in range(own):
+                total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+            for term in range(own, size):
+                gained = gained + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        store(pushed, row * LANES, total * splat(states[nx + row]))
+        store(coasting, row * LANES, load(coasting, row * LANES) - gained * splat(dt * states[nx + row]))
+    integrate(before, pushed, nx, dt, frame)
     moves = splat(0.0)
     for row in range(nx):
         moves = moves + abs(load(carry, row * LANES) - splat(states[2 * nx + row]))
@@ -120,6 +134,19 @@ def corrected(carry, control, noise, parameters, scratch):
         if limited > 0.0:
             moved = min(max(moved, states[3 * nx + row]), states[4 * nx + row])
         store(carry, row * LANES, moved)
+
+
+def write_gains(carry, coasting, nx, dt, states, terms):
+    """Write the accelerations that led from coasting to the next state, of periodic states the shortest way round."""
+    for row in range(nx):
+        change = load(carry, row * LANES) - load(coasting, row * LANES)
+        factor = states[row]
+        if factor > 0.0:
+            turn = TURN / factor
+            change = where_at_most(change, 0.5 * turn, change, change - turn)
+            change = where_at_most(change, -0.5 * turn, change + turn, change)
+        seen = min(max(change / dt, states[5 * nx + row]), states[6 * nx + row])
+        store(terms, row * LANES, seen * splat(states[7 * nx + row]))
 
 
 def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms):

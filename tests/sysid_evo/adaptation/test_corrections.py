@@ -7,7 +7,11 @@ import pytest
 
 from sysid_evo.adaptation import Corrected, Terms
 from sysid_evo.adaptation.learning import corrections
-from sysid_evo.adaptation.pieces import Pieces, free_runs
+from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
+from sysid_evo.adaptation.sensitivities import sensitivities
+from sysid_evo.adaptation.terms import pushed
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model
 from sysid_evo.system import System
@@ -32,25 +36,64 @@ def test_free_runs_find_the_correction_that_was_left_out() -> None:
     """Thrust 2 instead of 3 m/s2 is linear in the drive."""
     data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
     model, terms = FloorCar(), Terms.of(data)
-    found = list(corrections(model, terms, Pieces.of(model, data, None), [1e-4, 1e-2], 10.0))[-1]
+    found = list(corrections(model, terms, Pieces.of(model, data, None), [1e-2, 1e-4], 10.0))[-1]
     expected = np.zeros(terms.shape)
     expected[4, 0] = -1.0 * terms.scale[3] / terms.unit[0]
     expected[0, 0] = -1.0 * terms.centre[3] / terms.unit[0]
     np.testing.assert_allclose(found, expected, atol=0.01)
 
 
+def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_linear_correction_leaves() -> None:
+    model = FloorCar()
+    data = drive(Weaker(), seconds=15.0, seed=1, noise=0.0)
+    pieces = Pieces.of(model, data, None)
+    left = []
+    for terms in (Terms.of(data), Terms.of(data, model=model)):
+        found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
+        left.append(error_of(off(terms, free_runs(model, terms, found[None], pieces), pieces)[0]))
+    assert left[1] < 0.1 * left[0]
+    assert terms.names[-3:] == [f"foreseen d {name}/dt" for name in data.system.state_names]
+
+
+class Weaker(FloorCar):
+    """Three quarters of the acceleration of the car."""
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        acceleration = pushed(self.system, carry, super().step(carry, control))
+        return self.system.integrate(carry, 0.75 * acceleration)
+
+
+@pytest.mark.parametrize("lags", [0, 2])
+def test_derivatives_along_a_run_are_those_of_differences(lags: int) -> None:
+    data = drive(FloorCar(), seconds=6.0, seed=1)
+    model = make_model("narx", degree=2, terms=8, state_lags=lags, control_lags=1).fit(data, rng=0)
+    terms, pieces = Terms.of(data, products=True, model=model), Pieces.of(model, data, model.envelope)
+    some = np.random.default_rng(0).normal(0.0, 0.01, terms.shape)
+    runs, derivatives = sensitivities(model, terms, some, pieces)
+    np.testing.assert_allclose(runs, free_runs(model, terms, some[None], pieces)[0])
+    for place in (0, 5, 20, terms.size * 3 - 1):
+        change = np.zeros(terms.shape)
+        change.flat[place] = 1e-5
+        more, less = free_runs(model, terms, np.stack([some + change, some - change]), pieces)
+        expected = (more - less) / 2e-5
+        wrong = np.abs(derivatives[place] - expected)
+        assert np.median(wrong) < 1e-5
+        assert np.mean(wrong > 1e-3 * (np.abs(expected).max() + 1e-6)) < 0.02, "but where a bound is met"
+
+
 def test_a_stronger_ridge_leaves_less_of_a_correction() -> None:
     data = drive(FloorCar(thrust=2.0), seconds=5.0, seed=1)
     model, terms = FloorCar(), Terms.of(data, products=True)
-    strong, weak = corrections(model, terms, Pieces.of(model, data, None), [0.1, 100.0], 5.0)
+    strong, weak = corrections(model, terms, Pieces.of(model, data, None), [100.0, 0.1], 5.0)
     assert 0.0 < np.abs(strong).sum() < 0.5 * np.abs(weak).sum()
 
 
 def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge() -> None:
     terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=0), products=True)
     far, control = np.array([[50.0, -50.0, 80.0]]), np.array([[9.0, -9.0]])
-    at_edge = terms(np.array([[terms.high[0], terms.low[1], terms.high[2]]]), np.array([[terms.high[3], terms.low[4]]]))
-    np.testing.assert_array_equal(terms(far, control), at_edge)
+    edge = np.array([[terms.high[0], terms.low[1], terms.high[2]]]), np.array([[terms.high[3], terms.low[4]]])
+    at_edge = terms(*edge, edge[0])
+    np.testing.assert_array_equal(terms(far, control, far), at_edge)
     assert (np.abs(at_edge[0, 1 + terms.n_inputs :]) <= np.maximum(np.abs(terms.least), np.abs(terms.most))).all()
 
 
@@ -68,9 +111,7 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there() -> None:
 def test_the_compiled_form_corrects_each_row_by_its_own_coefficients(system: System, rng: np.random.Generator) -> None:
     model = ExampleDynamics(system)
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
-    from sysid_evo.data import Dataset
-
-    terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True)
+    terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
     corrected = Corrected(model, terms)
     carry = corrected.told(corrected.start(2.0 * states[:70, None], controls[:0]), rng.normal(size=(70, *terms.shape)))
     kernel = corrected.kernel()

@@ -1,0 +1,50 @@
+"""Writes the other forms of a report beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from evaluation.report.contents import Report
+from evaluation.report.formats.latex import to_latex
+from evaluation.report.formats.markdown import to_markdown
+from evaluation.report.sections import sections
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.files import write_atomically
+
+FIGURES = "figures"
+
+
+def write_format(report: Report, name: str, folder: str | Path) -> tuple[Path, ...]:
+    """Write the form ``name`` of a report into ``folder`` and return the files; raises `InvalidArgument`."""
+    if name not in FORMATS:
+        raise InvalidArgument(f"format: expected one of {', '.join(FORMATS)}, got {name!r}")
+    return FORMATS[name](report, Path(folder))
+
+
+def _markdown(report: Report, folder: Path) -> tuple[Path, ...]:
+    drawn = _figures(report, folder)
+    return (_text(folder / "report.md", to_markdown(report, figures=FIGURES)), *drawn)
+
+
+def _latex(report: Report, folder: Path) -> tuple[Path, ...]:
+    return (_text(folder / "report.tex", to_latex(report)),)
+
+
+def _figures(report: Report, folder: Path) -> tuple[Path, ...]:
+    pictures = [picture for section in sections(report) for picture in section.pictures]
+    drawings = [panel.wide for picture in pictures for panel in picture.panels]
+    return tuple(_text(folder / FIGURES / f"{drawing.key}.svg", drawing.file) for drawing in drawings)
+
+
+def _text(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+FORMATS: dict[str, Callable[[Report, Path], tuple[Path, ...]]] = {
+    "markdown": _markdown,
+    "latex": _latex,
+    "svg": _figures,
+}
+"""Names of the forms, and what writes them."""

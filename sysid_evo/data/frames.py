@@ -1,0 +1,126 @@
+"""Data sets as the tables of pandas and the labelled arrays of xarray, and back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.arrays import Array
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.extras import check_installed
+from sysid_evo.system import Channel, System
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from sysid_evo.data.trajectory import Trajectory
+
+
+def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = None) -> Dataset:
+    """Make a data set from a table, see `Dataset.from_pandas`."""
+    if not hasattr(frame, "columns") or not hasattr(frame, "groupby"):
+        raise InvalidArgument(
+            f"from_pandas: expected a pandas table, got {type(frame).__name__}. Arrays become a data set by "
+            "Dataset.from_arrays(system, states, controls), log files by Dataset.read(path, columns=...)"
+        )
+    wanted = [*system.state_names, *system.control_names, *([episode] if episode else [])]
+    missing = [name for name in wanted if name not in frame.columns]
+    if missing:
+        raise InvalidData(
+            f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}. "
+            "Each channel needs a column of its name: rename them, as frame.rename(columns={...})"
+        )
+    poses = list(pose_names(system))
+    has_pose = bool(poses) and all(name in frame.columns for name in poses)
+    groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]
+    tables = [(str(name), table) for name, table in groups]
+    return Dataset.from_arrays(
+        system,
+        [table[list(system.state_names)].to_numpy() for _, table in tables],
+        [table[list(system.control_names)].to_numpy() for _, table in tables],
+        poses=[table[poses].to_numpy() for _, table in tables] if has_pose else None,
+        names=[name for name, _ in tables],
+    )
+
+
+def to_frame(dataset: Dataset) -> pd.DataFrame:
+    """Return a data set as a table, see `Dataset.to_pandas`."""
+    import pandas as pd
+
+    names = channel_names(dataset.system, "episode", "time")
+    tables = [sample_table(dataset.system, episode) for episode in dataset]
+    frame = pd.DataFrame(np.concatenate(tables), columns=list(names))
+    frame.insert(0, "time", np.concatenate([times(episode) for episode in dataset]))
+    frame.insert(0, "episode", np.repeat(dataset.names, [len(table) for table in tables]))
+    return frame
+
+
+def to_labelled(dataset: Dataset) -> xr.Dataset:
+    """Return a data set as labelled arrays, see `Dataset.to_xarray`."""
+    check_installed("Dataset.to_xarray", ["xarray"])
+    import xarray as xr
+
+    system = dataset.system
+    names = channel_names(system, "episode", "time", "length", "condition")
+    longest = max(dataset, key=len)
+    values = np.full((len(dataset), len(longest) + 1, len(names)), np.nan)
+    for i, episode in enumerate(dataset):
+        values[i, : len(episode) + 1] = sample_table(system, episode)
+    variables = {
+        name: (("episode", "time"), values[:, :, i], attributes)
+        for i, (name, attributes) in enumerate(zip(names, _attributes(system), strict=True))
+    }
+    coordinates = {
+        "episode": list(dataset.names),
+        "time": ("time", times(longest), {"units": "s"}),
+        "length": ("episode", [len(episode) + 1 for episode in dataset], {"long_name": "samples of the episode"}),
+        "condition": ("episode", [episode.condition for episode in dataset]),
+    }
+    return xr.Dataset(variables, coordinates, {"dt": system.dt, "system": system.name})
+
+
+def sample_table(system: System, episode: Trajectory) -> Array:
+    """Return states, controls and pose side by side, one row a sample (T + 1, n); what is not known is nan.
+
+    That is the control at the last sample, which nobody held any longer, and the pose of an episode without one.
+    """
+    blank = np.full((1, system.nu), np.nan)
+    pose = np.full((len(episode) + 1, system.n_pose), np.nan) if episode.pose is None else episode.pose
+    return np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
+
+
+def channel_names(system: System, *others: str) -> tuple[str, ...]:
+    """Return the names of states, controls and pose. Raises `InvalidData` if one is among ``others`` or there twice."""
+    names = (*system.state_names, *system.control_names, *pose_names(system))
+    taken = sorted({name for name in names if name in others or names.count(name) > 1})
+    if taken:
+        raise InvalidData(
+            f"data set: the channels {', '.join(taken)} cannot become columns, as {', '.join(others)} and the "
+            "coordinates of the pose have these names; rename the channels"
+        )
+    return names
+
+
+def pose_names(system: System) -> tuple[str, ...]:
+    """Return the names of the pose's coordinates; none without a motion."""
+    return () if system.motion is None else system.motion.pose_names
+
+
+def times(episode: Trajectory) -> Array:
+    """Return the time of each sample since the episode began (T + 1,), in seconds."""
+    return episode.dt * np.arange(len(episode) + 1, dtype=np.float64)
+
+
+def _attributes(system: System) -> list[dict[str, str]]:
+    """Return role and unit of each column of `sample_table`, as xarray's plots read them."""
+
+    def of(channel: Channel, role: str) -> dict[str, str]:
+        return {"role": role} | ({"units": channel.unit} if channel.unit else {})
+
+    states = [of(channel, "state") for channel in system.states]
+    controls = [of(channel, "control") for channel in system.controls]
+    units = () if system.motion is None else system.motion.pose_units
+    return states + controls + [{"role": "pose", "units": unit} for unit in units]

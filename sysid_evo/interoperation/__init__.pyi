@@ -1,0 +1,4 @@
+from .control import to_control
+from .regression import TransitionRegressor
+
+__all__ = ["TransitionRegressor", "to_control"]

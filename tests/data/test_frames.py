@@ -1,0 +1,76 @@
+"""Data sets as tables of pandas and labelled arrays of xarray."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.errors import InvalidData, MissingExtra
+from sysid_evo.system import Channel, System
+
+LINE = System((Channel("place", "m"), "speed"), (Channel("push", "N"),), 0.1, name="line")
+
+
+def two_runs() -> Dataset:
+    rng = np.random.default_rng(3)
+    lengths = {"long": 5, "short": 2}
+    return Dataset(
+        LINE,
+        [
+            Trajectory(rng.normal(size=(n + 1, 2)), rng.normal(size=(n, 1)), 0.1, None, name, condition=name[0])
+            for name, n in lengths.items()
+        ],
+    )
+
+
+def test_a_table_holds_every_sample_with_its_time_and_becomes_the_same_data_set_again():
+    data = two_runs()
+    frame = data.to_pandas()
+    assert list(frame) == ["episode", "time", "place", "speed", "push"]
+    assert list(frame["episode"]) == ["long"] * 6 + ["short"] * 3
+    np.testing.assert_allclose(frame["time"], [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.1, 0.2])
+    assert np.flatnonzero(frame["push"].isna()).tolist() == [5, 8]
+    again = Dataset.from_pandas(LINE, frame, episode="episode")
+    assert again.fingerprint == data.fingerprint
+
+
+def test_the_pose_goes_into_the_table_and_comes_back(car, rng):
+    episode = Trajectory(
+        rng.normal(size=(4, 3)), rng.integers(-1, 2, (3, 2)).astype(float), car.dt, rng.normal(size=(4, 3)), "a"
+    )
+    data = Dataset(car, [episode])
+    frame = data.to_pandas()
+    assert list(frame)[-3:] == ["x", "y", "heading"]
+    assert Dataset.from_pandas(car, frame, episode="episode").fingerprint == data.fingerprint
+    without = Dataset(car, [Trajectory(episode.states, episode.controls, car.dt, None, "a")]).to_pandas()
+    assert without[["x", "y", "heading"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize(("name", "way"), [("time", Dataset.to_pandas), ("length", Dataset.to_xarray)])
+def test_a_channel_named_like_another_column_is_refused(name, way):
+    data = Dataset.from_arrays(System((name,), (), 0.1), np.arange(4.0))
+    with pytest.raises(InvalidData, match=rf"the channels {name} cannot become columns.*rename the channels"):
+        way(data)
+
+
+def test_labelled_arrays_have_units_roles_and_end_in_nan_where_an_episode_is_shorter():
+    data = two_runs()
+    labelled = data.to_xarray()
+    assert labelled["place"].dims == ("episode", "time")
+    assert labelled["place"].attrs == {"role": "state", "units": "m"}
+    assert labelled["push"].attrs == {"role": "control", "units": "N"}
+    assert labelled["speed"].attrs == {"role": "state"}
+    assert labelled.attrs == {"dt": 0.1, "system": "line"}
+    assert labelled["length"].values.tolist() == [6, 3]
+    assert labelled["condition"].values.tolist() == ["l", "s"]
+    np.testing.assert_array_equal(labelled["speed"].sel(episode="short").values[:3], data.episodes[1].states[:, 1])
+    assert np.isnan(labelled["speed"].sel(episode="short").values[3:]).all()
+    np.testing.assert_array_equal(labelled["push"].sel(episode="long").values[:5], data.episodes[0].controls[:, 0])
+    np.testing.assert_allclose(labelled["time"], 0.1 * np.arange(6))
+
+
+def test_without_xarray_it_is_said_how_to_install_it(monkeypatch):
+    monkeypatch.setattr("sysid_evo.extras.find_spec", lambda name: None)
+    with pytest.raises(MissingExtra, match=r'Dataset.to_xarray needs .*pip install "sysid-evo\[xarray\]"'):
+        two_runs().to_xarray()

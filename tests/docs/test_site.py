@@ -1,0 +1,59 @@
+"""The pages of docs become a site without a warning."""
+
+from __future__ import annotations
+
+import html
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+import sysid_evo
+from sysid_evo.cli.app import app
+from tests.docs.blocks import ROOT
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built with warnings as errors: names that are not found, links and anchors that lead nowhere."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+def test_every_command_has_its_place_in_the_reference(site: Path) -> None:
+    page = html.unescape(re.sub(r"<[^>]+>", "", (site / "reference" / "commands.html").read_text()))
+    group = typer.main.get_command(app)
+    for name in group.commands:  # type: ignore[attr-defined]  # an application of several commands is a group
+        assert f"sysid-evo {name}" in page
+    assert "--leave-out" in page
+
+
+def test_the_reference_of_python_describes_what_is_imported_from_the_package(site: Path) -> None:
+    page = (site / "reference" / "python.html").read_text()
+    for name in ("dataset.Dataset", "model.DynamicsModel", "regression.TransitionRegressor", "comparing.compare"):
+        assert re.search(rf'id="[\w.]*{re.escape(name)}"', page), name
+    assert "Return minus the simulation error" in page
+
+
+def test_the_version_stands_in_one_place_and_who_cites_names_it() -> None:
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None
+    assert cited[1] == sysid_evo.__version__
+    assert f"## {sysid_evo.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_links_to_the_firmware_lead_to_its_page(site: Path) -> None:
+    assert 'href="firmware.html"' in (site / "hardware.html").read_text()
+    assert (site / "firmware.html").is_file()
+
+
+def test_the_site_asks_nobody_else_for_anything(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        asked = re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="(https?://[^"]+)"', page.read_text())
+        assert asked == [], page

@@ -1,0 +1,78 @@
+"""The report in other forms: every table in Markdown and LaTeX, every figure as a file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from evaluation.report import Report, verdict
+from evaluation.report.formats import to_latex, to_markdown, write_format
+from evaluation.report.formats.latex import sheet_to_latex
+from evaluation.report.formats.markdown import sheet_to_markdown
+from evaluation.report.headlines import headlines
+from evaluation.report.sections import sections
+from evaluation.report.sheets import Sheet
+from sysid_evo.errors import InvalidArgument
+from tests.evaluation.known_models import Known, Sliding, fitted
+from tests.evaluation.test_report import make_report
+
+AWKWARD = Sheet("50 % of a_b", ("name", "x|y\n(m/s²)"), (("a_b & {c}", "1 ±2\n< 3"), ("#1", "–")), note="~ $5")
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
+
+
+def test_a_markdown_table_has_as_many_cells_in_every_row_and_escapes_what_means_something() -> None:
+    lines = sheet_to_markdown(AWKWARD).splitlines()
+    assert [len(re.findall(r"(?<!\\)\|", line)) for line in lines] == [3] * 4
+    assert lines[0] == r"| name | x\|y (m/s²) |"
+    assert lines[1] == "| :-- | --: |"
+    assert lines[2] == r"| a\_b & \{c\} | 1 ±2<br>\< 3 |"
+
+
+def test_a_latex_table_has_as_many_cells_in_every_row_and_escapes_what_means_something() -> None:
+    text = sheet_to_latex(AWKWARD, "tab:awkward")
+    rows = [line.strip() for line in text.splitlines() if line.endswith(r" \\")]
+    assert [len(re.findall(r"(?<!\\)&", row)) for row in rows] == [1] * 3
+    assert rows[0] == r"name & \makecell[tr]{x$|$y \\ (m/s$^2$)} \\"
+    assert rows[1] == r"a\_b \& \{c\} & \makecell[tr]{1 $\pm$2 \\ $<$ 3} \\"
+    assert rows[2] == r"\#1 & -- \\"
+    assert r"\caption{50 \% of a\_b}" in text
+    assert r"\textasciitilde{} \$5" in text
+    assert [text.count(f"\\{what}{{tabular}}") for what in ("begin", "end")] == [1, 1]
+
+
+def test_every_table_and_answer_of_the_report_is_in_both(report: Report) -> None:
+    markdown, latex = to_markdown(report), to_latex(report)
+    sheets = [sheet for section in sections(report) for sheet in section.sheets]
+    assert len(sheets) > 10
+    for sheet in sheets:
+        assert sheet_to_markdown(sheet) in markdown
+    assert latex.count(r"\begin{table}") == len(sheets) + 1  # and the short one
+    labels = re.findall(r"\\label\{(.*)\}", latex)
+    assert len(set(labels)) == len(labels)
+    for finding in verdict(report):
+        assert finding.question in markdown
+    assert "known" in headlines(report)[0].answer
+
+
+def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report: Report, tmp_path: Path) -> None:
+    text, *figures = write_format(report, "markdown", tmp_path)
+    shown = re.findall(r"!\[.*\]\((.*)\)", text.read_text())
+    assert sorted(shown) == sorted(figure.relative_to(tmp_path).as_posix() for figure in figures)
+    for figure in figures:
+        assert ElementTree.parse(figure).getroot().tag.endswith("svg")
+    curve = (tmp_path / "figures" / "horizon.svg").read_text()
+    assert all(f">{name}<" in curve for name in ("persistence", "known", "sliding"))
+    assert "var(--" not in curve
+    assert ">measured<" in (tmp_path / "figures" / "free-run.svg").read_text()
+
+
+def test_an_unknown_form_is_refused(report: Report, tmp_path: Path) -> None:
+    with pytest.raises(InvalidArgument, match="markdown, latex, svg, got 'word'"):
+        write_format(report, "word", tmp_path)
