@@ -11,11 +11,16 @@ from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson, joined
 from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks
 from model_zoo.hidden.shooting import Spaces, Trained
+from model_zoo.linear_state_space import STEPS
 from sysid_evo import Dataset, register_model
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
+from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.registry import make_model
 
+LINEAR = "linear_state_space"
 FEWEST_STATES, ORDERS = 2, 3
 LIKELY = 4
 """Mixtures of units of which more networks are begun."""
@@ -23,6 +28,8 @@ SHARPNESS = 40.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
 ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
+FEW, GATE_FOLDS, BETTER = 600, 3, 0.9
+"""A record of fewer samples is gated: on so many folds networks must be better by this factor."""
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
 
@@ -42,8 +49,9 @@ class NonlinearStateSpace(StateSpaceModel):
     one counts less the higher its criterion is, and one that goes astray under the recorded controls in another order
     not at all; each has its own hidden states and its own gain K.
 
-    Where the criterion of a linear space is lower than that of every network (a short record does not tell so many
-    weights), that one is the model, and ``fit_note`` says so.
+    Where the criterion of a linear space is lower than that of every network, that one is the model. Of a record
+    of less than 600 samples, which may not tell so many weights, `linear_state_space` is the model unless networks are
+    a tenth better in free runs on held-out blocks of time; ``gated=False`` leaves that out. ``fit_note`` says so.
     """
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -58,6 +66,7 @@ class NonlinearStateSpace(StateSpaceModel):
     trial: int = 15
     iterations: int = 60
     horizon: int = 1000
+    gated: bool = True
     rest_hold: bool = False
     most_steps: int | None = 30_000
 
@@ -84,8 +93,31 @@ class NonlinearStateSpace(StateSpaceModel):
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
         trained = lesson.lengthened(trained, linear[order].spaces, self.iterations, counter.advance)
         self._mean_of(lesson, trained, list(linear.values()))
+        if self.gated and sum(len(part) for part in lesson.parts) < FEW and not self.linear_order_:
+            self._gate(dataset, int(rng.integers(2**63)))
         counter.advance()
         return self
+
+    def uses(self) -> tuple[str, ...]:
+        return (LINEAR,) if self.gated else ()
+
+    def _gate(self, dataset: Dataset, seed: int) -> None:
+        """Become the linear state space, unless networks are better in free runs on held-out blocks of time."""
+        plain = make_model(
+            LINEAR, order=self.order, iterations=self.trial, horizon=self.horizon, folds=1, rest_hold=self.rest_hold
+        )
+        errors = [0.0, 0.0]
+        for learned, held in (time_blocks(dataset, fold, GATE_FOLDS) for fold in range(GATE_FOLDS)):
+            for i, model in enumerate((self.variant(gated=False), plain)):
+                model.fit(learned, rng=np.random.default_rng(seed))
+                windows = judging_windows(held, model.n_lags, fewest=STEPS)
+                errors[i] += float(np.nan_to_num(simulation_error(model, windows), nan=np.inf))
+        if errors[0] <= BETTER * errors[1]:
+            return
+        plain.fit(dataset, rng=np.random.default_rng(seed))
+        for name in ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_"):
+            setattr(self, name, getattr(plain, name))
+        self.linear_order_ = len(self.rest_)
 
     def _mean_of(self, lesson: Lesson, trained: Trained, linear: list[Trained]) -> None:
         """Become the mean of the networks, or the best linear space if its criterion is lower than all of theirs."""
