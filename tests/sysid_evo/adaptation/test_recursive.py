@@ -53,6 +53,18 @@ def test_where_nothing_has_changed_the_gate_stays_closed(model: Dynamics) -> Non
     assert not learning.open(memories(learning, drive(FloorCar(), seconds=20.0, seed=3).episodes[0])).any()
 
 
+def test_of_coefficients_with_gains_and_without_those_are_used_that_foresaw_better(model: Dynamics) -> None:
+    learning = SelfCorrection.of(model)
+    memory = memories(learning, drive(OTHER, seconds=12.0, seed=2).episodes[0])[-1:]
+    memory[:, learning.places["plain"]] = 1.0
+    for simple, name in ((0.1, "simple_now"), (0.3, "now")):
+        memory[:, learning.places["corrected"]], memory[:, learning.places["simple"]] = 0.2, simple
+        expected = memory[0, learning.places[name]].reshape(learning.terms.shape)
+        np.testing.assert_array_equal(learning.coefficients(memory)[0], expected)
+    assert not np.any(memory[0, learning.places["simple_now"]].reshape(learning.terms.shape)[-3:])
+    assert np.abs(memory[0, learning.places["now"]].reshape(learning.terms.shape)[-3:]).max() > 0.1
+
+
 def test_what_it_knows_comes_from_the_past_alone(model: Dynamics) -> None:
     learning, whole = SelfCorrection.of(model), drive(OTHER, seconds=6.0, seed=2).episodes[0]
     np.testing.assert_array_equal(memories(learning, whole)[:81], memories(learning, whole[:80]))
