@@ -10,8 +10,9 @@ from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.learning import Lesson
 from model_zoo.hidden.observer import observer
 from model_zoo.hidden.shooting import Spaces, Trained
+from model_zoo.hidden.units import UNITS
 from sysid_evo import Dataset, register_model
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, IntArray
 from sysid_evo.cross_validation import time_blocks
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
@@ -85,7 +86,7 @@ class Subnet(StateSpaceModel):
             seen, _, outputs = pasts(lesson.parts, past, 1)
             runs = module.encoded(seen)
         weights = [value.detach().numpy().copy()[None] for value in (module.outer, module.inner)]
-        space = Spaces(weights[0], weights[1], linear.spaces.pace, ("smooth",))
+        space = Spaces(weights[0], weights[1], linear.spaces.pace, _smooth(self.hidden))
         self.adopt(lesson.scales, [space], [observer(space, runs, outputs[:, 0], lesson.parts)], np.ones(1))
         counter.advance()
         return self
@@ -94,7 +95,7 @@ class Subnet(StateSpaceModel):
         """Return the linear space with units that have no weight yet."""
         outer = np.concatenate([linear.outer, np.zeros((1, linear.n, self.hidden))], axis=2)
         inner = SPREAD * rng.standard_normal((1, self.hidden, linear.outer.shape[2]))
-        return Spaces(outer, inner, linear.pace, linear.units)
+        return Spaces(outer, inner, linear.pace, _smooth(self.hidden))
 
     def _encoder(self, lesson: Lesson, linear: Trained, past: int) -> Array:
         """Return the map (n, p + 1) from the past and 1 to the states of the linear space."""
@@ -109,3 +110,7 @@ class Subnet(StateSpaceModel):
         regressors = np.concatenate([seen, np.ones((len(seen), 1))], axis=1)
         square = regressors.T @ regressors + RIDGE * len(regressors) * np.eye(regressors.shape[1])
         return np.linalg.solve(square, regressors.T @ np.concatenate(targets)).T
+
+
+def _smooth(hidden: int) -> IntArray:
+    return np.full((1, hidden), UNITS.index("smooth"))

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from evaluation.comparison.columns import Column
-from evaluation.prediction import ModelPrediction
+from evaluation.forecast import error_of
 from sysid_evo.plan import Work
 
 BELIEVED = 1.5
 """How many times the error of the best model a model may have to be believed."""
-HORIZON = 20
-"""Steps after which the error counts, where it was measured there."""
 FAMILIES = 2
 """The best of this many families are always believed, so that there is one to judge what comes from the other."""
 
@@ -37,7 +35,4 @@ def believed(columns: Sequence[Column], work: Work) -> tuple[Column, ...]:
 
 def prediction_error(column: Column, work: Work) -> float | None:
     """Return N of a model on held-out data, None where it is not known."""
-    found: ModelPrediction | None = None if column.prediction is None else work.result(column.prediction)
-    if found is None or not found.at:
-        return None
-    return (found.score(HORIZON) or found.at[-1]).n
+    return None if column.prediction is None else error_of(work.result(column.prediction))

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from evaluation.comparison.believing import BELIEVED, believed
+from evaluation.comparison.believing import BELIEVED, believed, prediction_error
 from evaluation.comparison.columns import Column
 from evaluation.comparison.model_cells import files_of
+from evaluation.forecast import RULE, worth_by
 from sysid_evo.engine import Runner
 from sysid_evo.errors import Blocked, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
@@ -132,10 +133,10 @@ class EvolveCell(ControllerFiles):
 
 @dataclass(frozen=True, eq=False)
 class ChooseCell(ControllerFiles):
-    """Chooses among the finalists of all ``contenders`` by their median on models of other families.
+    """Chooses among the finalists of all ``contenders`` by their forecasts, see `worth_by`.
 
-    ``judges`` are the columns of models; those of a family that a contender was evolved in do not judge it, and
-    those that predict badly judge nobody, see `believed`. What failed among contenders and judges is left out.
+    ``judges`` are the columns of models; a contender is judged where one of them is of another family than it was
+    evolved in. What failed among contenders and judges is left out.
     """
 
     kind = "choose"
@@ -170,25 +171,30 @@ class ChooseCell(ControllerFiles):
         return {
             "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
             "judges": [judge.registered for judge in self.judges],
-            "believed": BELIEVED,
+            "rule": [RULE.power, RULE.own],
             "trials": self.trials,
             "seed": self.seed,
         }
 
     def compute(self, work: Work) -> Champion:
         fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
-        fitted = list(believed(fitted, work))
         judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
         contenders = []
         for contender in self.contenders:
             champion = work.result(contender)
             if champion is not None:
                 own = {member.registered for member in contender.members}
-                others = {judge.label: judging[judge.label] for judge in fitted if judge.registered not in own}
-                contenders.append((champion, others))
+                contenders.append((champion, judging if any(judge.registered not in own for judge in fitted) else {}))
         if not contenders:
             raise Blocked(blocked_by(self.contenders[0]))
-        return choose(contenders, seed=cell_seed(self.seed, "choose"), trials=self.trials)
+        errors = {judge.label: prediction_error(judge, work) for judge in fitted}
+        families = {column.label: column.registered for column in (*self.members, *fitted)}
+        return choose(
+            contenders,
+            seed=cell_seed(self.seed, "choose"),
+            trials=self.trials,
+            judgement=worth_by(errors, families),
+        )
 
     def named(self, value: Champion) -> Champion:
         if len(self.contenders) > 1:

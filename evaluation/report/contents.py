@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from evaluation.advice import ModelAdvice
 from evaluation.behaviour import Manner, manners
 from evaluation.exploitability import ModelExploitability
+from evaluation.forecast import Forecast, ModelForecast, chosen_by, error_of, forecasts, model_forecasts
 from evaluation.prediction import ModelPrediction, Prediction, measured_cases
 from evaluation.prediction.conditions import ConditionErrors
 from evaluation.transfer import TransferMatrix, TransferSummary, summarise
@@ -145,8 +146,23 @@ class Report:
 
     @cached_property
     def transfer(self) -> TransferSummary | None:
-        """Claimed and achieved fitness of every controller."""
-        return summarise(self.matrix) if self.matrix is not None and self.matrix.champions else None
+        """Claimed and achieved fitness of every controller, and which one to drive, by its forecast."""
+        if self.matrix is None or not self.matrix.champions:
+            return None
+        return chosen_by(summarise(self.matrix), self.forecasts)
+
+    @cached_property
+    def forecasts(self) -> Mapping[str, Forecast]:
+        """What every controller is expected to achieve on the robot, by its name."""
+        if self.matrix is None:
+            return {}
+        models = () if self.prediction is None else self.prediction.models
+        return forecasts(self.matrix, {model.name: error_of(model) for model in models})
+
+    @cached_property
+    def model_forecasts(self) -> Mapping[str, ModelForecast]:
+        """What controllers evolved in each model are expected to achieve, by the name of the model."""
+        return {} if self.matrix is None else model_forecasts(self.matrix, self.forecasts)
 
     @cached_property
     def manners(self) -> tuple[Manner, ...]:

@@ -15,6 +15,7 @@ from evaluation.advice import advice_to_json
 from evaluation.behaviour import Manner, described, manners
 from evaluation.behaviour.manner import unit_of
 from evaluation.exploitability import ModelExploitability
+from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
@@ -55,6 +56,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
+        "forecast": None if report.matrix is None else _forecast(report),
         "behaviour": [] if report.matrix is None else _behaviour(report.manners, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
@@ -64,8 +66,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "versions": report.versions,
         "timings": report.timings,
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
@@ -77,8 +79,8 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "controllers": _summary(summarise(matrix)),
         "behaviour": _behaviour(manners(matrix), matrix),
     }
-    plain: dict[str, Any] = _plain(document)
-    return plain
+    strict: dict[str, Any] = plain(document)
+    return strict
 
 
 def report_schema() -> dict[str, Any]:
@@ -269,20 +271,37 @@ def _controller(controller: ControllerSummary) -> dict[str, Any]:
     return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
+def _forecast(report: Report) -> dict[str, Any]:
+    achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
+    return {
+        "rule": asdict(RULE),
+        "controllers": [
+            {
+                **asdict(one),
+                "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
+                "held": None if real is None else one.holds(real),
+            }
+            for one in report.forecasts.values()
+        ],
+        "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
+    }
+
+
 def _exploitability(model: ModelExploitability) -> dict[str, Any]:
-    return {**asdict(model), "exploited": model.exploited, "sentence": model.sentence}
+    found = {**asdict(model), "on_each": dict(model.on_each)}
+    return {**found, "exploited": model.exploited, "sentence": model.sentence}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):

@@ -8,6 +8,7 @@ from typing import Literal
 
 from evaluation.exploitability import ModelExploitability
 from evaluation.report.contents import Report
+from evaluation.report.forecasting import forecast_text
 from evaluation.report.overview import drive_command
 from evaluation.report.predicting import horizon_name, main_horizon, predicts, scored
 from evaluation.report.sheets import three_digits
@@ -97,6 +98,8 @@ def _worth(pick: ControllerSummary, report: Report) -> str:
     assert report.matrix is not None
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     claim = "" if pick.claimed is None else f"Claims {_size(pick.claimed)}{unit}"
+    found = report.forecasts.get(pick.name)
+    claim += "" if found is None else f", forecast {forecast_text(found)}"
     if pick.achieved is not None:
         return f"{claim}, achieves {_size(pick.achieved)} on the robot."
     if pick.others is not None:

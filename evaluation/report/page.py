@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 
 from evaluation.plots.theme import style_sheet
+from evaluation.report.cards import Cards
 from evaluation.report.contents import Report
 from evaluation.report.drawing import Picture
-from evaluation.report.headlines import headlines
-from evaluation.report.overview import overview_sheet
 from evaluation.report.replay import Replay
-from evaluation.report.sections import sections
-from evaluation.report.verdict import verdict
+from evaluation.report.story import Story
 
 TEMPLATE = "page.html.j2"
 JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
@@ -19,7 +17,12 @@ JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 
 
 def to_html(report: Report) -> str:
-    """Return the page as text; it holds no link and no source outside itself."""
+    """Return the page of a report as text; it holds no link and no source outside itself."""
+    return page_of(Story.of(report))
+
+
+def page_of(story: Story) -> str:
+    """Return the page that tells a story."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -33,13 +36,10 @@ def to_html(report: Report) -> str:
     environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
     environment.filters["raw"] = Markup
     environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["cards"] = lambda item: isinstance(item, Cards)
     environment.tests["replay"] = lambda item: isinstance(item, Replay)
     page: str = environment.get_template(TEMPLATE).render(
-        report=report,
-        headlines=headlines(report),
-        verdict=verdict(report),
-        overview=overview_sheet(report),
-        sections=sections(report),
+        story=story,
         colours=Markup(style_sheet()),
     )
     return page

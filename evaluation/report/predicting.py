@@ -7,7 +7,7 @@ from evaluation.prediction import PERSISTENCE, ErrorScore, ModelPrediction, Pred
 
 N_IN_WORDS = "the mean error in standard deviations"
 USELESS = 1.0
-"""From this N on, the mean of the recording would have been no worse a prediction."""
+"""The N of the mean of what was measured, as a prediction."""
 
 
 def main_horizon(prediction: Prediction) -> int | None:
@@ -29,9 +29,9 @@ def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction
 
 
 def predicts(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model's N is below 1 and significantly below that of persistence."""
+    """Whether a model is significantly better than the mean and than persistence."""
     score = model.score(horizon)
-    return score is not None and score.n < USELESS and _beats_persistence(prediction, model, horizon)
+    return score is not None and _beats_mean(score) and _beats_persistence(prediction, model, horizon)
 
 
 def predicting(prediction: Prediction) -> tuple[str, ...]:
@@ -93,9 +93,12 @@ def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: 
     beside = f"; persistence has {still.n:.3f}" if still else ""
     if any(predicts(prediction, model, horizon) for model in models):
         return f"{where.capitalize()}, {best.name} is best: N, {N_IN_WORDS}, is {size}{beside}."
-    why = (
-        "from 1 on, a constant would do as well" if score.n >= USELESS else "no model is significantly better than that"
-    )
+    if score.n >= USELESS:
+        why = "from 1 on, a constant would do as well"
+    elif not any(_beats_mean(_score(model, horizon)) for model in models):
+        why = "no model is significantly better than a constant, which has 1"
+    else:
+        why = "no model is significantly better than that"
     return f"No model predicts here: {where} the lowest N, {N_IN_WORDS}, is {size}, of {best.name}{beside}; {why}."
 
 
@@ -110,6 +113,10 @@ def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
     score = model.score(horizon)
     assert score is not None
     return score
+
+
+def _beats_mean(score: ErrorScore) -> bool:
+    return score.interval.high < USELESS
 
 
 def _no_worse(prediction: Prediction, model: ModelPrediction, best: ModelPrediction, horizon: int | None) -> bool:

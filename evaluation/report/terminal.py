@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
@@ -15,7 +16,7 @@ from evaluation.report.contents import Report
 from evaluation.report.overview import drive_command, overview_sheet
 from evaluation.report.sheets import Sheet
 from evaluation.report.tables import condition_sheet
-from evaluation.report.verdict import SAID, limits_question, verdict
+from evaluation.report.verdict import SAID, Finding, limits_question, verdict
 
 WIDTH = 80
 GAP = 2
@@ -88,7 +89,7 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
             wraps = column == 0 or _width(sheet, column, names) > WIDTH // 2
             table.add_column(
                 Text(sheet.columns[column]),
-                justify="left" if wraps else "right",
+                justify="left" if wraps or sheet.prose else "right",
                 no_wrap=not wraps,
                 overflow="fold",
                 vertical="top",
@@ -115,11 +116,15 @@ def _absent(report: Report) -> list[str]:
 
 
 def _verdict(report: Report) -> list[RenderableType]:
-    parts: list[RenderableType] = [Text(report.title, style="bold")]
-    for finding in verdict(report):
-        answers = [_indented(answer) for answer in finding.answers]
-        parts.append(Group(Text(finding.question, style="bold cyan"), *answers))
-    return parts
+    return [Text(report.title, style="bold"), *findings_lines(verdict(report))]
+
+
+def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:
+    """Return questions and their answers."""
+    return [
+        Group(Text(finding.question, style="bold cyan"), *(_indented(answer) for answer in finding.answers))
+        for finding in findings
+    ]
 
 
 def _indented(text: str) -> Padding:

@@ -24,17 +24,9 @@ def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tup
     return _on_models(summary, unit) if matrix.robot is None else _on_robot(summary, unit)
 
 
-def recommended(matrix: TransferMatrix, summary: TransferSummary) -> tuple[str, ...]:
-    """Answer what to use."""
-    answers = []
-    if summary.pick is None:
-        answers.append("No controller can be judged by models of other families; add a family to choose by.")
-    else:
-        pick = summary.controller(summary.pick)
-        answers.append(
-            f"Chosen without the robot: {pick.name}, {_why(pick)}"
-            + (f"; it achieves {pick.achieved.value:.1f} on the robot." if pick.achieved is not None else ".")
-        )
+def recommended(matrix: TransferMatrix, summary: TransferSummary, why: str | None) -> tuple[str, ...]:
+    """Answer what to use; ``why`` says by what the controller to drive was chosen."""
+    answers = [why or "No controller can be judged by models of other families; add a family to choose by."]
     if matrix.robot is not None:
         tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
         best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
@@ -47,16 +39,6 @@ def recommended(matrix: TransferMatrix, summary: TransferSummary) -> tuple[str, 
             if correlation.value is not None
         ]
     return tuple(answers)
-
-
-def _why(pick: ControllerSummary) -> str:
-    """Say by what a controller is chosen without the robot."""
-    if pick.polished:
-        claims = "" if pick.claimed is None else f", which claims {pick.claimed.value:.1f}"
-        return f"the best of all niches on models of other families, polished on {len(pick.against)} models{claims}"
-    assert pick.other_families is not None
-    judges = f"{len(pick.judges)} {'model' if len(pick.judges) == 1 else 'models'}"
-    return f"the highest median on models of other families ({pick.other_families.value:.1f} on {judges})"
 
 
 def unknown(summary: TransferSummary) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from evaluation.advice import ModelAdvice
 from evaluation.report.contents import Report
+from evaluation.report.forecasting import why_chosen
 from evaluation.report.predicting import predicting, scored
 from evaluation.report.transferring import recommended, transferring, unknown
 
@@ -31,7 +32,7 @@ def verdict(report: Report) -> tuple[Finding, ...]:
     if report.matrix is not None:
         findings.append(Finding("Which controllers transfer?", transferring(report.matrix, report.transfer)))
         if report.transfer is not None and not all(cell.failed for cell in report.matrix.cells.values()):
-            findings.append(Finding("What to use?", recommended(report.matrix, report.transfer)))
+            findings.append(Finding("What to use?", recommended(report.matrix, report.transfer, why_chosen(report))))
             if open_questions := unknown(report.transfer):
                 findings.append(Finding("What is not known?", open_questions))
     if report.advice is not None and report.advice.remarks:

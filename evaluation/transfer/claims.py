@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ SURE = 2.0
 """A claim is exploited only if the gap is more than this many standard errors."""
 ENDS = (0.05, 0.95)
 """Quantiles of the draws between which a 90 % interval lies."""
-UNKNOWN = float("nan")
+UNKNOWN = math.nan
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 

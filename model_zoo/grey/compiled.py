@@ -23,6 +23,8 @@ def structure_kernel(
     law = LawOverLanes(
         structure.law,
         structure.law_rows,
+        structure.rate_rows,
+        structure.known,
         structure.controls,
         tuple(range(rows.start, rows.stop)),
         len(structure.own),

@@ -25,7 +25,7 @@ from model_zoo.grey.search import (
 )
 from model_zoo.grey.segments import Segments
 from model_zoo.grey.structure import Structure
-from model_zoo.grey.telling import named_places, offset_note, offset_rows, parameter_rows, residual_note
+from model_zoo.grey.telling import known_rates, named_places, offset_note, offset_rows, parameter_rows, residual_note
 from model_zoo.grey.uncertainty import Sureness, open_questions
 from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import time_blocks
@@ -62,6 +62,9 @@ class GreyBox(DynamicsModel):
     rate for each state. It may use what a kernel may (docs/kernels.md). It runs on arrays while it is fitted, and is
     compiled for evolution. Of a system with a motion, the turning of the body's frame is added to what it returns.
 
+    A family whose states are positions and their speeds may write `acceleration` instead, and name in ``speeds`` which
+    state is the rate of which: it returns the rates of all states but the positions.
+
     ``hidden`` names states that are not measured; `rate` takes them after the others. They begin every run where the
     ``history`` samples before it say.
 
@@ -94,6 +97,7 @@ class GreyBox(DynamicsModel):
     states: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
     hidden: ClassVar[tuple[Hidden, ...]] = ()
+    speeds: ClassVar[Mapping[str, str]] = {}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120, "residual_points": 60}}
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay", "residual_points")},
@@ -119,12 +123,18 @@ class GreyBox(DynamicsModel):
     @staticmethod
     def rate(state: Any, control: Any, p: Any) -> Any:  # noqa: ARG004  # what a family writes
         """Return d/dt of every state from tuples of states, controls and parameters."""
-        raise TypeError("a grey box must define rate(state, control, p)")
+        raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
+
+    @staticmethod
+    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # see `rate`
+        """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`."""
+        raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
 
     @property
     def law(self) -> Callable[..., Any]:
-        """The function that is integrated; `rate`, unless a family has a choice of several."""
-        return type(self).rate
+        """The function that is integrated; `rate` or `acceleration`, unless a family has a choice of several."""
+        own = type(self)
+        return own.rate if own.acceleration is GreyBox.acceleration else own.acceleration
 
     def declared(self) -> tuple[Parameter, ...]:
         """Return the parameters of `law`; ``parameters``, unless a family has a choice of several."""
@@ -179,6 +189,7 @@ class GreyBox(DynamicsModel):
             lagged=self.actuator_lag,
             delay=self.longest_delay if self.command_delay else 0,
             substeps=self.substeps,
+            known=known_rates(self, self.speeds, system, self.law is type(self).acceleration),
         )
 
     @property

@@ -32,7 +32,8 @@ class Structure:
     """The law ``rate(state, control, p)`` on a system, with what is switched on around it.
 
     The law's states are those of the system at the places ``states`` and then ``hidden`` ones, its controls those at
-    ``controls``. With ``lagged`` every control acts through a first-order lag of its own; ``delay`` is how many earlier
+    ``controls``. ``known`` are places of states and of those that are their rates; the law gives the rates of the
+    others. With ``lagged`` every control acts through a first-order lag of its own; ``delay`` is how many earlier
     samples of the controls are remembered, for a delay between 0 and that.
     """
 
@@ -45,6 +46,7 @@ class Structure:
     lagged: bool = False
     delay: int = 0
     substeps: int = 1
+    known: tuple[tuple[int, int], ...] = ()
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -95,12 +97,18 @@ class Structure:
         """Where the law's states stand in the carry."""
         return (*self.states, *range(self.system.nx, self.system.nx + len(self.hidden)))
 
+    @cached_property
+    def rate_rows(self) -> tuple[int, ...]:
+        """Where the states whose rates the law gives stand in the carry."""
+        positions = [position for position, _ in self.known]
+        return tuple(row for row in self.law_rows if row not in positions)
+
     def shorter(self, delay: float) -> Structure:
         """Return the structure that remembers no more samples than this delay wants."""
         return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
 
     def check(self) -> None:
-        """Raise `InvalidArgument` unless the law gives one finite rate for each of its states at the first guess."""
+        """Raise `InvalidArgument` unless the law gives one finite rate for each state of which none is known."""
         extended = self.extended.neutral_state[list(self.law_rows)]
         neutral = self.system.neutral_control[list(self.controls)]
         guess = np.array([parameter.guess for parameter in self.own])
@@ -114,10 +122,11 @@ class Structure:
                 f"{name}(state, control, p): expected a tuple of rates from {len(extended)} states, {len(neutral)} "
                 f"controls and {len(guess)} parameters; it says: {error}"
             ) from error
-        if len(values) != len(extended):
-            names = [self.extended.state_names[i] for i in self.law_rows]
+        if len(values) != len(self.rate_rows):
+            names = [self.extended.state_names[i] for i in self.rate_rows]
             raise InvalidArgument(
-                f"{name}(state, control, p): expected {len(extended)} rates, of {', '.join(names)}; got {len(values)}"
+                f"{name}(state, control, p): expected {len(names)} rates, of {', '.join(names)}; got {len(values)}. "
+                "Of states that are the rate of another one, tell so in speeds"
             )
         if not np.isfinite(values).all():
             raise InvalidArgument(f"{name}(state, control, p): the rates at rest with the first guess are {values}")
@@ -135,8 +144,10 @@ class Structure:
         found = np.zeros_like(x)
         control = x[self.actuator_rows] if self.lagged else commanded
         rates = array_form(self.law)(tuple(x[i] for i in self.law_rows), tuple(control), tuple(p[: len(self.own)]))
-        for row, rate in zip(self.law_rows, rates, strict=True):
+        for row, rate in zip(self.rate_rows, rates, strict=True):
             found[row] = rate
+        for position, speed in self.known:
+            found[position] = x[speed]
         if self.lagged:
             lags = p[len(self.own) : len(self.own) + len(self.controls)]
             found[self.actuator_rows] = (commanded - control) / lags

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from model_zoo.grey.parameter import Parameter
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.system import System
 
 
 def parameter_rows(
@@ -65,3 +66,23 @@ def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: 
                 f"{type(model).__name__} needs the {what} {name!r}: the system has {', '.join(there) or 'none'}"
             )
     return tuple(there.index(name) for name in wanted) if wanted else tuple(range(len(there)))
+
+
+def known_rates(
+    model: DynamicsModel, speeds: Mapping[str, str], system: System, accelerates: bool
+) -> tuple[tuple[int, int], ...]:
+    """Return where each position of ``speeds`` and its rate stand in ``system``.
+
+    Raises `InvalidArgument` for speeds of a family that does not write accelerations.
+    """
+    if not speeds:
+        return ()
+    if not accelerates:
+        raise InvalidArgument(
+            f"{type(model).__name__}: speeds says which rates are known, but rate gives those of all states: write "
+            "acceleration(state, control, p) in its place"
+        )
+    positions, rates = (
+        named_places(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())
+    )
+    return tuple(zip(positions, rates, strict=True))

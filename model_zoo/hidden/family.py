@@ -49,7 +49,7 @@ class StateSpaceModel(DynamicsModel):
     def adopt(self, scales: Scales, members: list[Spaces], observers: list[Observer], weights: Array) -> None:
         """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
         ny = len(scales.output_scale)
-        self.outer_, self.inner_, self.units_ = [], [], [member.units[0] for member in members]
+        self.outer_, self.inner_, self.kinds_ = [], [], [member.kinds[0] for member in members]
         outputs = []
         for member, weight in zip(members, weights, strict=True):
             outer = member.pace[:, None] * member.outer[0]
@@ -102,7 +102,7 @@ class StateSpaceModel(DynamicsModel):
             self.system,
             self.outer_,
             self.inner_,
-            self.units_,
+            self.kinds_,
             output=self.output_,
             offset=self.offset_,
             gain=self.gain_,
@@ -132,9 +132,9 @@ class StateSpaceModel(DynamicsModel):
         """Return the next hidden states (B, n), corrected by how far ``outputs`` (B, ny) are off."""
         off = outputs - hidden @ self.output_.T - self.offset_
         parts, at, ones = [], 0, np.ones((len(hidden), 1))
-        for outer, inner, kind in zip(self.outer_, self.inner_, self.units_, strict=True):
+        for outer, inner, kinds in zip(self.outer_, self.inner_, self.kinds_, strict=True):
             seen = np.concatenate([hidden[:, at : at + len(outer)], control, ones], axis=1)
-            units = values(kind, seen @ inner.T)
+            units = values(kinds, seen @ inner.T)
             parts.append(np.concatenate([seen, units], axis=1) @ outer.T)
             at += len(outer)
         return np.clip(np.concatenate(parts, axis=1) + off @ self.gain_.T, -FAR, FAR)

@@ -62,7 +62,7 @@ class Lesson:
         """Return the linear space that the subspace gives, made stable if it is not."""
         found = linear_space(self.subspace, order)
         outer = found.rates / found.pace[:, None]
-        return stabilised(Spaces(outer[None], np.empty((1, 0, outer.shape[1])), found.pace, ("smooth",)))
+        return stabilised(Spaces.linear(outer[None], found.pace))
 
     def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
@@ -109,7 +109,7 @@ class Lesson:
                 outer = spaces.outer.copy()
                 outer[lost] = 0.0
                 outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
-                spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.units)
+                spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.kinds)
                 starts[lost] = self.blank(segments, spaces)[lost]
             share = iterations * (number + 1) // len(later) - iterations * number // len(later)
             trained, before = train(spaces, segments, starts, share, told), segments
@@ -121,6 +121,11 @@ class Lesson:
         """Return an observer of every space of a training on long free runs."""
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
+
+    def judged(self, trained: Trained) -> tuple[list[Observer], Array]:
+        """Return the observers of a training on long free runs, and the errors (S,) of runs that begin with them."""
+        found = self.observers(trained)
+        return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])
 
     def from_history(self, space: Spaces, own: Observer) -> float:
         """Return the mean square error of one space on long free runs that begin where its observer finds it.
@@ -157,6 +162,17 @@ class Lesson:
         return np.asarray((np.abs(runs) > limit).any(axis=(1, 2, 3)))
 
 
+def joined(one: Trained, other: Trained) -> Trained:
+    """Return the spaces of both trainings, which are alike but for their weights, side by side."""
+    spaces = Spaces(
+        np.concatenate([one.spaces.outer, other.spaces.outer]),
+        np.concatenate([one.spaces.inner, other.spaces.inner]),
+        one.spaces.pace,
+        np.concatenate([one.spaces.kinds, other.spaces.kinds]),
+    )
+    return Trained(spaces, np.concatenate([one.starts, other.starts]), np.concatenate([one.error, other.error]))
+
+
 def radius(space: Spaces) -> float:
     """Return the spectral radius of the linear part of one space."""
     drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
@@ -173,4 +189,4 @@ def stabilised(space: Spaces) -> Spaces:
     outer = space.outer.copy()
     kept = (vectors * values) @ np.linalg.pinv(vectors)
     outer[0, :, : space.n] = (kept.real - np.eye(space.n)) / space.pace[:, None]
-    return Spaces(outer, space.inner, space.pace, space.units)
+    return Spaces(outer, space.inner, space.pace, space.kinds)

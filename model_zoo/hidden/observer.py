@@ -14,7 +14,7 @@ from sysid_evo.data.windows import WindowPlaces, Windows
 
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Noise of the state in one step, in units of its usual change, to noise of the output in units of its deviation."""
-RICCATI_STEPS = 400
+RICCATI_STEPS, SETTLED = 400, 1e-6
 HORIZON, MOST_WINDOWS = 30, 300
 FORGOTTEN = 0.02
 """Share of a wrong first guess that may be left after the history."""
@@ -53,7 +53,7 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) ->
     places = np.linspace(0, len(runs) - 1, min(200, len(runs))).astype(np.int64)
     middle = controls[np.linspace(0, len(controls) - 1, len(places)).astype(np.int64)]
     slope = space.jacobian(runs[None, places], middle)[0].mean(axis=0)
-    gains = np.stack([_riccati(slope, space.pace, ratio, ny) for ratio in RATIOS])
+    gains = _riccati(slope, space.pace, ny)
     errors = _errors(space, gains, first, _windows(parts, room))
     best = int(np.argmin(errors))
     closed = slope.copy()
@@ -63,14 +63,18 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) ->
     return Observer(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
 
 
-def _riccati(slope: Array, pace: Array, ratio: float, ny: int) -> Array:
-    """Return the stationary gain (n, ny) of the Kalman predictor."""
-    drift, spread = np.diag((ratio * pace) ** 2), np.eye(len(slope)) * (ratio > 0.0)
-    gain = np.zeros((len(slope), ny))
-    for _ in range(RICCATI_STEPS if ratio > 0.0 else 0):
-        gain = slope @ spread[:, :ny] @ np.linalg.inv(spread[:ny, :ny] + np.eye(ny))
-        spread = slope @ spread @ slope.T - gain @ (spread[:ny] @ slope.T) + drift
-        spread = np.clip(0.5 * (spread + spread.T), -1e6, 1e6)
+def _riccati(slope: Array, pace: Array, ny: int) -> Array:
+    """Return the stationary gains (G, n, ny) of the Kalman predictors, for all `RATIOS`."""
+    ratios = np.array(RATIOS)[:, None, None]
+    drift, spread = (ratios * np.diag(pace)) ** 2, np.eye(len(slope)) * (ratios > 0.0)
+    gain = np.zeros((len(ratios), len(slope), ny))
+    for _ in range(RICCATI_STEPS):
+        before = gain
+        gain = slope @ spread[:, :, :ny] @ np.linalg.inv(spread[:, :ny, :ny] + np.eye(ny))
+        spread = slope @ spread @ slope.T - gain @ (spread[:, :ny] @ slope.T) + drift
+        spread = np.clip(0.5 * (spread + spread.swapaxes(1, 2)), -1e6, 1e6)
+        if np.abs(gain - before).max() < SETTLED:
+            break
     return gain
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,19 +32,24 @@ SAME, LOOSE = 1e-5, 1e-2
 
 @dataclass(frozen=True)
 class Spaces:
-    """S state spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``units`` (S)."""
+    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``kinds`` (S, h)."""
 
     outer: Array
     inner: Array
     pace: Array
-    units: tuple[str, ...]
+    kinds: IntArray
+
+    @classmethod
+    def linear(cls, outer: Array, pace: Array) -> Self:
+        """Return spaces without units, from ``outer`` (S, n, n + nu + 1)."""
+        return cls(outer, np.empty((len(outer), 0, outer.shape[2])), pace, np.empty((len(outer), 0), dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.outer)
 
     def __getitem__(self, rows: Sequence[int] | IntArray) -> Spaces:
-        chosen = [int(row) for row in np.arange(len(self))[rows]]
-        return Spaces(self.outer[chosen], self.inner[chosen], self.pace, tuple(self.units[i] for i in chosen))
+        chosen = np.asarray(rows, dtype=np.int64)
+        return Spaces(self.outer[chosen], self.inner[chosen], self.pace, self.kinds[chosen])
 
     @property
     def n(self) -> int:
@@ -69,80 +75,80 @@ class Spaces:
         outer[:, : self.inner.shape[2]] = LINEAR_PRIOR
         return np.concatenate([outer.ravel(), np.ones(self.inner[0].size)])
 
-    def units_of(self, function: Callable[[str, Array], Array], inside: Array) -> Array:
-        """Return ``function`` of what goes into the units, (S, ..., h)."""
-        out = np.empty_like(inside)
-        for kind in set(self.units):
-            rows = [i for i, own in enumerate(self.units) if own == kind]
-            out[rows] = function(kind, inside[rows])
-        return out
+    @property
+    def blind(self) -> BoolArray:
+        """Which parameters (S, P) stay as they are: weights into units that are nothing, and those of such a unit."""
+        nothing = self.inner == 0.0
+        outer = np.zeros(self.outer.shape, dtype=bool)
+        outer[..., self.inner.shape[2] :] = nothing.all(axis=2)[:, None, :]
+        return np.concatenate([outer.reshape(len(self), -1), nothing.reshape(len(self), -1)], axis=1)
 
     def step(self, states: Array, controls: Array) -> Array:
         """Return the next states (S, B, n) under ``controls`` (B, nu)."""
         regressors = self._regressors(states, controls)
-        units = self.units_of(values, regressors @ self.inner.swapaxes(1, 2))
+        inside = regressors @ self.inner.swapaxes(1, 2)
+        units = np.stack([values(own, s) for own, s in zip(self.kinds, inside, strict=True)])
         rates = np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2)
         return states + self.pace * rates
 
     def run(self, states: Array, controls: Array) -> Array:
         """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
+        from model_zoo.kernels.shooting import compiled_run
+
         out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
-        out[:, :, 0] = states
-        for k in range(controls.shape[1]):
-            states = np.clip(self.step(states, controls[:, k]), -FAR, FAR)
-            out[:, :, k + 1] = states
+        room = np.empty(self._room)
+        for s in range(len(self)):
+            own = self._arguments(s, states[s], controls, 0)
+            compiled_run()(*own, np.array([FAR]), out[s].reshape(-1), room)
         return out
 
     def jacobian(self, states: Array, controls: Array) -> Array:
         """Return dx'/dx (S, B, n, n)."""
-        _, _, by_state, _ = self._parts(states, controls)
-        return by_state
+        regressors = self._regressors(states, controls)
+        inside = regressors @ self.inner.swapaxes(1, 2)
+        steep = np.stack([slopes(own, s) for own, s in zip(self.kinds, inside, strict=True)])
+        weights = self.pace[:, None] * self.outer[:, None, :, regressors.shape[2] :]
+        through = weights @ steep @ self.inner[:, None, :, : self.n]
+        return np.asarray(through + np.eye(self.n) + self.pace[:, None] * self.outer[:, None, :, : self.n])
 
     def _regressors(self, states: Array, controls: Array) -> Array:
         shape = *states.shape[:2], controls.shape[1]
         ones = np.ones((*shape[:2], 1))
         return np.concatenate([states, np.broadcast_to(controls, shape), ones], axis=2)
 
-    def _parts(self, states: Array, controls: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the regressors with their units, those without, dx'/dx, and pace x outer x slopes (S, B, n, h)."""
-        regressors = self._regressors(states, controls)
-        inside = regressors @ self.inner.swapaxes(1, 2)
-        whole = np.concatenate([regressors, self.units_of(values, inside)], axis=2)
-        linear = regressors.shape[2]
-        weights = self.pace[:, None] * self.outer[:, None, :, linear:]
-        through = weights * self.units_of(slopes, inside)[:, :, None, :]
-        by_state = through @ self.inner[:, None, :, : self.n]
-        by_state = by_state + (np.eye(self.n) + self.pace[:, None] * self.outer[:, None, :, : self.n])
-        return whole, regressors, by_state, through
+    @property
+    def _room(self) -> int:
+        return self.outer.shape[2] + 2 * self.inner.shape[1]
 
-    def sensitivities(self, states: Array, controls: Array, n_outputs: int) -> tuple[Array, Array]:
-        """Return the outputs (S, B, H + 1, ny) and their derivatives (S, B, H + 1, ny, P + n).
+    def _arguments(self, s: int, starts: Array, controls: Array, n_outputs: int) -> tuple[Any, ...]:
+        """Return what the compiled functions take first, of space ``s`` from ``starts`` (B, n)."""
+        pieces, steps, nu = controls.shape
+        sizes = np.array([pieces, steps, self.n, nu, self.inner.shape[1], n_outputs])
+        numbers = (self.outer[s], self.inner[s], self.kinds[s], self.pace, starts, controls)
+        return sizes, *(np.ascontiguousarray(own).reshape(-1) for own in numbers)
 
-        The last n derivatives are those by the initial state.
+    def sensitivities(self, s: int, starts: Array, segments: Segments) -> tuple[Array, Array]:
+        """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
+
+        The derivatives are (B, H + 1, ny, P + n), nothing where a sample does not count; the last n by the start.
         """
-        n, width, count = self.n, self.outer.shape[2], self.outer[0].size
-        members, pieces, steps = *states.shape[:2], controls.shape[1]
-        size = count + self.inner[0].size
-        outputs = np.empty((members, pieces, steps + 1, n_outputs))
-        derivatives = np.empty((members, pieces, steps + 1, n_outputs, size + n))
-        now = np.zeros((members, pieces, n, size + n))
-        now[..., size:] = np.eye(n)
-        added = np.zeros((members, pieces, n, size + n))
-        for k in range(steps + 1):
-            outputs[:, :, k] = states[..., :n_outputs]
-            derivatives[:, :, k] = now[:, :, :n_outputs]
-            if k == steps:
-                break
-            whole, regressors, by_state, through = self._parts(states, controls[:, k])
-            for i in range(n):
-                added[:, :, i, i * width : (i + 1) * width] = self.pace[i] * whole
-            if through.shape[3]:
-                product = through[..., None] * regressors[:, :, None, None, :]
-                added[..., count:size] = product.reshape(*product.shape[:3], -1)
-            now = by_state @ now
-            now += added
-            states = states + self.pace * (whole @ self.outer.swapaxes(1, 2))
-        return outputs, derivatives
+        from model_zoo.kernels.shooting import compiled_sensitivities
+
+        ny = segments.outputs.shape[2]
+        size = self.outer[s].size + self.inner[s].size + self.n
+        states = np.empty((*segments.counts.shape, self.n))
+        derivatives = np.empty((*segments.counts.shape, ny, size))
+        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n))
+        compiled_sensitivities()(
+            *self._arguments(s, starts, segments.controls, ny),
+            segments.counts.reshape(-1),
+            np.array([FAR]),
+            states.reshape(-1),
+            derivatives.reshape(-1),
+            *np.empty((2, self.n * size)),
+            room,
+        )
+        return states[..., :ny], derivatives
 
 
 @dataclass(frozen=True)
@@ -152,6 +158,9 @@ class Trained:
     spaces: Spaces
     starts: Array
     error: Array
+
+    def __getitem__(self, rows: IntArray) -> Trained:
+        return Trained(self.spaces[rows], self.starts[rows], self.error[rows])
 
 
 @dataclass
@@ -221,15 +230,18 @@ def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objectiv
     """Return one iteration of every space, and which are worth going on with."""
     flat, damping = spaces.flat.copy(), damping.copy()
     starts = starts.copy()
-    with np.errstate(all="ignore"):
-        outputs, derivatives = spaces.sensitivities(starts, objective.segments.controls, ny)
+    outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
+    tangents = []
+    for member, blind in enumerate(spaces.blind):
+        outputs[member], derivatives = spaces.sensitivities(member, starts[member], objective.segments)
+        derivatives[..., np.flatnonzero(blind)] = 0.0
+        tangents.append(derivatives)
     residuals = objective.residuals(outputs)
     scale = objective.scale(residuals)
     value = objective.value(residuals, scale, flat, starts)
-    derivatives *= objective.segments.counts[:, :, None, None]
     systems = [
-        _Normal.of(derivatives[s], residuals[s], scale[s], objective.prior, flat[s], starts[s])
-        for s in range(len(spaces))
+        _Normal.of(*own, objective.prior, flat[member], starts[member])
+        for member, own in enumerate(zip(tangents, residuals, scale, strict=True))
     ]
     left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
     for _ in range(TRIES):

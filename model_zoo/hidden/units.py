@@ -1,32 +1,54 @@
-"""What the hidden units of a state space do: a smooth step, a kink, a cube."""
+"""What the hidden units of a state space do: a smooth step, a kink, a sharp kink, a cube, a product."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, IntArray
 
-UNITS = ("smooth", "kinked", "cubic")
+UNITS = ("smooth", "kinked", "sharp", "cubic", "gate")
+SHARP = 0.1
+"""How wide the kink of a sharp unit is, where that of a kinked one is 1."""
 BOUND = 3.0
 """A cube stands still beyond it, so that nothing runs away."""
 
 
-def values(kind: str, s: Array) -> Array:
-    """Return tanh s, (sqrt(s^2 + 1) - 1) / 2 or s^3 / 3, the last with its argument within `BOUND`.
+def values(kinds: IntArray, s: Array) -> Array:
+    """Return of each column of ``s`` (..., h) what its kind makes of it.
 
-    The kink is the smooth ramp of Barron (2021) without s / 2, which the linear part holds.
+    That is tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP`, s^3 / 3, or s times what the unit before
+    it gives; cubes and gates take s within `BOUND`. The kinks are the smooth ramp of Barron (2021) without s / 2,
+    which the linear part holds.
     """
-    if kind == "smooth":
-        return np.tanh(s)
-    if kind == "kinked":
-        return 0.5 * (np.sqrt(s**2 + 1.0) - 1.0)
-    return np.clip(s, -BOUND, BOUND) ** 3 / 3.0
+    out = np.empty_like(s)
+    for h, kind in enumerate(kinds):
+        own = s[..., h]
+        if UNITS[kind] == "smooth":
+            out[..., h] = np.tanh(own)
+        elif UNITS[kind] == "cubic":
+            out[..., h] = np.clip(own, -BOUND, BOUND) ** 3 / 3.0
+        elif UNITS[kind] == "gate":
+            out[..., h] = out[..., h - 1] * np.clip(own, -BOUND, BOUND)
+        else:
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            out[..., h] = 0.5 * (np.sqrt(own**2 + width**2) - width)
+    return out
 
 
-def slopes(kind: str, s: Array) -> Array:
-    """Return the derivatives of `values`."""
-    if kind == "smooth":
-        return 1.0 - np.tanh(s) ** 2
-    if kind == "kinked":
-        return 0.5 * s / np.sqrt(s**2 + 1.0)
-    return np.where(np.abs(s) < BOUND, s**2, 0.0)
+def slopes(kinds: IntArray, s: Array) -> Array:
+    """Return the derivatives (..., h, h) of all `values` by all that goes into them."""
+    found = values(kinds, s)
+    out = np.zeros((*s.shape, s.shape[-1]))
+    for h, kind in enumerate(kinds):
+        own = s[..., h]
+        if UNITS[kind] == "smooth":
+            out[..., h, h] = 1.0 - found[..., h] ** 2
+        elif UNITS[kind] == "cubic":
+            out[..., h, h] = np.where(np.abs(own) < BOUND, own**2, 0.0)
+        elif UNITS[kind] == "gate":
+            out[..., h, h] = np.where(np.abs(own) < BOUND, found[..., h - 1], 0.0)
+            out[..., h, h - 1] = out[..., h - 1, h - 1] * np.clip(own, -BOUND, BOUND)
+        else:
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            out[..., h, h] = 0.5 * own / np.sqrt(own**2 + width**2)
+    return out

@@ -16,6 +16,8 @@ class LawOverLanes:
 
     function: Callable[..., Any]
     law_rows: tuple[int, ...]
+    rate_rows: tuple[int, ...]
+    known: tuple[tuple[int, int], ...]
     controls: tuple[int, ...]
     actuator_rows: tuple[int, ...]
     n_own: int
@@ -40,7 +42,8 @@ class LawOverLanes:
         state = _tuple(f"x[{row} * LANES + lane]" for row in self.law_rows)
         own = _tuple(f"p[{i}]" for i in range(self.n_own))
         lines.append(f"        rate = {inner}({state}, {_tuple(acting)}, {own})")
-        lines += [f"        y[{row} * LANES + lane] = rate[{i}]" for i, row in enumerate(self.law_rows)]
+        lines += [f"        y[{row} * LANES + lane] = rate[{i}]" for i, row in enumerate(self.rate_rows)]
+        lines += [f"        y[{row} * LANES + lane] = x[{speed} * LANES + lane]" for row, speed in self.known]
         for i, row in enumerate(self.actuator_rows):
             here = f"[{row} * LANES + lane]"
             lines.append(f"        y{here} = (commanded_{i} - x{here}) * p[{self.n_own + i}]")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model_zoo.hidden.units import BOUND, UNITS
-from sysid_evo.arrays import Array
+from model_zoo.hidden.units import BOUND, SHARP
+from sysid_evo.arrays import Array, IntArray
 from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
@@ -17,14 +17,14 @@ from sysid_evo.engine.kernels.stepping import copy
 from sysid_evo.system import System
 
 HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)
-MEMBER = Layout("n", "units", "kind", "next", align=CACHE_LINE)
+MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
 
 def state_space_kernel(
     system: System,
     outer: Sequence[Array],
     inner: Sequence[Array],
-    units: Sequence[str],
+    kinds: Sequence[IntArray],
     *,
     output: Array,
     offset: Array,
@@ -34,10 +34,10 @@ def state_space_kernel(
 ) -> DynamicsKernel:
     """Return the kernel of a `StateSpaceModel`; ``rest`` is band, hidden band, neutral state, hidden rest, control."""
     blocks, at = [], 0
-    for own_outer, own_inner, kind in zip(outer, inner, units, strict=True):
+    for own_outer, own_inner, own_kinds in zip(outer, inner, kinds, strict=True):
         n, count = len(own_outer), len(own_inner)
-        numbers = padded(np.concatenate([own_inner.ravel(), own_outer.ravel(), gain[at : at + n].ravel()]))
-        blocks.append(MEMBER.pack(numbers, n=n, units=count, kind=UNITS.index(kind), next=MEMBER.size + len(numbers)))
+        numbers = padded(np.concatenate([own_kinds, own_inner.ravel(), own_outer.ravel(), gain[at : at + n].ravel()]))
+        blocks.append(MEMBER.pack(numbers, n=n, units=count, next=MEMBER.size + len(numbers)))
         at += n
     parts = [
         padded(np.concatenate([offset, output.ravel()])),
@@ -101,29 +101,29 @@ def observe(states, p, ny, n, y):
 
 def advance(x, u, off, p, ny, nu, far, after, room):
     """Write the next states of one member, corrected by ``off``."""
-    n, count, kind = int(p[MEMBER.n]), int(p[MEMBER.units]), p[MEMBER.kind]
+    n, count = int(p[MEMBER.n]), int(p[MEMBER.units])
     seen = n + nu + 1
     width = seen + count
+    first = MEMBER.size + count
     for j in range(count):
-        weights = view(p, MEMBER.size + j * seen)
+        weights = view(p, first + j * seen)
         inside = splat(weights[seen - 1])
         for i in range(n):
             inside = inside + weights[i] * load(x, i * LANES)
         for i in range(nu):
             inside = inside + weights[n + i] * load(u, i * LANES)
-        store(room, j * LANES, inside)
-    if kind == 0.0:
-        for j in range(count):
-            store(room, j * LANES, math.tanh(load(room, j * LANES)))
-    elif kind == 1.0:
-        for j in range(count):
-            inside = load(room, j * LANES)
-            store(room, j * LANES, 0.5 * (math.sqrt(inside * inside + 1.0) - 1.0))
-    else:
-        for j in range(count):
-            inside = min(max(load(room, j * LANES), -BOUND), BOUND)
+        kind = p[MEMBER.size + j]
+        if kind == 0.0:
+            store(room, j * LANES, math.tanh(inside))
+        elif kind < 3.0:
+            wide = 1.0 if kind == 1.0 else SHARP
+            store(room, j * LANES, 0.5 * (math.sqrt(inside * inside + wide * wide) - wide))
+        elif kind == 3.0:
+            inside = min(max(inside, -BOUND), BOUND)
             store(room, j * LANES, inside * inside * inside * (1.0 / 3.0))
-    outer, gain = view(p, MEMBER.size + count * seen), view(p, MEMBER.size + count * seen + n * width)
+        else:
+            store(room, j * LANES, min(max(inside, -BOUND), BOUND) * load(room, (j - 1) * LANES))
+    outer, gain = view(p, first + count * seen), view(p, first + count * seen + n * width)
     for row in range(n):
         weights = view(outer, row * width)
         value = splat(weights[seen - 1])

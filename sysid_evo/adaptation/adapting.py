@@ -14,13 +14,16 @@ from sysid_evo.adaptation.terms import Terms
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics.model import DynamicsModel
+from sysid_evo.errors import SysidEvoError
 from sysid_evo.progress import Counter, Progress
 
 KINDS = ("linear", "gains", "products")
 """What a correction may be linear in, the simplest first."""
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which leaves the simplest correction."""
+ANEW = "fit anew"
 REFIT = "refit"
+"""What a fit of the family to the new seconds alone is called, and one to the training data as well."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ def adaptation(
 ) -> Adaptation:
     """Learn what ``model`` lacks in ``dataset``; with the ``training`` data, a refit with both is tried as well.
 
+    A fit of its family to ``dataset`` alone is tried too, unless that is one that fits others.
+
     Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
     several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
     is learned again from everything, if it is good enough (`decided`); otherwise the model stays as it is. Raises
@@ -50,7 +55,9 @@ def adaptation(
     """
     pieces, seconds = Pieces.of(model, dataset, model.envelope), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
-    counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + (training is not None)))
+    fits: dict[str, Dataset | None] = {} if model.uses() else {ANEW: None}
+    fits |= {} if training is None else {REFIT: training}
+    counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(fits)))
     held = [pieces[block.held(pieces.first)] for block in blocks]
     plain = [_run(model, Terms.of(dataset), None, part) for part in held]
     trials: list[Trial] = []
@@ -65,11 +72,16 @@ def adaptation(
                 errors[ridge].append(_run(model, terms, coefficients, part))
                 counter.advance()
         trials += [judged(_name(kind, ridge), plain, each) for ridge, each in errors.items()]
-    if training is not None and blocks:
-        trials.append(judged(REFIT, plain, _refits(model, training, dataset, blocks, rng, counter.advance)))
+    for name, old in fits.items() if blocks else ():
+        shown = _refits(model, old, dataset, blocks, rng, counter.advance)
+        if shown is not None:
+            trials.append(judged(name, plain, shown))
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
-    return _learned(model, dataset, training, pieces, verdict, rng)
+    if verdict.chosen in fits:
+        again, terms = refitted(model, fits[verdict.chosen], dataset, rng), Terms.of(dataset)
+        return Adaptation(again, terms, np.zeros(terms.shape), verdict)
+    return _learned(model, dataset, pieces, verdict)
 
 
 def moving_seconds(dataset: Dataset) -> float:
@@ -77,25 +89,21 @@ def moving_seconds(dataset: Dataset) -> float:
     return dataset.system.dt * sum(int(rows[:-1].sum()) for rows in dataset.moving)
 
 
-def refitted(model: DynamicsModel, training: Dataset, new: Dataset, rng: np.random.Generator) -> DynamicsModel:
-    """Return the family of ``model`` fitted to ``training`` and to as many copies of ``new`` as make it count alike."""
+def refitted(model: DynamicsModel, training: Dataset | None, new: Dataset, rng: np.random.Generator) -> DynamicsModel:
+    """Return the family of ``model`` fitted to ``new`` and ``training``, if that is given.
+
+    ``new`` is repeated until it counts as much. Raises what the family raises where that is too short for it.
+    """
+    if training is None:
+        return model.unfitted().fit(new, rng=rng)
     copies = max(1, round(training.n_steps / new.n_steps))
     again = [replace(e, name=f"new {copy} {e.name}") for copy in range(copies) for e in new]
     return model.unfitted().fit(training.with_episodes([*training, *again]), rng=rng)
 
 
-def _learned(
-    model: DynamicsModel,
-    dataset: Dataset,
-    training: Dataset | None,
-    pieces: Pieces,
-    verdict: Verdict,
-    rng: np.random.Generator,
-) -> Adaptation:
-    """Return what ``verdict`` chose, learned from everything."""
+def _learned(model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict) -> Adaptation:
+    """Return the correction that ``verdict`` chose, learned from everything."""
     terms = Terms.of(dataset)
-    if verdict.chosen == REFIT and training is not None:
-        return Adaptation(refitted(model, training, dataset, rng), terms, np.zeros(terms.shape), verdict)
     for kind in KINDS:
         for number, ridge in enumerate(RIDGES):
             if verdict.chosen == _name(kind, ridge):
@@ -107,17 +115,20 @@ def _learned(
 
 def _refits(
     model: DynamicsModel,
-    training: Dataset,
+    training: Dataset | None,
     dataset: Dataset,
     blocks: Sequence[Block],
     rng: np.random.Generator,
     told: Callable[[], None],
-) -> list[Held]:
-    """Return what each block shows of a refit with the rest, whose lags may be others."""
+) -> list[Held] | None:
+    """Return what each block shows of a refit with the rest, whose lags may be others; None if that is too short."""
     errors = []
     for block in blocks:
-        again = refitted(model, training, block.rest(dataset), rng)
-        pieces = Pieces.of(again, dataset, again.envelope, stride=1)
+        try:
+            again = refitted(model, training, block.rest(dataset), rng)
+            pieces = Pieces.of(again, dataset, again.envelope, stride=1)
+        except (SysidEvoError, ValueError):
+            return None
         errors.append(_run(again, Terms.of(dataset), None, pieces[block.held(pieces.first)]))
         told()
     return errors

@@ -2,7 +2,7 @@
 
 from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion, Finalist
-from sysid_evo.evolution.choice import choose, judge, of_each_seed, worth
+from sysid_evo.evolution.choice import Judgement, choose, judge, of_each_seed, worth
 from sysid_evo.evolution.cma_es import CmaEs
 from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -23,6 +23,7 @@ __all__ = [
     "EvolutionStrategy",
     "Finalist",
     "Generation",
+    "Judgement",
     "Lowest",
     "Mean",
     "Median",

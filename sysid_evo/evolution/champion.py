@@ -18,8 +18,8 @@ from sysid_evo.system import System
 class Finalist:
     """The best candidate (n,) of one niche of one run, from which the champion is chosen.
 
-    ``fitness`` is what it claims, on fresh trials; ``elsewhere`` its median on the models of other
-    families, None where there were none. ``niche`` is empty for a strategy that keeps no kinds apart.
+    ``fitness`` is what it claims, on fresh trials; ``elsewhere`` what it is worth to the judges, by which it was
+    chosen (`Judgement`), None where there were none. ``niche`` is empty for a strategy that keeps no kinds apart.
     """
 
     niche: str
@@ -41,12 +41,11 @@ class Champion:
     (G, 3) holds the best, mean and worst fitness of each generation, of the candidates that the strategy needs
     (`EvolutionStrategy.needed`), as evolution saw them, with states observed ``estimator_delay`` s late, and with
     ``noise`` and ``caution`` (specs, empty for none). ``seed_fitness`` holds the fitness of the champion of each
-    run, from different evolution seeds, on the
-    same fresh trials. The champion is one of the ``finalists``: the
-    one with the highest median on the models that ``judges`` names, of families that it was not evolved
-    in; without judges the fittest. ``system`` is the one that it was evolved for; None for somebody who
-    drives by hand. It is ``polished`` if it was chosen among those of single models and then polished on several,
-    see `polish`. ``population`` (P, n) holds the last candidates of its run, best first.
+    run, from different evolution seeds, on the same fresh trials. The champion is one of the ``finalists``: the one
+    that is worth most to the models that ``judges`` names; without judges the fittest. ``system`` is the one that it
+    was evolved for; None for somebody who drives by hand. It is ``polished`` if it was chosen among those of single
+    models and then polished on several, see `polish`. ``population`` (P, n) holds the last candidates of its run, best
+    first.
     """
 
     name: str

@@ -1,9 +1,10 @@
-"""Choosing a controller without the robot: by what it does in models of families that it was not evolved in."""
+"""Choosing a controller without the robot: by what it does in models beside those that it was evolved in."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,27 +16,49 @@ from sysid_evo.evolution.controllers import observed_late, selection_seeds
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.registry import make_controller, make_task
 
+Judgement: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
+"""What a champion's finalists are worth, (P,), by their fitness (M, P) on the models of these labels."""
 
-def choose(contenders: Sequence[tuple[Champion, Mapping[str, Runner]]], *, seed: int, trials: int = 100) -> Champion:
-    """Return the champion of the finalist with the highest median on the models beside its champion.
 
-    Those must be of *other* families than it was evolved in, each run in ``trials`` fresh trials: what a
-    controller claims in its own model says next to nothing about what it achieves elsewhere, while this
+def median(_champion: Champion, _models: tuple[str, ...], by_model: Array) -> Array:
+    """Return the median over the models, (P,)."""
+    found: Array = np.median(by_model, axis=0)
+    return found
+
+
+def choose(
+    contenders: Sequence[tuple[Champion, Mapping[str, Runner]]],
+    *,
+    seed: int,
+    trials: int = 100,
+    judgement: Judgement = median,
+) -> Champion:
+    """Return the champion of the finalist that is worth most on the models beside its champion.
+
+    Each is run there in ``trials`` fresh trials. By the median those must be of *other* families than it was evolved
+    in: what a controller claims in its own model says next to nothing about what it achieves elsewhere, while this
     ranks as the robot does. A champion without such models keeps its fittest finalist; where there are
     models for some and for others not, only those with models are compared. The champion returned holds
-    the finalists of all, with their medians. Raises `InvalidArgument` without a contender.
+    the finalists of all, with what they are worth. Raises `InvalidArgument` without a contender.
     """
     if not contenders:
         raise InvalidArgument("choose: expected at least one champion, got none")
-    judged = [judge(champion, judges, seed=seed, trials=trials) for champion, judges in contenders]
+    judged = [judge(champion, judges, seed=seed, trials=trials, judgement=judgement) for champion, judges in contenders]
     ranked = [(finalist, champion) for champion in judged for finalist in champion.finalists]
     known = [pair for pair in ranked if pair[0].elsewhere is not None]
     best, own = max(known or ranked, key=lambda pair: worth(pair[0]))  # of equals the first
     return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _ in ranked))
 
 
-def judge(champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials: int = 100) -> Champion:
-    """Return ``champion`` with the median of each finalist over the ``judges``; as it is where there are none."""
+def judge(
+    champion: Champion,
+    judges: Mapping[str, Runner],
+    *,
+    seed: int,
+    trials: int = 100,
+    judgement: Judgement = median,
+) -> Champion:
+    """Return ``champion`` with what each finalist is worth to the ``judges``; as it is where there are none."""
     if not judges or not champion.finalists:
         return champion
     assert champion.system is not None
@@ -43,10 +66,13 @@ def judge(champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials
     controller = make_controller(champion.controller).bind_to(task)
     late = tuple(observed_late(label, runner, champion.estimator_delay) for label, runner in judges.items())
     everyone = np.stack([finalist.parameters for finalist in champion.finalists])
-    objective = EnsembleObjective(late, controller, task, seed, aggregate="median")
-    medians = objective.on_trials(everyone, selection_seeds(seed, trials)).fitness
+    by_model = (
+        EnsembleObjective(late, controller, task, seed).on_trials(everyone, selection_seeds(seed, trials)).by_model
+    )
+    assert by_model is not None
+    worths = judgement(champion, tuple(judges), by_model)
     finalists = tuple(
-        replace(one, elsewhere=float(median)) for one, median in zip(champion.finalists, medians, strict=True)
+        replace(one, elsewhere=float(value)) for one, value in zip(champion.finalists, worths, strict=True)
     )
     return replace(champion, finalists=finalists, judges=tuple(judges))
 
@@ -67,5 +93,5 @@ def of_each_seed(champion: Champion) -> Array:
 
 
 def worth(finalist: Finalist) -> float:
-    """Return by what finalists are ranked: the median elsewhere, or what it claims where nobody judged."""
+    """Return by what finalists are ranked: what the judges made of it, or what it claims where nobody judged."""
     return finalist.fitness if finalist.elsewhere is None else finalist.elsewhere

@@ -49,7 +49,7 @@ def undescribed(value: Any, schema: dict[str, Any], definitions: dict[str, Any],
                 yield from undescribed(item, others, definitions, f"{path}.{key}")
             elif others is not True:
                 yield f"{path}.{key}"
-    elif isinstance(value, list):
+    elif isinstance(value, list) and "items" in schema:
         for item in value:
             yield from undescribed(item, schema["items"], definitions, f"{path}[]")
 

@@ -96,11 +96,23 @@ def test_with_the_training_data_a_refit_is_tried_as_well(base: DynamicsModel, tr
     assert "refit" not in base.adapt(there).tried_  # type: ignore[attr-defined]  # of the family adapted
 
 
+def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_same_gate(training: Dataset) -> None:
+    data = drive(OTHER, seconds=30.0, seed=3)
+    backward = replace(data.episodes[0], controls=-data.episodes[0].controls[:, ::-1])
+    useless = make_model("narx", degree=2, terms=8).fit(data.with_episodes([backward]), rng=0)
+    anew = useless.adapt(data, rng=0)
+    assert anew.chosen_ == "fit anew"  # type: ignore[attr-defined]  # of the family adapted
+    test = drive(OTHER, seconds=20.0, seed=4)
+    assert anew.score(test) == make_model("narx", degree=2, terms=8).fit(data, rng=0).score(test)
+
+
 def test_the_envelope_covers_both_recordings(base: DynamicsModel, adapted: DynamicsModel) -> None:
-    wide = base.adapt(drive(FloorCar(thrust=7.0), seconds=30.0, seed=3))
-    assert wide.envelope_[1, 0] > base.envelope_[1, 0]
-    assert (wide.envelope_[0] <= base.envelope_[0]).all()
-    assert len(wide.pairs_) > len(base.pairs_)
+    weak = make_model("linear").fit(drive(FloorCar(thrust=2.0), seconds=40.0, seed=1), rng=0)
+    wide = weak.adapt(drive(FloorCar(), seconds=20.0, seed=3))
+    assert wide.coefficients_.any()  # type: ignore[attr-defined]  # of the family adapted
+    assert wide.envelope_[1, 0] > weak.envelope_[1, 0]
+    assert (wide.envelope_[0] <= weak.envelope_[0]).all()
+    assert len(wide.pairs_) > len(weak.pairs_)
     assert (adapted.envelope_[1] >= base.envelope_[1]).all()
 
 

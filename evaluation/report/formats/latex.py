@@ -6,9 +6,8 @@ import re
 from collections.abc import Sequence
 
 from evaluation.report.contents import Report
-from evaluation.report.overview import overview_sheet
-from evaluation.report.sections import sections
 from evaluation.report.sheets import Sheet
+from evaluation.report.story import Story
 
 HEAD = "% Every table of {title}. In the preamble: \\usepackage{{booktabs, makecell}}"
 ESCAPED = {
@@ -36,10 +35,7 @@ PROSE = "p{0.6\\linewidth}"
 
 def to_latex(report: Report) -> str:
     """Return all tables, each a ``table`` with its title as caption and its note below."""
-    overview = overview_sheet(report)
-    sheets = [] if overview is None else [("overview", overview)]
-    sheets += [(section.anchor, sheet) for section in sections(report) for sheet in section.sheets]
-    tables = [sheet_to_latex(sheet, f"tab:{place}-{_slug(sheet)}") for place, sheet in sheets]
+    tables = [sheet_to_latex(sheet, f"tab:{place}-{_slug(sheet)}") for place, sheet in Story.of(report).sheets]
     return "\n\n".join([HEAD.format(title=" ".join(report.title.split())), *tables]) + "\n"
 
 

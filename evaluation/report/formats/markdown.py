@@ -5,20 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from evaluation.report.cards import Cards
 from evaluation.report.contents import Report
 from evaluation.report.drawing import Picture
-from evaluation.report.headlines import headlines
-from evaluation.report.overview import overview_sheet
-from evaluation.report.sections import Section, sections
+from evaluation.report.sections import Section
 from evaluation.report.sheets import Sheet
-from evaluation.report.verdict import verdict
+from evaluation.report.story import Story
 
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
 
 
 def to_markdown(report: Report, *, figures: str = "") -> str:
     """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
-    return "\n\n".join(_parts(report, figures)) + "\n"
+    return "\n\n".join(_parts(Story.of(report), figures)) + "\n"
 
 
 def sheet_to_markdown(sheet: Sheet) -> str:
@@ -30,19 +29,18 @@ def sheet_to_markdown(sheet: Sheet) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rule, *rows))
 
 
-def _parts(report: Report, figures: str) -> Iterator[str]:
-    yield f"# {_text(report.title)}"
-    for one in headlines(report):
+def _parts(story: Story, figures: str) -> Iterator[str]:
+    yield f"# {_text(story.title)}"
+    for one in story.headlines:
         yield f"**{_text(one.question)}** {_text(one.answer)}. {_text(one.sentence)}"
         if one.command:
             yield f"    {one.command}"
-    for finding in verdict(report):
+    for finding in story.findings:
         yield f"**{_text(finding.question)}**"
         yield "\n".join(f"- {_text(answer)}" for answer in finding.answers)
-    overview = overview_sheet(report)
-    if overview is not None:
-        yield from _sheet(overview, "##")
-    for section in sections(report):
+    if story.overview is not None:
+        yield from _sheet(story.overview, "##")
+    for section in story.sections:
         yield from _section(section, figures)
 
 
@@ -52,6 +50,12 @@ def _section(section: Section, figures: str) -> Iterator[str]:
     for item in section.items:
         if isinstance(item, Sheet):
             yield from _sheet(item, "###")
+        elif isinstance(item, Cards):
+            yield f"### {_text(item.title)}"
+            for card in item.cards:
+                yield f"**{_text(card.title)}** {_text(card.verdict)}"
+                if card.sentences:
+                    yield "\n".join(f"- {_text(sentence)}" for sentence in card.sentences)
         elif isinstance(item, Picture) and figures:
             yield f"### {_text(item.title)}"
             yield "\n".join(

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from evaluation.report.cards import Cards
 from evaluation.report.drawing import Picture
 from evaluation.report.replay import Replay
 from evaluation.report.sheets import Sheet
 
-Item = Picture | Sheet | Replay
+Item = Picture | Sheet | Replay | Cards
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            f"chosen: without the robot, the best on other families.{unknown}"
+            f"chosen: without the robot, by its forecast.{unknown}"
         ),
     )
 
@@ -115,7 +115,7 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
 
 
 def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
-    """The best of each niche, what it claims, and what models of other families say; None without niches."""
+    """The best of each niche, what it claims, and what all models say together; None without niches."""
     rows = []
     for champion in matrix.champions:
         best: dict[str, Finalist] = {}
@@ -131,11 +131,11 @@ def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
         return None
     return Sheet(
         title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
-        columns=("controller", "niche", "claimed", "other\nfamilies"),
+        columns=("controller", "niche", "claimed", "forecast"),
         rows=tuple(rows),
         note=(
             "niche: the side of a channel on which a search was kept more than half of the time; the best of its "
-            "starts. other families: median over the models of families that it was not evolved in."
+            "starts. forecast: what all models say of it together, by which it was chosen."
         ),
     )
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from rich.console import Console
 from model_zoo.grey import GreyBox, Hidden, Parameter
 from sysid_evo.cli.cards import card_table, model_card
 from sysid_evo.data import Dataset
+from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model, models
 from sysid_evo.store import load_model, save_model
@@ -158,6 +160,43 @@ def test_a_channel_that_is_not_there_or_not_described_is_named(swinging: Dataset
 
     with pytest.raises(IncompatibleSystem, match="says nothing of angle"):
         Part().fit(swinging)
+
+
+class Accelerated(Pendulum):
+    """The pendulum again, of which only the acceleration is written."""
+
+    speeds: ClassVar[Mapping[str, str]] = {"angle": "spin"}
+
+    @staticmethod
+    def acceleration(state, control, p):
+        angle, spin = state
+        (torque,) = control
+        stiffness, friction, gain = p
+        return (-stiffness * math.sin(angle) - friction * spin + gain * torque,)
+
+
+def test_an_acceleration_is_a_shorter_way_to_write_the_same_law_in_both_forms(swinging: Dataset) -> None:
+    whole, short = (family(starts=1, windows=30).fit(swinging, rng=0) for family in (Pendulum, Accelerated))
+    np.testing.assert_allclose(short.parameters_, whole.parameters_, rtol=1e-4)
+    states, control = np.array([[0.7, -1.5], [0.1, 2.0]]), np.array([[0.4], [-1.0]])
+    short.parameters_ = whole.parameters_
+    np.testing.assert_allclose(short.step(states, control), whole.step(states, control), rtol=1e-12)
+    compiled = kernel_step(short.kernel(), states, control, precision="float64")
+    np.testing.assert_allclose(compiled, short.step(states, control), rtol=1e-9)
+
+
+def test_which_state_is_the_rate_of_which_is_told_where_it_is_wanted_alone(swinging: Dataset) -> None:
+    class Silent(Accelerated):
+        speeds: ClassVar[Mapping[str, str]] = {}
+
+    with pytest.raises(InvalidArgument, match=r"expected 2 rates, of angle, spin; got 1\. .* tell so in speeds"):
+        Silent().fit(swinging)
+
+    class Both(Pendulum):
+        speeds: ClassVar[Mapping[str, str]] = {"angle": "spin"}
+
+    with pytest.raises(InvalidArgument, match="rate gives those of all states"):
+        Both().fit(swinging)
 
 
 def spring(**options: Any) -> Dataset:

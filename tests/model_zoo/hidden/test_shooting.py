@@ -6,45 +6,64 @@ import numpy as np
 import pytest
 
 from model_zoo.hidden.learning import Lesson, radius, stabilised
+from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
 from model_zoo.hidden.shooting import Spaces, train
 from model_zoo.hidden.units import UNITS
+from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model
 from tests.model_zoo.hidden.small import recording
 
 
-def spaces(hidden: int = 3) -> Spaces:
-    rng = np.random.default_rng(0)
-    outer = 0.3 * rng.standard_normal((3, 2, 4 + hidden))
-    return Spaces(outer, rng.standard_normal((3, hidden, 4)), np.array([0.3, 0.2]), UNITS)
+def spaces() -> Spaces:
+    rng, kinds = np.random.default_rng(0), [[kind, UNITS.index("gate"), UNITS.index("smooth")] for kind in range(4)]
+    outer, inner = 0.3 * rng.standard_normal((4, 2, 7)), rng.standard_normal((4, 3, 4))
+    return Spaces(outer, inner, np.array([0.3, 0.2]), np.array(kinds))
 
 
 def linear_growth(rate: float) -> Spaces:
     """Return a space of one state that grows by ``rate`` a step."""
-    return Spaces(np.array([[[rate, 0.1, 0.0]]]), np.empty((1, 0, 3)), np.ones(1), ("smooth",))
+    return Spaces.linear(np.array([[[rate, 0.1, 0.0]]]), np.ones(1))
 
 
 def test_derivatives_are_those_of_finite_differences() -> None:
     """By every parameter and every initial state, of each kind of unit."""
     many, rng = spaces(), np.random.default_rng(1)
-    starts, controls = rng.standard_normal((3, 2, 2)), rng.standard_normal((2, 6, 1))
-    outputs, derivatives = many.sensitivities(starts, controls, 1)
-    np.testing.assert_allclose(outputs, many.run(starts, controls)[..., :1])
+    segments = Segments(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
+    starts = rng.standard_normal((2, 2))
     flat, step = many.flat, 1e-6
-    for place in range(flat.shape[1]):
-        moved = flat.copy()
-        moved[:, place] += step
-        found = (many.with_flat(moved).run(starts, controls)[..., :1] - outputs) / step
-        np.testing.assert_allclose(derivatives[..., place], found, atol=1e-4)
+    for s in range(len(many)):
+        outputs, derivatives = many.sensitivities(s, starts, segments)
+
+        def run(flat: Array, starts: Array, s: int = s) -> Array:
+            return many.with_flat(flat).run(starts[None].repeat(4, axis=0), segments.controls)[s, ..., :1]
+
+        np.testing.assert_allclose(outputs, run(flat, starts))
+        for place in range(flat.shape[1]):
+            found = (run(flat + step * np.eye(flat.shape[1])[place], starts) - outputs) / step
+            np.testing.assert_allclose(derivatives[..., place], found, rtol=1e-4, atol=1e-4)
+        for state in range(2):
+            found = (run(flat, starts + step * np.eye(2)[state]) - outputs) / step
+            np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
+
+
+def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference() -> None:
+    many, rng = spaces(), np.random.default_rng(1)
+    starts, controls = rng.standard_normal((4, 3, 2)), rng.standard_normal((3, 5, 1))
+    states, chained = starts, [starts]
+    for k in range(5):
+        states = many.step(states, controls[:, k])
+        chained.append(states)
+    np.testing.assert_allclose(many.run(starts, controls), np.stack(chained, axis=2), rtol=1e-9)
     for state in range(2):
-        found = (many.run(starts + step * np.eye(2)[state], controls)[..., :1] - outputs) / step
-        np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
+        moved = many.step(starts + 1e-6 * np.eye(2)[state], controls[:, 0]) - many.step(starts, controls[:, 0])
+        np.testing.assert_allclose(many.jacobian(starts, controls[:, 0])[..., state], moved / 1e-6, atol=1e-4)
 
 
 def test_training_finds_the_space_that_made_the_data() -> None:
     rng, outer = np.random.default_rng(2), np.array([[[-0.5, 1.0, 0.3, 0.1], [-1.0, -0.5, 0.5, 0.0]]])
-    true = Spaces(outer, np.empty((1, 0, 4)), np.array([0.3, 0.2]), ("smooth",))
+    true = Spaces.linear(outer, np.array([0.3, 0.2]))
     controls = rng.standard_normal((1, 200, 1))
     outputs = true.run(np.zeros((1, 1, 2)), controls)[0, :, :, :1]
     segments = Segments.of([Record(outputs[0], controls[0])], 50)
@@ -53,6 +72,18 @@ def test_training_finds_the_space_that_made_the_data() -> None:
     starts[..., 0] = segments.outputs[:, 0, 0]
     trained = train(off, segments, starts, 40)
     assert trained.error[0] < 1e-8
+
+
+def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
+    lesson = Lesson.of(recording(0, bend=0.03), 100)
+    linear = lesson.linear_trained(2, 3, 3, lambda: None)
+    begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
+    trained = lesson.learned(begun, lesson.blank(lesson.short, begun), 3, lambda: None).spaces
+    assert np.abs(trained.outer[0, :, 4:6]).min() > 0.0
+    assert (trained.inner[0, 0] == 0.0).tolist() == [True, True, False, False]
+    assert (trained.inner[0, 1] != begun.inner[0, 1]).all()
+    assert not trained.inner[0, 2].any()
+    assert not trained.outer[0, :, 6].any()
 
 
 def test_a_sample_counts_once_whatever_the_segments() -> None:
@@ -77,7 +108,7 @@ def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_doe
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     growing = trained.spaces.outer.copy()
     growing[0, 0, 0] += 0.5 / trained.spaces.pace[0]
-    both = Spaces(np.concatenate([trained.spaces.outer, growing]), np.empty((2, 0, 4)), trained.spaces.pace, UNITS[:2])
+    both = Spaces.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.pace)
     assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
 
 
@@ -88,7 +119,7 @@ def test_every_kind_of_unit_is_the_same_compiled() -> None:
     model.outer_ = [outer + 0.1 for outer in model.outer_]
     windows = recording(1).windows(1, stride=20, history=model.n_lags)
     carry, control = model.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
-    for kind in UNITS:
-        model.units_ = [kind]
+    for kind in range(len(UNITS)):
+        model.kinds_ = [np.resize([UNITS.index("sharp"), kind], len(model.kinds_[0]))]
         compiled = kernel_step(model.kernel(), carry, control, precision="float64")
         np.testing.assert_allclose(compiled, model.step(carry, control), rtol=1e-7, atol=1e-7)

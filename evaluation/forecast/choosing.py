@@ -1,0 +1,51 @@
+"""Choosing controllers by their forecasts: which one to drive, and which finalists go on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from evaluation.forecast.credibility import credibilities, weighted_median
+from evaluation.forecast.forecasting import Forecast
+from evaluation.forecast.rule import RULE, Rule
+from evaluation.transfer import RankCorrelation, TransferSummary
+from evaluation.transfer.summary import mean_ranks
+from sysid_evo.arrays import Array
+from sysid_evo.evolution import Champion, Judgement
+
+FIGURE = "forecast"
+
+
+def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:
+    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and how forecasts rank.
+
+    Where no controller that was evolved in models has one, nothing is picked.
+    """
+    evolved = [one for one in summary.controllers if one.name in found and one.against and not one.on_robot]
+    if not evolved:
+        return replace(summary, pick=None)
+    best = max(evolved, key=lambda one: found[one.name].value)  # of equals the first
+    pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
+    ranked = (RankCorrelation(FIGURE, _rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
+    return replace(summary, pick=best.name, correlations=(*summary.correlations, *ranked))
+
+
+def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: Rule = RULE) -> Judgement:
+    """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
+
+    def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
+        met = {families.get(model, model) for model in champion.against}
+        own = np.array([families.get(model, model) in met for model in models])
+        return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
+
+    return worth
+
+
+def _rank_correlation(pairs: list[tuple[float, float]]) -> float | None:
+    """Return Spearman's, None for fewer than three pairs or where one side is all equal."""
+    first, second = [a for a, _ in pairs], [b for _, b in pairs]
+    if len(pairs) < 3 or len(set(first)) < 2 or len(set(second)) < 2:
+        return None
+    return float(np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1])

@@ -1,0 +1,147 @@
+"""Free runs of a state space and their derivatives by all parameters and the initial state, compiled, in float64.
+
+The space is that of `model_zoo.hidden.shooting.Spaces`; all arrays are flat. ``sizes`` are the numbers of pieces,
+steps, states, controls, units and outputs.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+from model_zoo.hidden.units import BOUND, SHARP
+from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
+from sysid_evo.engine.compiled.signature import WHOLES, Signature
+
+
+@functools.cache
+def compiled_run() -> Any:
+    """Return `run`, compiled."""
+    signature = Signature.of(run, sizes=WHOLES, kinds=WHOLES)
+    return compile_kernel(KernelSource(run), signature, "float64", pointer=False)
+
+
+@functools.cache
+def compiled_sensitivities() -> Any:
+    """Return `sensitivities`, compiled."""
+    signature = Signature.of(sensitivities, sizes=WHOLES, kinds=WHOLES)
+    return compile_kernel(KernelSource(sensitivities), signature, "float64", pointer=False)
+
+
+def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room):
+    """Write the states of free runs, kept within the limit; room: n + nu + 1 + 3 units."""
+    pieces, steps, n, nu, units = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
+    far = limit[0]
+    for piece in range(pieces):
+        at = piece * (steps + 1) * n
+        for i in range(n):
+            states[at + i] = starts[piece * n + i]
+        for k in range(steps):
+            look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
+            advance(states, at, outer, pace, n, n + nu + 1 + units, far, room)
+            at += n
+
+
+def sensitivities(
+    sizes, outer, inner, kinds, pace, starts, controls, counts, limit, states, derivatives, now, after, room
+):
+    """Write the states of free runs, and of the outputs the derivatives times the counts.
+
+    room: n + nu + 1 + 3 units, n units and n n; now and after: n (parameters + n).
+    """
+    pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
+    seen = n + nu + 1
+    width = seen + units
+    before = n * width
+    size = before + units * seen + n
+    through = width + 2 * units
+    by_state = through + n * units
+    far = limit[0]
+    for piece in range(pieces):
+        at = piece * (steps + 1) * n
+        for i in range(n):
+            states[at + i] = starts[piece * n + i]
+            for j in range(size):
+                now[i * size + j] = 0.0
+            now[i * size + size - n + i] = 1.0
+        for k in range(steps + 1):
+            row = piece * (steps + 1) + k
+            for i in range(ny):
+                for j in range(size):
+                    derivatives[(row * ny + i) * size + j] = counts[row] * now[i * size + j]
+            if k < steps:
+                look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
+                for i in range(n):
+                    for h in range(units):
+                        share = outer[i * width + seen + h] * room[width + h]
+                        if h + 1 < units and kinds[h + 1] == 4:
+                            share += outer[i * width + seen + h + 1] * room[width + units + h]
+                        room[through + i * units + h] = share
+                    for j in range(n):
+                        total = outer[i * width + j]
+                        for h in range(units):
+                            total += room[through + i * units + h] * inner[h * seen + j]
+                        room[by_state + i * n + j] = pace[i] * total
+                    room[by_state + i * n + i] += 1.0
+                for i in range(n):
+                    for j in range(size):
+                        after[i * size + j] = 0.0
+                    for m in range(n):
+                        share = room[by_state + i * n + m]
+                        for j in range(size):
+                            after[i * size + j] += share * now[m * size + j]
+                    for j in range(width):
+                        after[i * size + i * width + j] += pace[i] * room[j]
+                    for h in range(units):
+                        share = pace[i] * room[through + i * units + h]
+                        for j in range(seen):
+                            after[i * size + before + h * seen + j] += share * room[j]
+                advance(states, at, outer, pace, n, width, far, room)
+                at += n
+                for j in range(n * size):
+                    now[j] = after[j]
+
+
+def look(states, at, controls, place, inner, kinds, n, nu, units, room):
+    """Write states, controls, 1, the values of the units, their slopes, and those by which a gate passes them on."""
+    seen = n + nu + 1
+    width = seen + units
+    for i in range(n):
+        room[i] = states[at + i]
+    for i in range(nu):
+        room[n + i] = controls[place + i]
+    room[n + nu] = 1.0
+    for h in range(units):
+        inside = 0.0
+        for j in range(seen):
+            inside += inner[h * seen + j] * room[j]
+        if kinds[h] == 0:
+            value = math.tanh(inside)
+            slope = 1.0 - value * value
+        elif kinds[h] < 3:
+            wide = 1.0 if kinds[h] == 1 else SHARP
+            root = math.sqrt(inside * inside + wide * wide)
+            value = 0.5 * (root - wide)
+            slope = 0.5 * inside / root
+        elif kinds[h] == 3:
+            inside = min(max(inside, -BOUND), BOUND)
+            value = inside * inside * inside * (1.0 / 3.0)
+            slope = inside * inside if abs(inside) < BOUND else 0.0
+        else:
+            before = room[seen + h - 1]
+            slope = before if abs(inside) < BOUND else 0.0
+            inside = min(max(inside, -BOUND), BOUND)
+            value = before * inside
+            room[width + units + h - 1] = room[width + h - 1] * inside
+        room[seen + h] = value
+        room[width + h] = slope
+
+
+def advance(states, at, outer, pace, n, width, far, room):
+    """Write the states after those at a place."""
+    for i in range(n):
+        total = 0.0
+        for j in range(width):
+            total += outer[i * width + j] * room[j]
+        states[at + n + i] = min(max(states[at + i] + pace[i] * total, -far), far)

@@ -1,0 +1,180 @@
+"""The equations of the systems whose states are not measured, compiled: from rest, under controls, to outputs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit
+def wiener_hammerstein(p, u):
+    """Two low passes in a row, a curve that saturates on one side, an oscillator.
+
+    p: pole, frequency and damping of the first filter, gain, level, softness, then those of the oscillator.
+    """
+    y = np.zeros(len(u) + 1)
+    a = b = s = c = d = 0.0
+    cos1 = 2.0 * p[2] * np.cos(p[1])
+    cos2 = 2.0 * p[7] * np.cos(p[6])
+    for k in range(len(u)):
+        a_next = p[0] * a + (1.0 - p[0]) * u[k]
+        b_next = cos1 * b - p[2] ** 2 * s + (1.0 - cos1 + p[2] ** 2) * a
+        v = p[3] * b
+        z = v - p[4]
+        w = v - 0.5 * (z + np.sqrt(z * z + p[5] ** 2))
+        c_next = cos2 * c - p[7] ** 2 * d + (1.0 - cos2 + p[7] ** 2) * w
+        a, s, b, d, c = a_next, b, b_next, c, c_next
+        y[k + 1] = c
+    return y
+
+
+@njit
+def two_masses(p, u):
+    """A motor, a shaft with backlash, and a load; the speed of the motor is measured.
+
+    p: inertias, frictions, stiffness, damping of the shaft, half the gap, torque per control, dry friction of the load.
+    """
+    y = np.zeros(len(u) + 1)
+    v1 = v2 = twist = 0.0
+    dt = 0.02 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            beyond = max(twist - p[6], 0.0) + min(twist + p[6], 0.0)
+            shaft = 0.0
+            if beyond != 0.0:
+                shaft = p[4] * beyond + p[5] * (v1 - v2)
+            v1 += dt * (p[7] * u[k] - p[2] * v1 - shaft) / p[0]
+            v2 += dt * (shaft - p[3] * v2 - p[8] * np.tanh(v2 / 0.05)) / p[1]
+            twist += dt * (v1 - v2)
+        y[k + 1] = v1
+    return y
+
+
+@njit
+def hydraulic(p, u):
+    """A valve with a dead band, oil that is compressed, a piston against a spring; its position is measured.
+
+    p: dead band, flow, stiffness of the oil, leak, area per mass, friction, spring, supply pressure.
+    """
+    y = np.zeros(len(u) + 1)
+    x = v = q = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        opened = max(u[k] - p[0], 0.0) + min(u[k] + p[0], 0.0)
+        for _ in range(20):
+            drop = max(p[7] - (q if opened > 0.0 else -q), 0.0)
+            q += dt * p[2] * (p[1] * opened * np.sqrt(drop) - v - p[3] * q)
+            v += dt * (p[4] * q - p[5] * v - p[6] * x)
+            x += dt * v
+        y[k + 1] = x
+    return y
+
+
+@njit
+def cubic_spring(p, u):
+    """A mass on a spring that hardens with the cube (as in the Silverbox); its position is measured.
+
+    p: stiffness, damping, stiffness of the cube, push per control.
+    """
+    y = np.zeros(len(u) + 1)
+    x = v = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            v += dt * (p[3] * u[k] - p[1] * v - p[0] * x - p[2] * x * x * x)
+            x += dt * v
+        y[k + 1] = x
+    return y
+
+
+@njit
+def hysteresis(p, u):
+    """A mass on a spring with a hysteretic force (Bouc and Wen); its position is measured.
+
+    p: damping, stiffness, force's share, push, then how the force grows with speed, and the two ways it yields.
+    """
+    y = np.zeros(len(u) + 1)
+    x = v = z = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            z += dt * (p[4] * v - p[5] * abs(v) * z - p[6] * v * abs(z))
+            v += dt * (p[3] * u[k] - p[0] * v - p[1] * x - p[2] * z)
+            x += dt * v
+        y[k + 1] = x
+    return y
+
+
+@njit
+def saturated_sensor(p, u):
+    """A low pass and an oscillator behind it, seen by a sensor that is at its end on one side.
+
+    p: pole of the low pass, frequency and damping of the oscillator, the end of the sensor.
+    """
+    y = np.zeros(len(u) + 1)
+    a = b = c = 0.0
+    cosine = 2.0 * p[2] * np.cos(p[1])
+    for k in range(len(u)):
+        a_next = p[0] * a + (1.0 - p[0]) * u[k]
+        b, c = cosine * b - p[2] ** 2 * c + (1.0 - cosine + p[2] ** 2) * a, b
+        a = a_next
+        y[k + 1] = min(b, p[3])
+    return y
+
+
+@njit
+def tanks(p, u):
+    """Two tanks one above the other, the upper one flows over; the lower level is measured.
+
+    p: inflow per control, outlet of the upper and of the lower tank, height of the upper, share of what flows over
+    that the lower one gets.
+    """
+    y = np.zeros(len(u) + 1)
+    upper = lower = 0.0
+    dt = 0.5 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            inflow = p[0] * max(0.5 * (u[k] + 1.0), 0.0) * 0.7
+            down = p[1] * np.sqrt(max(upper, 0.0))
+            upper = max(upper + dt * (inflow - down), 0.0)
+            over = max(upper - p[3], 0.0)
+            upper -= over
+            lower = max(lower + dt * (down - p[2] * np.sqrt(max(lower, 0.0))) + p[4] * over, 0.0)
+        y[k + 1] = lower
+    return y
+
+
+@njit
+def rate_limit(p, u):
+    """An actuator with a lag and a limited rate drives a wheel against drag; the wheel's speed is measured.
+
+    p: lag, limit of the rate, push, friction, drag.
+    """
+    y = np.zeros(len(u) + 1)
+    a = v = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            a += dt * min(max((u[k] - a) / p[0], -p[1]), p[1])
+            v += dt * (p[2] * a - p[3] * v - p[4] * v * abs(v))
+        y[k + 1] = v
+    return y
+
+
+@njit
+def heater(p, u):
+    """A heating element in a wall, loss by radiation and to the room; the element's temperature is measured.
+
+    p: power, exchange with the wall, the wall's warming by it, the wall's loss to the room, radiation.
+    """
+    y = np.zeros(len(u) + 1)
+    element = wall = 0.0
+    dt = 0.2 / 20.0
+    for k in range(len(u)):
+        power = p[0] * max(u[k], 0.0) ** 2
+        for _ in range(20):
+            radiated = p[4] * ((1.0 + element) ** 4 - 1.0) * 0.25
+            element += dt * (power - p[1] * (element - wall) - radiated)
+            wall += dt * (p[2] * (element - wall) - p[3] * wall)
+        y[k + 1] = element
+    return y
