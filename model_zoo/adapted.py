@@ -32,8 +32,8 @@ class Adapted(DynamicsModel):
     acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then the accelerations that the
     base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
     free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
-    must be 15 % better than none there, in no block worse, and by more than chance explains; otherwise the model is its
-    base. `fit_note` says what was decided.
+    must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
+    its base. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"

@@ -54,6 +54,9 @@ class DelayEmbedding(DynamicsModel):
         inner = self._inner()
         inner.check_system(_further(system, 1))
 
+    def uses(self) -> tuple[str, ...]:
+        return (Spec.parse(self.family).name,)
+
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         room = max(len(episode) for episode in dataset.episodes) // EPISODE_SHARE
         offered = [pasts for pasts in OFFERED if pasts <= room] or [1]

@@ -41,8 +41,10 @@ from .registry import (
 from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
 from .tasks import PointToPoint, Task, TaskState, register_reward
+from .version import __version__
 
 __all__ = [
+    "__version__",
     "Aggregate",
     "Champion",
     "Channel",

@@ -70,7 +70,7 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
 
 def _within(name: str, low: float, high: float) -> tuple[float, float]:
     """Return an interval without what no such number can be: below 0, or a share above 1."""
-    return max(0.0, low), high if unit_of(name) else min(1.0, high)
+    return float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
 
 
 def manners(matrix: TransferMatrix) -> tuple[Manner, ...]:

@@ -10,6 +10,8 @@ from matplotlib.axes import Axes
 from evaluation.labels import folded
 from evaluation.plots.canvas import COLOURS, MEASURED, axes_or_new
 
+STEP = 0.15
+"""Rows between the figures of one name."""
 Changed = tuple[float, float, float]
 """A difference, and the low and high end of its interval."""
 
@@ -27,7 +29,7 @@ def plot_changes(
     """
     names = list(dict.fromkeys(name for found in changes.values() for name in found))
     ax = axes_or_new(ax, 7.0, 1.2 + 0.34 * len(names))
-    spread = np.linspace(-0.15, 0.15, len(changes)) if len(changes) > 1 else np.zeros(1)
+    spread = STEP * (np.arange(len(changes)) - (len(changes) - 1) / 2.0)
     for number, (figure, found) in enumerate(changes.items()):
         rows = [names.index(name) for name in found]
         values = np.array(list(found.values())).reshape(-1, 3)
@@ -39,5 +41,5 @@ def plot_changes(
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlabel(label)
     if len(changes) > 1:
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(changes))
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(3, len(changes)))
     return ax

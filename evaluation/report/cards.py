@@ -8,13 +8,18 @@ from dataclasses import dataclass
 from evaluation.exploitability import ModelExploitability
 from evaluation.exploitability.card import card
 from evaluation.report.headlines import Tone
+from evaluation.report.replay import trial_name
+from evaluation.transfer import TransferMatrix
+
+LEAD = 1.0
+"""Seconds that are shown before what is to be watched."""
 
 
 @dataclass(frozen=True)
 class Card:
     """What is said of one thing: the first sentence as its head, the others below.
 
-    ``watch`` names a controller that the replay can show, empty for none.
+    ``watch`` is the row of the replay to look at, from ``time`` (s) on; empty for none.
     """
 
     title: str
@@ -22,6 +27,7 @@ class Card:
     verdict: str
     sentences: Sequence[str]
     watch: str = ""
+    time: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -32,14 +38,31 @@ class Cards:
     cards: tuple[Card, ...]
 
 
-def exploitability_cards(models: Sequence[ModelExploitability], replayed: Sequence[str]) -> Cards:
-    """Return a card for each model; ``replayed`` are the controllers that can be watched."""
-    return Cards("How each model is exploited", tuple(_card(model, replayed) for model in models))
+def exploitability_cards(models: Sequence[ModelExploitability], matrix: TransferMatrix) -> Cards:
+    """Return a card for each model, with its controller to watch where a trial was kept."""
+    return Cards("How each model is exploited", tuple(_card(model, matrix) for model in models))
 
 
-def _card(model: ModelExploitability, replayed: Sequence[str]) -> Card:
+def worst_trials(models: Sequence[ModelExploitability], matrix: TransferMatrix) -> dict[str, int]:
+    """Return which trial of each model's first controller helps the task most against what others believe."""
+    found = {}
+    for model in models:
+        worst = model.optimism
+        told = worst is not None and worst.is_sure and worst.value > 0.0
+        if told and model.controllers and worst is not None:
+            controller = model.controllers[0]
+            if worst.trial < len(matrix.cell(controller, model.model).traces):
+                found[controller] = worst.trial
+    return found
+
+
+def _card(model: ModelExploitability, matrix: TransferMatrix) -> Card:
     first, *more = card(model)
     said = first.removeprefix(f"{model.model}: ")
     tone: Tone = "open" if model.exploited is None else "bad" if model.exploited else "good"
-    watch = next((name for name in model.controllers if name in replayed), "")
-    return Card(model.model, tone, said[0].upper() + said[1:], more, watch)
+    watched = [name for name in model.controllers if matrix.cell(name, model.model).traces]
+    if not watched:
+        return Card(model.model, tone, said[0].upper() + said[1:], more)
+    worst = worst_trials([model], matrix).get(watched[0])
+    time = 0.0 if worst is None or model.optimism is None else max(0.0, model.optimism.time - LEAD)
+    return Card(model.model, tone, said[0].upper() + said[1:], more, trial_name(watched[0], worst or 0), time)

@@ -38,7 +38,7 @@ class Key:
 class Series:
     """One named line or row of points: its values (n,), where they are, and their intervals where there are any.
 
-    ``artists`` are what is drawn of it. Of points with bars to the side ``at`` is the place on the y-axis.
+    ``artists`` are what is drawn of it. Of points with bars to the side ``at`` is the row, a whole number.
     """
 
     name: str
@@ -154,7 +154,7 @@ def _of_bars(container: ErrorbarContainer) -> Series:
     ends = np.array([segment[:, 0] for segment in bars[0].get_segments()])
     filled = str(points.get_markerfacecolor()) != "none"
     key = Key(str(container.get_label()), variable(points.get_markeredgecolor()), dot="filled" if filled else "ring")
-    return Series(key.label, at, value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
+    return Series(key.label, np.round(at), value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
 
 
 def variable(colour: ColorType) -> str:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from evaluation.advice import ModelAdvice
+from evaluation.behaviour import Manner, manners
 from evaluation.exploitability import ModelExploitability
 from evaluation.forecast import Forecast, ModelForecast, chosen_by, error_of, forecasts, model_forecasts
 from evaluation.prediction import ModelPrediction, Prediction, measured_cases
@@ -162,6 +163,11 @@ class Report:
     def model_forecasts(self) -> Mapping[str, ModelForecast]:
         """What controllers evolved in each model are expected to achieve, by the name of the model."""
         return {} if self.matrix is None else model_forecasts(self.matrix, self.forecasts)
+
+    @cached_property
+    def manners(self) -> tuple[Manner, ...]:
+        """How every controller goes about its task, on robots and where it was evolved."""
+        return () if self.matrix is None else manners(self.matrix)
 
     @property
     def all_failures(self) -> tuple[Failure, ...]:

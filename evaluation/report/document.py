@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from evaluation.advice import advice_to_json
+from evaluation.behaviour import Manner, described, manners
+from evaluation.behaviour.manner import unit_of
 from evaluation.exploitability import ModelExploitability
 from evaluation.forecast import RULE
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
@@ -55,6 +57,7 @@ def to_json(report: Report) -> dict[str, Any]:
         "transfer": None if report.matrix is None else _matrix(report.matrix),
         "controllers": None if report.transfer is None else _summary(report.transfer),
         "forecast": None if report.matrix is None else _forecast(report),
+        "behaviour": [] if report.matrix is None else _behaviour(report.manners, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [_exploitability(model) for model in report.exploitability],
         "advice": None if report.advice is None else advice_to_json(report.advice),
@@ -74,6 +77,7 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "champions": [_champion(champion) for champion in matrix.champions],
         "transfer": _matrix(matrix),
         "controllers": _summary(summarise(matrix)),
+        "behaviour": _behaviour(manners(matrix), matrix),
     }
     strict: dict[str, Any] = plain(document)
     return strict
@@ -83,6 +87,16 @@ def report_schema() -> dict[str, Any]:
     """Return the JSON schema of the document."""
     schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
     return schema
+
+
+def _behaviour(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
+    """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
+    sentences = described(found, matrix.robot)
+    rows = []
+    for manner in found:
+        measures = {name: {**asdict(one), "unit": unit_of(name)} for name, one in manner.measures.items()}
+        rows.append({**asdict(manner), "measures": measures, "sentence": sentences.get(manner.controller, "")})
+    return rows
 
 
 def _prediction(prediction: Prediction) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from evaluation.plots import plotted_places
 from evaluation.transfer import Trace, TransferMatrix
 from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array
+from sysid_evo.evolution import Champion
 from sysid_evo.system import Channel, System
 
 MOST_NUMBERS = 1_200_000
@@ -30,7 +32,7 @@ OVER_TIME = (
     "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
     "model has left the robot by a tenth of the range of a state."
 )
-CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial of the transfer matrix."
+CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named."
 
 
 @dataclass(frozen=True)
@@ -52,49 +54,74 @@ class Replay:
         return (ON_A_PLANE if self.paths else OVER_TIME) + CONTROLS + fewer
 
 
-def replay(matrix: TransferMatrix, *, first: str | None = None) -> Replay | None:
+def replay(
+    matrix: TransferMatrix, *, first: str | None = None, watched: Mapping[str, int] | None = None
+) -> Replay | None:
     """Return the first trial of every cell that kept one; None if there is none.
 
-    The controller ``first`` is the one shown at the start (default: the first row).
+    The controller ``first`` is the one shown at the start (default: the first row). Of the controllers that are
+    ``watched`` another trial is shown too, by its number from 0, where it was kept.
     """
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
-    kept = {key: cell.traces[0] for key, cell in matrix.cells.items() if cell.traces}
+    kept = [trace for cell in matrix.cells.values() for trace in cell.traces[:1]]
     if system is None or not kept:
         return None
-    paths = all(is_planar(trace) and not trace.targets for trace in kept.values())
-    robots = [column for column in matrix.columns if column == matrix.robot]
-    rows = replayed_rows(matrix)
+    paths = all(is_planar(trace) and not trace.targets for trace in kept)
+    rows: dict[str, None] = {}
     runs: list[dict[str, Any]] = []
     numbers = left_out = 0
-    for champion in (champion for champion in matrix.champions if champion.name in rows):
-        robot = kept.get((champion.name, matrix.robot or ""))
-        own = [column for column in matrix.columns if column in champion.against]
-        for column in dict.fromkeys((*robots, *own, *matrix.columns)):
-            trace = kept.get((champion.name, column))
-            if trace is not None and numbers > MOST_NUMBERS and column not in (*robots, *own):
+    for champion, trial in _trials(matrix, watched or {}):
+        row = trial_name(champion.name, trial)
+        traces = {column: _kept(matrix, champion.name, column, trial) for column in _ordered(matrix, champion)}
+        robot = traces.get(matrix.robot or "")
+        for column, trace in traces.items():
+            if trace is None:
+                continue
+            own, on_robot = column in champion.against, column == matrix.robot
+            if numbers > MOST_NUMBERS and not (own or on_robot):
                 left_out += 1
-            elif trace is not None:
-                numbers += _numbers(trace, paths=paths)
-                other = robot if column != matrix.robot else None
-                apart = None if other is None else parting(trace, other, system, paths=paths)
-                told = {"row": champion.name, "column": column, "own": column in own, "robot": column == matrix.robot}
-                runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+                continue
+            numbers += _numbers(trace, paths=paths)
+            other = None if on_robot else robot
+            apart = None if other is None else parting(trace, other, system, paths=paths)
+            told = {"row": row, "column": column, "own": own, "robot": on_robot}
+            runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+            rows[row] = None
     document = {
         "unit": matrix.unit,
-        "first": first if first in rows else rows[0],
+        "first": first if first in rows else next(iter(rows)),
         "paths": paths,
         "states": [channel.to_dict() for channel in system.states],
         "controls": [channel.to_dict() for channel in system.controls],
-        "shown": list(plotted_places(next(iter(kept.values())), system)),
+        "shown": list(plotted_places(kept[0], system)),
         "runs": runs,
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return Replay(rows, text.replace("<", "\\u003c"), paths, left_out)
+    return Replay(tuple(rows), text.replace("<", "\\u003c"), paths, left_out)
 
 
-def replayed_rows(matrix: TransferMatrix) -> tuple[str, ...]:
-    """Return the controllers of which a trial was kept somewhere."""
-    return tuple(name for name in matrix.rows if any(matrix.cell(name, column).traces for column in matrix.columns))
+def trial_name(controller: str, trial: int) -> str:
+    """Return the row of the replay that shows this trial of a controller, counted from 0."""
+    return controller if trial == 0 else f"{controller}, trial {trial + 1}"
+
+
+def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
+    """Yield each controller with its first trial, and where one more is watched with that."""
+    for champion in matrix.champions:
+        yield champion, 0
+        if watched.get(champion.name):
+            yield champion, watched[champion.name]
+
+
+def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:
+    """Return the columns, the robot first, then those that a controller was evolved on."""
+    robots = [column for column in matrix.columns if column == matrix.robot]
+    return tuple(dict.fromkeys((*robots, *(c for c in matrix.columns if c in champion.against), *matrix.columns)))
+
+
+def _kept(matrix: TransferMatrix, row: str, column: str, trial: int) -> Trace | None:
+    traces = matrix.cell(row, column).traces
+    return traces[trial] if trial < len(traces) else None
 
 
 def is_planar(trace: Trace) -> bool:

@@ -89,7 +89,7 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
             wraps = column == 0 or _width(sheet, column, names) > WIDTH // 2
             table.add_column(
                 Text(sheet.columns[column]),
-                justify="left" if wraps else "right",
+                justify="left" if wraps or sheet.prose else "right",
                 no_wrap=not wraps,
                 overflow="fold",
                 vertical="top",

@@ -138,13 +138,14 @@ class Spaces:
         size = self.outer[s].size + self.inner[s].size + self.n
         states = np.empty((*segments.counts.shape, self.n))
         derivatives = np.empty((*segments.counts.shape, ny, size))
-        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2 * size))
+        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n))
         compiled_sensitivities()(
             *self._arguments(s, starts, segments.controls, ny),
             segments.counts.reshape(-1),
             np.array([FAR]),
             states.reshape(-1),
             derivatives.reshape(-1),
+            *np.empty((2, self.n * size)),
             room,
         )
         return states[..., :ny], derivatives

@@ -43,10 +43,12 @@ def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room)
             at += n
 
 
-def sensitivities(sizes, outer, inner, kinds, pace, starts, controls, counts, limit, states, derivatives, room):
+def sensitivities(
+    sizes, outer, inner, kinds, pace, starts, controls, counts, limit, states, derivatives, now, after, room
+):
     """Write the states of free runs, and of the outputs the derivatives times the counts.
 
-    room: n + nu + 1 + 3 units, n units, n n, and 2 n (parameters + n).
+    room: n + nu + 1 + 3 units, n units and n n; now and after: n (parameters + n).
     """
     pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
     seen = n + nu + 1
@@ -55,21 +57,19 @@ def sensitivities(sizes, outer, inner, kinds, pace, starts, controls, counts, li
     size = before + units * seen + n
     through = width + 2 * units
     by_state = through + n * units
-    now = by_state + n * n
-    after = now + n * size
     far = limit[0]
     for piece in range(pieces):
         at = piece * (steps + 1) * n
         for i in range(n):
             states[at + i] = starts[piece * n + i]
             for j in range(size):
-                room[now + i * size + j] = 0.0
-            room[now + i * size + size - n + i] = 1.0
+                now[i * size + j] = 0.0
+            now[i * size + size - n + i] = 1.0
         for k in range(steps + 1):
             row = piece * (steps + 1) + k
             for i in range(ny):
                 for j in range(size):
-                    derivatives[(row * ny + i) * size + j] = counts[row] * room[now + i * size + j]
+                    derivatives[(row * ny + i) * size + j] = counts[row] * now[i * size + j]
             if k < steps:
                 look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
                 for i in range(n):
@@ -86,22 +86,21 @@ def sensitivities(sizes, outer, inner, kinds, pace, starts, controls, counts, li
                     room[by_state + i * n + i] += 1.0
                 for i in range(n):
                     for j in range(size):
-                        room[after + i * size + j] = 0.0
+                        after[i * size + j] = 0.0
                     for m in range(n):
                         share = room[by_state + i * n + m]
                         for j in range(size):
-                            room[after + i * size + j] += share * room[now + m * size + j]
+                            after[i * size + j] += share * now[m * size + j]
                     for j in range(width):
-                        room[after + i * size + i * width + j] += pace[i] * room[j]
+                        after[i * size + i * width + j] += pace[i] * room[j]
                     for h in range(units):
                         share = pace[i] * room[through + i * units + h]
                         for j in range(seen):
-                            room[after + i * size + before + h * seen + j] += share * room[j]
+                            after[i * size + before + h * seen + j] += share * room[j]
                 advance(states, at, outer, pace, n, width, far, room)
                 at += n
-                kept = now
-                now = after
-                after = kept
+                for j in range(n * size):
+                    now[j] = after[j]
 
 
 def look(states, at, controls, place, inner, kinds, n, nu, units, room):

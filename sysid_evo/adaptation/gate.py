@@ -17,9 +17,11 @@ from sysid_evo.data.trajectory import Trajectory
 BLOCKS = 3
 BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
+IN_EACH = 0.05
+"""that by which it must be lower in every block,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
-AS_GOOD = 0.05
+AS_GOOD = 0.10
 """Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
 
@@ -51,8 +53,13 @@ class Trial:
 
     @property
     def good(self) -> bool:
-        """Whether it is better by enough, surely, and in no block worse."""
-        return self.sure and self.error <= 1.0 - BETTER and max(self.each) <= 1.0
+        """Whether it is better by enough, surely, and in every block."""
+        return self.sure and self.error <= 1.0 - BETTER and self.everywhere
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is better in every block."""
+        return max(self.each) <= 1.0 - IN_EACH
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,7 @@ class Verdict:
             return f"{taken.name}: {seen} it did not learn from"
         why = f"{100 * BETTER:.0f} % are asked"
         if change >= 100.0 * BETTER:
-            why = "which may be chance" if max(best.each) <= 1.0 else "but worse on one of them"
+            why = "which may be chance" if best.everywhere else "but not on each of them"
         return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
 

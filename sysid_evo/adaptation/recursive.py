@@ -34,10 +34,11 @@ class SelfCorrection:
         sum exp(-age / forgetting) dt mean(error + J (C - C_then))^2 + ridge |C|^2
 
     with errors in standard deviations and their slopes J, both at the coefficients of that sample. The ridge bounds
-    the covariance where nothing excites it. The gate compares runs with the coefficients that were known where they
-    began, and without: only while the former were lower by the share ``better``, over about the last ``judged`` s and
-    for at least ``patience`` s, do `coefficients` give any. A sample costs ``horizon`` steps of size nx + 3 rows and
-    one solution of size nx equations, however long it has gone on.
+    the covariance where nothing excites it. The same sum without gains and products has a simple minimum beside it.
+    The gate compares runs with the coefficients that were known where they began, of either kind, and without: only
+    while the better kind was lower by the share ``better``, over about the last ``judged`` s and for at least
+    ``patience`` s, do `coefficients` give any. A sample costs ``horizon`` steps of size nx + 4 rows and one solution of
+    size nx equations, however long it has gone on.
 
     Source: Ljung and Soderstrom, "Theory and Practice of Recursive Identification" (1983), Gauss-Newton algorithm.
     """
@@ -81,8 +82,12 @@ class SelfCorrection:
             "now": n,
             "pending": n,
             "known": n,
+            "simple_now": n,
+            "simple_pending": n,
+            "simple_known": n,
             "plain": 1,
             "corrected": 1,
+            "simple": 1,
             "weight": 1,
         }
         ends = np.cumsum(list(sizes.values()))
@@ -112,14 +117,18 @@ class SelfCorrection:
 
     def coefficients(self, memory: Array) -> Array:
         """Return what is to be added, (B, size, nx): the present coefficients where the gate is open, else zero."""
-        now = memory[:, self.places["now"]].reshape(-1, *self.terms.shape)
-        return np.where(self.open(memory)[:, None, None], now, 0.0)
+        now, simple = (memory[:, self.places[name]] for name in ("now", "simple_now"))
+        corrected, simply = (memory[:, self.places[name]] for name in ("corrected", "simple"))
+        better = np.where(simply <= corrected, simple, now).reshape(-1, *self.terms.shape)
+        return np.where(self.open(memory)[:, None, None], better, 0.0)
 
     def open(self, memory: Array) -> BoolArray:
         """Whether recent runs with the coefficients that were known before were better than without, (B,)."""
-        plain, corrected, weight = (memory[:, self.places[name]][:, 0] for name in ("plain", "corrected", "weight"))
+        plain, corrected, simple, weight = (
+            memory[:, self.places[name]][:, 0] for name in ("plain", "corrected", "simple", "weight")
+        )
         dt = self.model.system.dt
-        return (weight * dt >= self.patience) & (corrected <= (1.0 - self.better) ** 2 * plain)
+        return (weight * dt >= self.patience) & (np.minimum(corrected, simple) <= (1.0 - self.better) ** 2 * plain)
 
     def along(self, episode: Trajectory) -> Iterator[Array]:
         """Yield the memory (1, n_memory) at every sample of a recorded episode, from what was before it alone."""
@@ -135,8 +144,9 @@ class SelfCorrection:
         dt, batch, n = self.model.system.dt, len(memory), self.terms.size * self.model.system.nx
         draws = np.zeros((batch, self.model.n_draws))
         start = self.model.start(states[:, : lags + 1], controls[:, :lags], draws)
-        now, known = memory[:, places["now"]], memory[:, places["known"]]
-        tried = np.concatenate([np.zeros_like(now)[None], known[None], now[None], now + STEP * np.eye(n)[:, None]])
+        now = memory[:, places["now"]]
+        known = [np.zeros_like(now), memory[:, places["known"]], memory[:, places["simple_known"]]]
+        tried = np.concatenate([*(one[None] for one in (*known, now)), now + STEP * np.eye(n)[:, None]])
         runs = run_beside(
             self.model,
             self.terms,
@@ -150,22 +160,26 @@ class SelfCorrection:
         errors = wrong.reshape(len(tried), batch, -1)
         after = memory.copy()
         keep = np.exp(-dt / self.judged)
-        for name, row in (("plain", 0), ("corrected", 1)):
+        for row, name in enumerate(("plain", "corrected", "simple")):
             after[:, places[name]] = keep * memory[:, places[name]] + np.mean(errors[row] ** 2, axis=1)[:, None]
         after[:, places["weight"]] += 1.0
-        slopes = (errors[3:] - errors[2]) / STEP
-        share = dt / (self.horizon * nx) * np.minimum(1.0, TOLERATED / np.maximum(np.abs(errors[2]), 1e-12))
+        here, slopes = errors[3], (errors[4:] - errors[3]) / STEP
+        share = dt / (self.horizon * nx) * np.minimum(1.0, TOLERATED / np.maximum(np.abs(here), 1e-12))
         weighed = np.einsum("nbe,be->bne", slopes, share)
         fade = np.exp(-dt / self.forgetting)
         normal = fade * memory[:, places["normal"]].reshape(batch, n, n) + np.einsum("bne,mbe->bnm", weighed, slopes)
-        aim = np.einsum("nbe,bn->be", slopes, now) - errors[2]
+        aim = np.einsum("nbe,bn->be", slopes, now) - here
         right = fade * memory[:, places["right"]] + np.einsum("bne,be->bn", weighed, aim)
         after[:, places["normal"]], after[:, places["right"]] = normal.reshape(batch, -1), right
-        found = np.linalg.solve(normal + self.ridge * np.diag(self.terms.weight.ravel()), right[:, :, None])[:, :, 0]
-        after[:, places["now"]] = found
+        bounded, own = normal + self.ridge * np.diag(self.terms.weight.ravel()), (1 + self.terms.n_inputs) * nx
+        simple = np.zeros_like(now)
+        simple[:, :own] = np.linalg.solve(bounded[:, :own, :own], right[:, :own, None])[:, :, 0]
         turn = memory[:, places["weight"]] % self.horizon == 0
-        after[:, places["known"]] = np.where(turn, memory[:, places["pending"]], known)
-        after[:, places["pending"]] = np.where(turn, found, memory[:, places["pending"]])
+        for kind, found in (("", np.linalg.solve(bounded, right[:, :, None])[:, :, 0]), ("simple_", simple)):
+            last, pending, used = (places[kind + name] for name in ("now", "pending", "known"))
+            after[:, last] = found
+            after[:, used] = np.where(turn, memory[:, pending], memory[:, used])
+            after[:, pending] = np.where(turn, found, memory[:, pending])
         return after
 
 

@@ -31,6 +31,7 @@ from sysid_evo.cli.console import complain, err, out, session, tell
 from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.processors import INNER_THREADS
+from sysid_evo.version import __version__
 
 ANYWHERE = ("--debug", "--quiet")
 """Options of the whole program, which may stand behind a command, too."""
@@ -67,9 +68,7 @@ app.add_typer(robots.app, name="robots")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
-        out.print(f"sysid-evo {version('sysid-evo')}", highlight=False)
+        out.print(f"sysid-evo {__version__}", highlight=False)
         raise typer.Exit
 
 

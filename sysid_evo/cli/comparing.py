@@ -37,13 +37,14 @@ from sysid_evo.cli.options import (
     load_plugins,
     seconds,
 )
+from sysid_evo.cli.plans import print_plan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from evaluation.comparison import Comparison
     from evaluation.report import Report
-    from sysid_evo.plan import Outcome, Plan, Store
+    from sysid_evo.plan import Outcome, Store
 
 
 def compare(
@@ -220,27 +221,6 @@ def store_experiment(comparison: Comparison, path: Path) -> None:
         if differing:
             tell(f"{file} had other {', '.join(differing)}; what both need is kept", label="note: ", style="dim")
     comparison.experiment.write(file)
-
-
-def print_plan(plan: Plan, store: Store, *, json: bool) -> None:
-    """Print the cells, about how long they take, and which are done."""
-    from rich.table import Table
-
-    done = {cell.digest for cell in plan if store.done(cell)}
-    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
-    total = sum(seconds for _, seconds, _ in rows)
-    if json:
-        cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
-        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
-        out.print_json(json_format.dumps(document))
-        return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("cell", overflow="fold")
-    table.add_column("about", justify="right", no_wrap=True)
-    for title, about, kept in rows:
-        table.add_row(title, "kept" if kept else f"{about:.1f} s")
-    out.print(table)
-    out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)
 
 
 def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> None:

@@ -28,7 +28,7 @@ class Place:
 
     @property
     def system(self) -> System:
-        from sysid_evo.cli.evolving import system_of
+        from sysid_evo.cli.columns import system_of
 
         return system_of(self.store, self.column)
 
@@ -36,7 +36,7 @@ class Place:
     def runner(self) -> Runner:
         """How controllers are run there. Raises `InvalidArgument` for a physical robot."""
         from evaluation.comparison import runner_of
-        from sysid_evo.cli.evolving import dynamics_of
+        from sysid_evo.cli.columns import dynamics_of
         from sysid_evo.engine import DynamicsRunner
 
         if self.column.robot is not None:
@@ -58,7 +58,7 @@ def places(names: Sequence[str], run: Path | None) -> tuple[Place, ...]:
     A run folder stands for all its models. Raises `InvalidArgument` for what there is not.
     """
     from evaluation.comparison import is_run
-    from sysid_evo.cli.evolving import column_of, find_column, is_model_of_a_run
+    from sysid_evo.cli.columns import column_of, find_column, is_model_of_a_run
     from sysid_evo.cli.options import latest_run_folder
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.plan import Store
@@ -145,7 +145,7 @@ def with_models(one: Contender, systems: Sequence[Place]) -> tuple[Champion, dic
 
     A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
     """
-    from sysid_evo.cli.evolving import find_model
+    from sysid_evo.cli.columns import find_model
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.plan import Store
 

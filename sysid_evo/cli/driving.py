@@ -94,7 +94,7 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     from hardware.emulation.pacing import in_real_time
     from hardware.robot import find_robot
     from sysid_evo.cli.achieving import column_of
-    from sysid_evo.cli.evolving import dynamics_of, find_column
+    from sysid_evo.cli.columns import dynamics_of, find_column
     from sysid_evo.cli.hand_driving import Driven
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.plan import Store

@@ -46,7 +46,7 @@ def coevolve(
     They are stored in the run folder; the same command goes on where it was stopped.
     """
     from evaluation.comparison import check_run_folder
-    from sysid_evo.cli.evolving import dynamics_of, find_column, is_model_of_a_run, split_members
+    from sysid_evo.cli.columns import dynamics_of, find_column, is_model_of_a_run, split_members
     from sysid_evo.cli.progress import Bars
     from sysid_evo.engine import DynamicsRunner
     from sysid_evo.evolution import ControllerEvolution
@@ -113,7 +113,7 @@ def match(
     """
     import numpy as np
 
-    from sysid_evo.cli.evolving import is_file
+    from sysid_evo.cli.columns import is_file
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.registry import make_robot
     from sysid_evo.rivals import match as race

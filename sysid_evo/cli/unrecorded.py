@@ -69,7 +69,7 @@ def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ..
     Raises `InvalidArgument` if the models that it was evolved in are not in its run.
     """
     from sysid_evo.cli.achieving import owner_of
-    from sysid_evo.cli.evolving import dynamics_of, find_column
+    from sysid_evo.cli.columns import dynamics_of, find_column
     from sysid_evo.errors import InvalidArgument
     from sysid_evo.plan import Store
     from sysid_evo.store import load_champion

@@ -22,7 +22,7 @@ from rich.table import Table
 from evaluation import compare
 from evaluation.comparison.champion_cells import RECOMMENDED
 from evaluation.transfer import TransferMatrix
-from sysid_evo.cli.evolving import dynamics_of, find_column
+from sysid_evo.cli.columns import dynamics_of, find_column
 from sysid_evo.cli.unrecorded import regions_of
 from sysid_evo.data import Dataset, advise
 from sysid_evo.plan import Store

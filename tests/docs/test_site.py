@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 
+import sysid_evo
 from sysid_evo.cli.app import app
 from tests.docs.blocks import ROOT
 
@@ -38,6 +39,13 @@ def test_the_reference_of_python_describes_what_is_imported_from_the_package(sit
     for name in ("dataset.Dataset", "model.DynamicsModel", "regression.TransitionRegressor", "comparing.compare"):
         assert re.search(rf'id="[\w.]*{re.escape(name)}"', page), name
     assert "Return minus the simulation error" in page
+
+
+def test_the_version_stands_in_one_place_and_who_cites_names_it() -> None:
+    cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None
+    assert cited[1] == sysid_evo.__version__
+    assert f"## {sysid_evo.__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_links_to_the_firmware_lead_to_its_page(site: Path) -> None:

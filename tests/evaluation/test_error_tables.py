@@ -81,6 +81,15 @@ def test_episodes_and_fits_have_a_row_each(assessed: Prediction) -> None:
     assert known[1].startswith(f"{mean:.1f}\n")
 
 
+def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed: Prediction) -> None:
+    known = assessed.model("known")
+    assert known.divergence is not None
+    hit = replace(known, divergence=replace(known.divergence, free_run_times=(None, 2.0, 4.0, None)))
+    fits = fit_sheet(replace(assessed, models=(hit, *(one for one in assessed.models if one is not known))))
+    assert fits is not None
+    assert [row[0] for row in fits.rows if row[0].startswith("known")] == ["known\nclip 2 of 4, 3.0 s"]
+
+
 def test_every_table_is_80_columns_wide_at_most(assessed: Prediction) -> None:
     sheets = (difference_sheet, residual_sheet, region_sheet, episode_error_sheet, fit_sheet)
     for made in (sheet(assessed) for sheet in sheets):

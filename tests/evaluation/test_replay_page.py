@@ -18,6 +18,7 @@ from tests.evaluation.known_models import SYSTEM, Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
 
 PHONE, DESK = 375, 1280
+CLOCK = "document.getElementById('replay-clock').textContent"
 NOTED = """
 window.faults = [];
 addEventListener('error', (event) => faults.push(event.message));
@@ -147,6 +148,18 @@ def test_it_plays_to_the_end_pauses_and_begins_anew(tab: Tab) -> None:
     tab.evaluate("document.getElementById('replay-play').click()")
     assert float(tab.evaluate("document.getElementById('replay-time').value")) < 1.0
     tab.evaluate("document.getElementById('replay-play').click()")
+
+
+def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(tab: Tab) -> None:
+    tab.to_front()
+    watched = "[...document.querySelectorAll('.watch')].find(e => e.dataset.row === 'sliding_c').firstElementChild"
+    tab.evaluate(f"{watched}.click()")
+    assert tab.evaluate("document.getElementById('replay-row').value") == "sliding_c"
+    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Pause"
+    tab.click(".screen button")
+    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Play"
+    there = tab.evaluate("[...document.querySelectorAll('.screen')].find(e => e.querySelector('button')).innerText")
+    assert f"as on the robot for {tab.evaluate(CLOCK)}" in there
 
 
 def test_states_are_drawn_over_time_with_their_value_now(states: Tab, tmp_path: Path) -> None:

@@ -108,13 +108,13 @@ def test_the_page_is_self_contained_and_names_every_model_and_controller(report:
     assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|\#)""", page)
     assert set(re.findall(r"https?://[^\"]*", page)) == {"http://www.w3.org/2000/svg"}  # a name, never fetched
     assert "@import" not in page
-    # data, and the scripts of replay and page: nothing that is fetched
+    # data, and the script of the page: nothing that is fetched
     scripts = re.findall(r"<script([^>]*)>", page)
     assert {script for script in scripts if script} == {
         ' type="application/json" id="replay-data"',
         ' type="application/json" class="chart"',
     }
-    assert scripts.count("") == 2
+    assert scripts.count("") == 1
     for name in (*report.prediction.names, *report.matrix.rows, *report.matrix.columns):  # type: ignore[union-attr]
         assert html.escape(name) in page
     assert page.index("Which models predict?") < page.index("Error over the horizon")

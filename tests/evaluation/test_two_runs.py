@@ -56,7 +56,7 @@ def test_settings_and_models_that_differ_are_named_and_no_others(found: Differen
     assert found.models_only_in(1) == ("mlp",)
     assert found.parameters == {}
     other = replace(found.reports[1], models=(ModelSummary("linear", "linear", "black", {"lags": 2}),))
-    assert list(differences(found.reports[0], other).parameters) == ["linear"]
+    assert differences(found.reports[0], other).parameters == {"linear.lags": (1, 2)}
 
 
 def test_a_real_change_is_told_from_chance(found: Differences) -> None:

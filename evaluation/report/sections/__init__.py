@@ -7,6 +7,7 @@ from collections.abc import Callable
 from evaluation.report.contents import Report
 from evaluation.report.sections import (
     advice,
+    behaviour,
     data,
     exploitability,
     failures,
@@ -23,6 +24,7 @@ SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
     advice.section,
     transfer.section,
     forecast.section,
+    behaviour.section,
     replaying.section,
     exploitability.section,
     failures.section,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from evaluation.report.absences import of_replay
+from evaluation.report.cards import worst_trials
 from evaluation.report.contents import Report
 from evaluation.report.pictures import traces_picture
 from evaluation.report.replay import replay
@@ -14,6 +15,6 @@ def section(report: Report) -> Section | None:
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
         return None
-    shown = replay(matrix, first=summary.pick)
+    shown = replay(matrix, first=summary.pick, watched=worst_trials(report.exploitability, matrix))
     items = [] if shown is None else present(shown, traces_picture(matrix))
     return Section("Replay", items, absent=of_replay(report, shown))

@@ -7,7 +7,14 @@ from evaluation.report.contents import Report
 from evaluation.report.overview import command_sheet
 from evaluation.report.pictures import claims_picture, fitness_picture
 from evaluation.report.sections.section import Section, present
-from evaluation.report.tables import controller_sheet, finalist_sheet, measure_sheet, standing_sheet, transfer_sheet
+from evaluation.report.tables import (
+    controller_sheet,
+    finalist_sheet,
+    measure_sheet,
+    paper_sheet,
+    standing_sheet,
+    transfer_sheet,
+)
 from evaluation.report.transferring import unknown
 
 WORDS = "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."
@@ -22,6 +29,7 @@ def section(report: Report) -> Section:
         "Transfer",
         present(
             transfer_sheet(matrix),
+            paper_sheet(matrix) if report.settings.get("preset") == "paper" else None,
             claims_picture(matrix, summary),
             standing_sheet(matrix, summary),
             controller_sheet(matrix, summary),

@@ -24,6 +24,7 @@ from evaluation.report.tables.errors import (
     region_sheet,
     residual_sheet,
 )
+from evaluation.report.tables.paper import paper_sheet
 from evaluation.report.tables.prediction import channel_sheet, condition_sheet, coverage_sheet, prediction_sheet
 from evaluation.report.tables.standings import standing_sheet
 
@@ -46,6 +47,7 @@ __all__ = [
     "manner_sheet",
     "measure_sheet",
     "model_sheet",
+    "paper_sheet",
     "prediction_sheet",
     "probe_sheet",
     "region_sheet",

@@ -43,8 +43,8 @@ def behaviour_sheet(manners: Sequence[Manner], robot: str | None) -> Sheet | Non
         rows=tuple(rows),
         note=(
             f"Means over {count} recorded trials. missed: waypoints that were passed close by and left again before "
-            "they were reached; orbiting: share of the time in full turns around a waypoint. report.json has intervals, and "
-            "what follows a miss."
+            "they were reached; orbiting: share of the time in full turns around a waypoint. report.json has "
+            "intervals, and what follows a miss."
             if "orbiting" in names
             else f"Means over {count} recorded trials. report.json has intervals and the sides of every channel."
         ),

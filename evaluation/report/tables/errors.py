@@ -106,9 +106,10 @@ def fit_sheet(prediction: Prediction) -> Sheet | None:
     return Sheet(
         "Fit in free run (%)",
         ("model", *prediction.cases.system.state_names),
-        tuple((name, *map(_fit, values.T)) for name, values in fits.items()),
+        tuple((lines(name, _clipped(prediction.model(name))), *map(_fit, values.T)) for name, values in fits.items()),
         note="100 (1 - norm(y - yhat) / norm(y - mean(y))), the fit that MATLAB's compare shows: 100 is perfect, 0 as "
-        "good as the mean, below 0 worse. Of several test episodes the mean, and below it the range.",
+        "good as the mean, below 0 worse. Of several test episodes the mean, and below it the range. clip: free runs "
+        "that reached their clip, and the median time until then.",
         details=True,
     )
 
@@ -142,6 +143,13 @@ def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
             lag = found.control_lag(place, channel)
             shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+.2f}")
     return lines(colour, *shown)
+
+
+def _clipped(model: ModelPrediction) -> str:
+    """Say in how many free runs a model reached its clip, and when."""
+    times = () if model.divergence is None else model.divergence.free_run_times
+    hit = [time for time in times if time is not None]
+    return f"clip {len(hit)} of {len(times)}, {np.median(hit):.1f} s" if hit else ""
 
 
 def _fit(values: np.ndarray) -> str:

@@ -41,6 +41,7 @@
       this.svg.addEventListener("pointermove", (event) => this.point(event));
       this.svg.addEventListener("pointerdown", (event) => this.point(event));
       this.svg.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && this.clear());
+      document.addEventListener("pointerdown", (event) => holder.contains(event.target) || this.clear());
       holder.addEventListener("focus", () => holder.matches(":focus-visible") && this.show());
       holder.addEventListener("blur", () => this.clear());
       holder.addEventListener("keydown", (event) => this.step(event));
@@ -117,7 +118,7 @@
         made("td", row, "", number(one.value));
         made("td", row, "", one.interval ? `${number(one.interval[0])} to ${number(one.interval[1])}` : "");
         const [cx, cy] = spot(one);
-        if (cx < left - 1 || cx > left + width + 1 || cy < top - 1 || cy > top + height + 1) continue;
+        if (sideways || cx < left - 1 || cx > left + width + 1 || cy < top - 1 || cy > top + height + 1) continue;
         const dot = this.marks.appendChild(document.createElementNS(SVG, "circle"));
         for (const [name, text] of Object.entries({ cx, cy, r: chosen ? 4.5 : 3 })) dot.setAttribute(name, text);
         dot.style.fill = key;

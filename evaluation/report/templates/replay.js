@@ -3,7 +3,9 @@
 (() => {
   "use strict";
 
-  const story = JSON.parse(document.getElementById("replay-data").textContent);
+  const data = document.getElementById("replay-data");
+  if (!data) return; // nothing to replay
+  const story = JSON.parse(data.textContent);
   const player = document.getElementById("replay-player");
   const screens = player.querySelector(".screens");
   const [row, play, pace, slider] = ["row", "play", "pace", "time"].map((name) => document.getElementById(`replay-${name}`));
@@ -58,17 +60,17 @@
       const title = element("p", figure, run.column);
       title.className = "name";
       element("small", title, told(run));
-      if (run.apart !== null) {
-        const there = element("button", title, "Show where they part");
-        there.type = "button";
-        there.setAttribute("aria-label", `Show where ${run.column} and the robot part`);
-        there.addEventListener("click", () => { start(false); seek(run.apart); });
-      }
       const canvas = element("canvas", figure);
       canvas.setAttribute("role", "img");
       canvas.setAttribute("aria-label", `${run.row} on ${run.column}: ${told(run)}`);
       const now = element("p", figure);
       now.className = "now";
+      if (run.apart !== null) {
+        const there = element("button", figure, "Show where they part");
+        there.type = "button";
+        there.setAttribute("aria-label", `Show where they part: ${run.column} and the robot`);
+        there.addEventListener("click", () => { start(false); seek(run.apart); });
+      }
       return { run, canvas, now, robot: run.robot ? null : robot, view };
     });
     slider.max = Math.max(...runs.map((run) => run.last * run.dt));
@@ -353,7 +355,7 @@
     button.addEventListener("click", () => {
       row.value = watch.dataset.row;
       choose(row.value);
-      seek(0);
+      seek(Number(watch.dataset.time));
       player.scrollIntoView();
       play.focus();
       start(true);

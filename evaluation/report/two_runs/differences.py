@@ -105,7 +105,7 @@ def differences(first: Report, second: Report, names: tuple[str, str] = ("first"
         names=names,
         reports=(first, second),
         settings=settings,
-        parameters={name: pair for name, pair in _changed(*map(_parameters, (first, second))).items() if all(pair)},
+        parameters=_parameters(first, second),
         errors=_errors(first.prediction, second.prediction, same_test),
         controllers=_controllers(first.matrix, second.matrix, same_trials),
         same_training=first.data.fingerprint == second.data.fingerprint,
@@ -114,9 +114,14 @@ def differences(first: Report, second: Report, names: tuple[str, str] = ("first"
     )
 
 
-def _parameters(report: Report) -> dict[str, str]:
-    """Return family and parameters of each model, by its name."""
-    return {model.name: f"{model.family} {dict(model.parameters)}" for model in report.models}
+def _parameters(first: Report, second: Report) -> dict[str, tuple[Any, Any]]:
+    """Return family and parameters that differ, of the models that both runs have."""
+    here, there = ({model.name: model for model in report.models} for report in (first, second))
+    sides: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
+    for name in (name for name in here if name in there):
+        for side, model in zip(sides, (here[name], there[name]), strict=True):
+            side |= {f"{name}.family": model.family, **{f"{name}.{key}": v for key, v in model.parameters.items()}}
+    return _changed(*sides)
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from matplotlib.figure import Figure
+
 from evaluation.plots import plot_changes
 from evaluation.report.drawing import Drawing, Panel, Picture
+from evaluation.report.pictures import NARROW, WIDE
 from evaluation.report.predicting import horizon_name
 from evaluation.report.sections.section import Section, present
 from evaluation.report.two_runs.differences import Change, ControllerChange, Differences
@@ -16,8 +19,8 @@ FIGURES = (
     ("others", "Mean on the other models"),
     ("achieved", "Achieved on the robot"),
 )
-WIDTH, ROW = 9.6, 0.4
-"""Inches: of a picture, and of one row in it."""
+ROW = 0.45
+"""Inches of one row in a picture."""
 
 
 def changed(found: Differences) -> Section:
@@ -52,7 +55,7 @@ def transferring(found: Differences) -> Section:
     changes = {title: _drawn(_of(found.controllers, figure)) for figure, title in FIGURES}
     shown = {title: drawn for title, drawn in changes.items() if drawn}
     unit = f" ({found.unit})" if found.unit else ""
-    label = f"fitness in the second run minus that in the first{unit}"
+    label = f"second minus first{unit}"
     absent = []
     if not any(c.achieved is not None for c in found.controllers):
         absent.append("The runs have no robot in common, so what is achieved there is not compared.")
@@ -79,12 +82,14 @@ def _picture(
 ) -> Picture | None:
     if not changes:
         return None
-    drawing = Drawing(
-        key,
-        f"{title}, for each name and figure, with intervals",
-        lambda figure: plot_changes(changes, figure.add_subplot(), label=label),
-        WIDTH,
-        1.2 + ROW * rows,
-        keyed=True,
-    )
-    return Picture(title, "Bars: 95 % intervals. One that holds 0 is no significant difference.", (Panel(drawing),))
+    said = f"{title}, for each name and figure, with intervals"
+
+    def draw(figure: Figure, name_width: int) -> None:
+        plot_changes(changes, figure.add_subplot(), label=label, name_width=name_width)
+
+    def drawn(name: str, width: float, name_width: int) -> Drawing:
+        height = 1.0 + ROW * rows
+        return Drawing(name, said, lambda figure: draw(figure, name_width), width, height, keyed=True)
+
+    panel = Panel(drawn(key, WIDE, 26), drawn(f"{key}-narrow", NARROW, 13))
+    return Picture(title, "Bars: 95 % intervals. One that holds 0 is no significant difference.", (panel,))

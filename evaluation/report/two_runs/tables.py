@@ -19,7 +19,7 @@ CHANCE = "no significant\ndifference"
 
 def setting_sheet(found: Differences) -> Sheet | None:
     """The settings and parameters of models that differ; None where all are the same."""
-    values = {**found.settings, **{f"model {name}": pair for name, pair in found.parameters.items()}}
+    values = {**found.settings, **found.parameters}
     return _values("Settings that differ", found.names, values) if values else None
 
 
@@ -93,6 +93,8 @@ def _signed(value: float, shown: Callable[[float], str]) -> str:
 def _shown(value: Any) -> str:
     if value is None:
         return "–"
+    if isinstance(value, (list, tuple)):
+        return "\n".join(_shown(item) for item in value) or "none"
     return _folded(value if isinstance(value, str) else json.dumps(value, default=str))
 
 

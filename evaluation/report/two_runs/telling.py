@@ -38,7 +38,11 @@ def save_comparison(found: Differences, folder: str | Path) -> Path:
 def terminal(found: Differences) -> list[RenderableType]:
     """Return the answers and the tables that are not folded away on the page, at most 80 columns wide."""
     story = two_stories(found)
-    parts: list[RenderableType] = [Text(story.title, style="bold"), *findings_lines(story.findings)]
+    parts: list[RenderableType] = [
+        Text(story.title, style="bold"),
+        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in story.headlines]),
+        *findings_lines(story.findings),
+    ]
     for section in story.sections:
         for sheet in section.sheets:
             parts += [] if sheet.details else to_rich(sheet)
@@ -120,16 +124,11 @@ def _counted(
 
 
 def _findings(found: Differences) -> list[Finding]:
-    answers = [Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in _headlines(found)]
     first, second = found.picks
-    if first or second:
-        same = (
-            f"{first} in both."
-            if first == second
-            else f"{first or 'None'} in the first, {second or 'none'} in the second."
-        )
-        answers.append(Finding("Which controller would be taken?", (same,)))
-    return answers
+    if not (first or second):
+        return []
+    taken = f"{first} in both." if first == second else f"{first or 'None'}, then {second or 'none'}."
+    return [Finding("Which controller would be taken?", (taken,))]
 
 
 def _what_changed(found: Differences) -> str:

@@ -5,7 +5,7 @@ test record, from sample 64 with the history that it wants. Printed is the error
 measured output, noise included, the mean over seeds (lowest to highest), and the processor time of a fit in seconds.
 ``true structure`` is the system's own equations, their parameters fitted by least squares to the same recording from
 guesses that are off by a fifth; it knows that a record begins at rest. With ``--out`` a line is written as soon as it
-is known, and what stands there is not done again.
+is known, and what stands there is not done again; take another file for other ``--steps`` or another ``--preset``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import sys
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("families", nargs="*", help=f"by default {TRUE!r} and {', '.join(FAMILIES)}")
     parser.add_argument("--systems", nargs="*", default=list(SYSTEMS), choices=SYSTEMS)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--steps", type=int, help="of the recording, by default as many as each system has")
+    parser.add_argument("--preset", help="of the families, such as quick")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore", DataWarning)
@@ -62,7 +65,8 @@ def main(arguments: list[str] | None = None) -> int:
             for family in families:
                 if (family, name, seed) in known:
                     continue
-                error, seconds = measured(family, SYSTEMS[name], seed)
+                system = SYSTEMS[name] if options.steps is None else replace(SYSTEMS[name], steps=options.steps)
+                error, seconds = measured(family, system, seed, options.preset)
                 known[family, name, seed] = error, seconds
                 if options.out is not None:
                     with options.out.open("a") as file:
@@ -77,7 +81,7 @@ def read(path: Path) -> dict[tuple[str, str, int], tuple[float, float]]:
     return {(family, name, seed): (error, seconds) for family, name, seed, error, seconds in rows}
 
 
-def measured(family: str, system: HiddenSystem, seed: int) -> tuple[float, float]:
+def measured(family: str, system: HiddenSystem, seed: int, preset: str | None = None) -> tuple[float, float]:
     """Return the error of a free run through the test record, and the processor time of the fit in seconds."""
     training, test = system.recordings(seed)
     began = time.process_time()
@@ -88,7 +92,8 @@ def measured(family: str, system: HiddenSystem, seed: int) -> tuple[float, float
         return relative(
             system.simulate(parameters, run.controls[:, 0])[BEGIN + 1 :], run.states[BEGIN + 1 :, 0]
         ), seconds
-    model = make_model(family).fit(training, rng=seed)
+    model = make_model(family)
+    model.set_params(**(model.presets[preset] if preset else {})).fit(training, rng=seed)
     return free_run_error(model, test), time.process_time() - began
 
 

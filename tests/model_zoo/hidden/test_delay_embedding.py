@@ -37,3 +37,7 @@ def test_families_with_a_part_for_each_command_are_refused(family: str) -> None:
 def test_a_family_that_remembers_is_refused() -> None:
     with pytest.raises(IncompatibleSystem, match="remembers nothing"):
         make_model("delay_embedding", family="linear(control_lags=2)", longest=3).fit(recording(0))
+
+
+def test_what_is_learned_depends_on_the_family_within() -> None:
+    assert make_model("delay_embedding", family="linear(ridge=0.1)").uses() == ("linear",)

@@ -70,14 +70,33 @@ def test_rest_is_left_by_a_control_and_kept_without_in_both_forms(linear: Dynami
         np.testing.assert_allclose(compiled, stepped, atol=1e-9)
 
 
-def test_where_a_record_is_too_short_for_a_network_the_model_is_linear_and_says_so() -> None:
-    few: dict[str, Any] = {"order": 2, "members": 2, "trial": 3, "iterations": 2, "horizon": 100}
-    short = make_model("nonlinear_state_space", **few).fit(recording(0, 120, bend=0.01, noise=0.05), rng=0)
+FEW: dict[str, Any] = {"order": 2, "members": 2, "mixtures": 3, "trial": 3, "iterations": 2, "horizon": 100}
+
+
+def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_says_so() -> None:
+    model = make_model("nonlinear_state_space", gated=False, **FEW)
+    short = model.fit(recording(0, 120, bend=0.01, noise=0.05), rng=0)
     assert "this is a linear state space of order 2" in short.fit_note
     assert [len(units) for units in short.inner_] == [0]
-    long = make_model("nonlinear_state_space", **few).fit(recording(0, 600, bend=0.03, noise=0.01), rng=0)
+    long = model.variant().fit(recording(0, 600, bend=0.03, noise=0.01), rng=0)
     assert not long.fit_note
     assert all(len(units) for units in long.inner_)
+
+
+def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_better(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Asked for the impossible, it gives the linear state space in both forms."""
+    data = recording(0, 300, bend=0.03)
+    passed, stopped = (make_model("nonlinear_state_space", **FEW) for _ in range(2))
+    assert not passed.fit(data, rng=0).fit_note
+    monkeypatch.setattr("model_zoo.nonlinear_state_space.BETTER", 0.0)
+    assert "linear state space" in stopped.fit(data, rng=0).fit_note
+    assert [len(units) for units in stopped.inner_] == [0]
+    windows = recording(1).windows(1, stride=20, history=stopped.n_lags)
+    carry, control = stopped.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+    compiled = kernel_step(stopped.kernel(), carry, control, precision="float64")
+    np.testing.assert_allclose(compiled, stopped.step(carry, control), rtol=1e-9, atol=1e-9)
 
 
 OWN: dict[str, dict[str, Any]] = {

@@ -39,7 +39,7 @@ def thrust_lacking(learning: SelfCorrection, memory: Array) -> float:
 
 
 def test_it_finds_what_a_model_lacks_and_opens_the_gate(model: Dynamics) -> None:
-    learning = SelfCorrection.of(model, ridge=0.01)
+    learning = SelfCorrection.of(model, gains=False, ridge=0.01)
     seen = memories(learning, drive(OTHER, seconds=25.0, seed=2).episodes[0])
     assert thrust_lacking(learning, seen[-1]) == pytest.approx(-1.2, abs=0.2)
     opened = learning.open(seen)
@@ -53,13 +53,25 @@ def test_where_nothing_has_changed_the_gate_stays_closed(model: Dynamics) -> Non
     assert not learning.open(memories(learning, drive(FloorCar(), seconds=20.0, seed=3).episodes[0])).any()
 
 
+def test_of_coefficients_with_gains_and_without_those_are_used_that_foresaw_better(model: Dynamics) -> None:
+    learning = SelfCorrection.of(model)
+    memory = memories(learning, drive(OTHER, seconds=12.0, seed=2).episodes[0])[-1:]
+    memory[:, learning.places["plain"]] = 1.0
+    for simple, name in ((0.1, "simple_now"), (0.3, "now")):
+        memory[:, learning.places["corrected"]], memory[:, learning.places["simple"]] = 0.2, simple
+        expected = memory[0, learning.places[name]].reshape(learning.terms.shape)
+        np.testing.assert_array_equal(learning.coefficients(memory)[0], expected)
+    assert not np.any(memory[0, learning.places["simple_now"]].reshape(learning.terms.shape)[-3:])
+    assert np.abs(memory[0, learning.places["now"]].reshape(learning.terms.shape)[-3:]).max() > 0.1
+
+
 def test_what_it_knows_comes_from_the_past_alone(model: Dynamics) -> None:
     learning, whole = SelfCorrection.of(model), drive(OTHER, seconds=6.0, seed=2).episodes[0]
     np.testing.assert_array_equal(memories(learning, whole)[:81], memories(learning, whole[:80]))
 
 
 def test_it_forgets_a_condition_that_is_over(model: Dynamics) -> None:
-    learning = SelfCorrection.of(model, forgetting=5.0, ridge=0.01)
+    learning = SelfCorrection.of(model, gains=False, forgetting=5.0, ridge=0.01)
     first, then = drive(OTHER, seconds=12.0, seed=2).episodes[0], drive(FloorCar(), seconds=20.0, seed=4).episodes[0]
     memory = memories(learning, first)[-1:]
     assert thrust_lacking(learning, memory[0]) < -0.8

@@ -147,6 +147,30 @@ def test_a_report_is_made_again_of_what_the_run_holds(compared: Path, there: Cal
     assert json.loads(there("report", "out", "--json").stdout)["title"] == before["title"]
 
 
+def test_a_report_is_written_in_other_forms_beside_the_page(compared: Path, there: Caller) -> None:
+    ended = there("report", "out", "--format", "markdown", "--format", "latex")
+    assert ended.code == 0, ended.stderr
+    assert "report.md" in ended.stderr
+    run = compared / "out"
+    assert (run / "report.md").read_text().startswith("# ")
+    assert "\\begin{table}" in (run / "report.tex").read_text()
+    assert list((run / "figures").glob("*.svg"))
+    assert there("report", "out", "--format", "word").code == 2
+
+
+def test_two_runs_are_shown_side_by_side(compared: Path, there: Caller) -> None:
+    shutil.copytree(compared / "out", compared / "copy")
+    ended = there("report", "out", "copy")
+    assert ended.code == 0, ended.stderr
+    assert "the same" in ended.stdout
+    assert ended.stdout.splitlines()[-1].endswith("against-out.html")
+    assert max(len(line.rstrip()) for line in ended.stdout.splitlines()[:-1]) <= 80
+    assert "No setting" in (compared / "copy" / "against-out.html").read_text()
+    assert json.loads(there("report", "out", "copy", "--json").stdout)["runs"] == ["out", "copy"]
+    assert there("report", "out", "copy", "--format", "svg").code == 2
+    assert there("report", "out", "copy", "out").code == 2
+
+
 def test_quiet_leaves_remarks_out_and_keeps_results_and_errors(there: Caller) -> None:
     loud, quiet = there("compare", "--config", "out", "--out", "out"), None
     quiet = there("compare", "--config", "out", "--out", "out", "--quiet")

@@ -1,0 +1,192 @@
+"""What a controller does: known paths give known numbers, and these the words for them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evaluation.behaviour import Manner, Measure, chase, describe, described, manner_of, manners, measured
+from evaluation.report import to_json
+from evaluation.report.tables import behaviour_sheet, manner_sheet
+from evaluation.transfer import Cell, Trace, TransferMatrix
+from sysid_evo.arrays import Array
+from sysid_evo.data import Trajectory
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import Target
+from tests.evaluation import made_up
+from tests.evaluation.known_models import SYSTEM
+from tests.evaluation.test_transfer import champion
+
+DT = 0.05
+RADIUS = 0.3
+
+
+def path(*legs: tuple[float, float, float]) -> tuple[Array, Array, Array]:
+    """Return pose (T + 1, 3), speed and yaw rate of driving legs of (seconds, m/s, rad/s) from the origin."""
+    rates = np.concatenate([np.tile([speed, turn], (round(seconds / DT), 1)) for seconds, speed, turn in legs])
+    pose = np.zeros((len(rates) + 1, 3))
+    for k, (speed, turn) in enumerate(rates):
+        heading = pose[k, 2] + 0.5 * turn * DT
+        pose[k + 1] = pose[k] + DT * np.array([speed * np.cos(heading), speed * np.sin(heading), turn])
+    both = np.concatenate([rates[:1], rates])
+    return pose, both[:, 0], both[:, 1]
+
+
+def trace(*legs: tuple[float, float, float], markers: Array | None = None, controls: Array | None = None) -> Trace:
+    """Return the trial of a car on this path."""
+    pose, speed, turn = path(*legs)
+    states = np.zeros((len(pose), SYSTEM.nx))
+    states[:, SYSTEM.state_names.index("forward_speed")] = speed
+    states[:, SYSTEM.state_names.index("yaw_rate")] = turn
+    held = np.zeros((len(pose) - 1, SYSTEM.nu)) if controls is None else controls
+    places = np.empty((0, 2)) if markers is None else np.asarray(markers, dtype=float)
+    return Trace(Trajectory(states, held, DT, pose), 1.0, places, RADIUS)
+
+
+def numbers(one: Trace) -> dict[str, float]:
+    return dict(measured(one, SYSTEM, np.full(SYSTEM.nx, 1.0)))
+
+
+def test_a_marker_that_is_driven_straight_to_is_not_missed() -> None:
+    pose, speed, _ = path((4.0, 1.0, 0.0))
+    found = chase(pose[:, :2], np.array([[1.0, 0.2], [3.0, 0.0], [9.0, 0.0]]), RADIUS, speed, DT, still=0.1)
+    assert (found.markers, found.reached, found.missed, found.reactions, found.orbiting) == (3, 2, 0, (), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("legs", "reaction"),
+    [
+        (((2.0, 1.0, 0.0), (3.0, 1.0, 1.0)), "drives on"),
+        (((1.8, 1.0, 0.0), (0.5, 0.0, 0.0), (3.0, 1.0, 0.5)), "stops"),
+        (((1.8, 1.0, 0.0), (3.0, -1.0, 0.0)), "turns back"),
+    ],
+)
+def test_what_follows_a_miss_is_told(legs: tuple[tuple[float, float, float], ...], reaction: str) -> None:
+    pose, speed, _ = path(*legs)
+    found = chase(pose[:, :2], np.array([[1.0, 0.5]]), RADIUS, speed, DT, still=0.1)
+    assert found.reactions[0] == reaction
+    assert (found.missed, found.reached) == (1, 0)
+
+
+def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss() -> None:
+    pose, speed, _ = path((4.0, 1.0, 0.0))
+    for marker in ([2.0, 1.0], [-0.5, 0.0]):
+        assert chase(pose[:, :2], np.array([marker]), RADIUS, speed, DT, still=0.1).missed == 0
+
+
+def test_the_time_from_a_miss_to_the_marker_is_measured() -> None:
+    ahead = np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=1)
+    back = ahead[-1] + np.linspace(0.0, 1.0, 24)[1:, None] * np.array([-1.0, 0.5])  # 1.12 m, at about 1 m/s
+    found = chase(np.concatenate([ahead, back]), np.array([[1.0, 0.5]]), RADIUS, np.ones(64), DT, still=0.1)
+    assert (found.missed, found.reached, found.reactions) == (1, 1, ("drives on",))
+    assert found.after[0] == pytest.approx(1.0 + (1.118 - RADIUS) / (1.118 / 23 / DT), abs=DT)
+
+
+def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none() -> None:
+    pose, speed, _ = path((12.0, 1.0, 1.0))  # circles of 1 m around (0, 1)
+    around = chase(pose[:, :2], np.array([[0.0, 1.0]]), RADIUS, speed, DT, still=0.1)
+    assert around.orbiting == pytest.approx(1.0, abs=0.06)
+    beside = chase(pose[:, :2], np.array([[0.0, 3.0]]), RADIUS, speed, DT, still=0.1)
+    assert beside.orbiting == 0.0
+
+
+def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial() -> None:
+    found = numbers(trace((3.0, -1.0, 0.5), (1.0, 0.0, 0.0), (1.0, 0.8, -0.5), (1.0, 0.0, 0.0)))
+    assert found["backwards"] == pytest.approx(0.75, abs=0.01)
+    assert found["turning left"] == pytest.approx(0.75, abs=0.01)
+    assert found["stops per minute"] == pytest.approx(20.0)
+    assert found["standing"] == pytest.approx(1 / 3, abs=0.01)
+    assert found["speed"] == pytest.approx(3.8 / 6.0, abs=0.01)
+
+
+def test_a_control_of_any_system_switches_and_saturates() -> None:
+    system = System((Channel("angle", "rad"),), (Channel("torque", low=-2.0, high=2.0),), dt=0.1)
+    controls = np.tile([[2.0], [2.0], [-1.0], [-1.05]], (25, 1))
+    one = Trace(Trajectory(np.zeros((101, 1)), controls, 0.1), 0.0)
+    found = measured(one, system, np.ones(1))
+    assert found["torque switches per second"] == pytest.approx(4.9)
+    assert found["torque at a limit"] == 0.5
+    assert found["torque above neutral"] == 0.5
+    assert "backwards" not in found
+
+
+def test_settling_is_the_time_after_which_no_target_is_left() -> None:
+    angle = Channel("angle", "rad", period=2 * np.pi)
+    system = System((angle,), (Channel("torque", low=-1.0, high=1.0),), dt=0.1)
+    states = np.concatenate([np.linspace(3.0, 0.0, 31), np.zeros(70)])[:, None] + 2 * np.pi
+    run = Trajectory(states, np.zeros((100, 1)), 0.1)
+    one = Trace(run, 0.0, targets=(Target(angle, 0, np.zeros(101), 0.05),))
+    found = measured(one, system, np.ones(1))
+    assert found["settled"] == 1.0
+    assert found["settling time"] == pytest.approx(3.0)
+    assert found["within tolerance"] == pytest.approx(71 / 101)
+    never = replace(one, targets=(Target(angle, 0, np.ones(101), 0.05),))
+    assert measured(never, system, np.ones(1))["settled"] == 0.0
+    manner = manner_of("c", "pendulum", [one, never], system, np.ones(1))
+    assert "settles after 3.0 s in 50 % of the trials" in describe(manner)
+
+
+def manner(name: str = "c", column: str = "car", **measures: float) -> Manner:
+    named = {key.replace("_", " "): Measure(value, value - 0.01, value + 0.01, 5) for key, value in measures.items()}
+    return Manner(name, column, 5, named)
+
+
+def test_a_sentence_says_what_a_driver_would() -> None:
+    orbiting = manner(
+        speed=1.2, backwards=0.93, turning_left=0.1, stops_per_minute=3.0, missed_at_first=0.4, orbiting=0.12,
+        drives_on_after_a_miss=0.7, stops_after_a_miss=0.25, turns_back_after_a_miss=0.05,
+        reached_after_a_miss_in=2.5, drive_switches_per_second=1.5, standing=0.02,
+    )  # fmt: skip
+    assert describe(orbiting) == (
+        "drives backwards 93 % of the time at 1.20 m/s; turns right in 90 % of its turns; stops 3 times a minute; "
+        "misses 40 % of the waypoints at first, then drives on (70 %) or stops (25 %), and is there 2.5 s later; "
+        "orbits a waypoint 12 % of the time; switches drive 1.5 times a second."
+    )
+    assert "hardly ever misses a waypoint" in describe(manner(speed=1.0, backwards=0.0, missed_at_first=0.01))
+
+
+def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not() -> None:
+    robot = manner(speed=1.0, backwards=0.9, orbiting=0.3)
+    model = manner(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
+    told = described([model, robot], "car")["c"]
+    assert told.startswith("On the robot: drives backwards 90 %")
+    assert told.endswith("In sindy: orbiting 0 % instead of 30 %.")
+    assert described([model], None)["c"].startswith("In sindy: ")
+
+
+def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be() -> None:
+    trials = [trace((4.0, -1.0, 0.0)), trace((4.0, -1.0, 0.0)), trace((2.0, 1.0, 0.0), (2.0, -1.0, 0.0))]
+    found = manner_of("c", "car", trials, SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"]
+    assert found.value == pytest.approx((1 + 1 + 0.5) / 3, abs=0.01)
+    assert 0.0 <= found.low < found.value < found.high <= 1.0
+    assert np.isnan(manner_of("c", "car", trials[:1], SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"].low)
+
+
+def recorded() -> TransferMatrix:
+    traces = (trace((4.0, -1.0, 0.0), markers=np.array([[-1.0, 0.0]])), trace((4.0, -1.0, 0.1)))
+    cells = [Cell("c", column, np.ones(2), traces=traces, unit="waypoints") for column in ("a", "b", "car")]
+    return TransferMatrix.of([champion("c", ("a",))], ("a", "b", "car"), cells, robot="car")
+
+
+def test_controllers_are_described_on_the_robot_and_where_they_were_evolved() -> None:
+    found = manners(recorded())
+    assert [(one.controller, one.column) for one in found] == [("c", "a"), ("c", "car")]
+    words, table = manner_sheet(found, "car"), behaviour_sheet(found, "car")
+    assert words is not None
+    assert table is not None
+    assert words.rows[0][0] == "c"
+    assert words.rows[0][1].startswith("On the robot: drives backwards 100 %")
+    assert table.columns[:4] == ("controller", "on", "speed\nm/s", "backwards")
+    assert manner_sheet((), None) is behaviour_sheet((), None) is None
+
+
+def test_the_report_holds_the_numbers_and_the_sentences() -> None:
+    document = json.loads(json.dumps(to_json(made_up.report(transfer=recorded())), allow_nan=False))
+    row = document["behaviour"][-1]
+    assert (row["controller"], row["column"], row["trials"]) == ("c", "car", 2)
+    assert row["measures"]["backwards"]["value"] == 1.0
+    assert row["measures"]["stops per minute"]["unit"] == "1/min"
+    assert "backwards" in row["sentence"]
