@@ -54,7 +54,7 @@ def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that
     taken = answers(made())["Which controller to take?"]
     assert taken.answer == "a"
     assert taken.sentence == (
-        "Claims 10.0 ± 0.1 waypoints, forecast 9.3 (8.4 to 9.9), achieves 4.0 ± 0.1 on the robot."
+        "Claims 10.0 ± 0.1 waypoints, forecast 9.3 (8.3 to 9.8), achieves 4.0 ± 0.1 on the robot."
     )
     assert taken.command == "sysid-evo drive --controller controllers/a.json --robot car"
     assert taken.tone == "bad"
