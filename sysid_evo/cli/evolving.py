@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,11 +47,11 @@ from sysid_evo.cli.options import (
 from sysid_evo.cli.plans import carry_out
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from evaluation.comparison import Column, Experiment, RunCell
     from evaluation.comparison.champion_cells import ChampionCell
-    from sysid_evo.plan import Plan, Store
+    from sysid_evo.plan import Again, Plan, Store
 
 CLAIM_TRIALS = 100
 AGAIN = "sysid_evo.cli.evolving:plan_again"
@@ -87,8 +88,9 @@ def evolve(
     so that controllers meet it in the models.
     """
     from evaluation.comparison import Experiment, check_run_folder
+    from sysid_evo.cli.expecting import forecast_from, forecast_sentence
     from sysid_evo.cli.unrecorded import print_regions, regions_of
-    from sysid_evo.plan import Again, Plan, Store
+    from sysid_evo.plan import Again, Store
 
     load_plugins(plugin)
     settings = given(
@@ -116,8 +118,8 @@ def evolve(
     evolution = experiment.evolution
     for doubt in check_evolution(store, columns, evolution):
         tell(doubt, label="note: ", style="dim")
-    champion, claims = cells_of(experiment, store, columns)
-    plan = Plan.of([champion, *claims], again=Again(AGAIN, {"settings": settings, "members": members}))
+    champion, claims, elsewhere = cells_of(experiment, store, columns)
+    plan = plan_of(champion, claims, elsewhere, again=Again(AGAIN, {"settings": settings, "members": members}))
     outcomes = carry_out(plan, store, dry_run=dry_run, json=json, jobs=jobs)
     if outcomes is None:
         return
@@ -131,6 +133,10 @@ def evolve(
             if value is not None:
                 unit = value.unit
                 found["claims"][cell.column.label] = {"mean": value.mean, "std": value.std, "trials": value.trials}
+        on_models = all(column.robot is None for column in columns)
+        runs_there = (*claims, *elsewhere) if on_models else ()
+        expected = forecast_from(store, store.outcome(champion).value, runs_there)
+        found["forecast"] = None if expected is None else asdict(expected)
         models = {column.label: dynamics_of(store, column) for column in columns if has_dynamics(column)}
         regions = regions_of(store.outcome(champion).value, models)
         if json:
@@ -140,6 +146,9 @@ def evolve(
             for label, claim in found["claims"].items():
                 spread = f"{claim['mean']:.1f} ± {claim['std']:.1f} {unit} in {claim['trials']} fresh trials"
                 out.print(f"{label}: {spread}", highlight=False, markup=False)
+            if expected is not None:
+                chosen = chosen_from(champion, store)
+                out.print(forecast_sentence(expected, unit, chosen=chosen), highlight=False, markup=False)
             print_regions(champion.name, regions)
             out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
     if failed:
@@ -148,22 +157,53 @@ def evolve(
 
 def cells_of(
     experiment: Experiment, store: Store, columns: tuple[Column, ...]
-) -> tuple[ChampionCell, tuple[RunCell, ...]]:
-    """Return the cell of the controller against ``columns``, and those of its claims on each."""
-    from evaluation.comparison import RunCell, controller_cell
+) -> tuple[ChampionCell, tuple[RunCell, ...], tuple[RunCell, ...]]:
+    """Return the cell of the controller against ``columns``, those of its claims there, and on the run's other models.
 
-    champion = controller_cell(experiment, columns, judges=columns + other_models(store, columns))
+    What is evolved on a robot is run nowhere else: there is nothing to forecast.
+    """
+    from evaluation.comparison import RunCell, controller_cell
+    from sysid_evo.cli.expecting import by_label
+
+    others = other_models(store, columns)
+    champion = controller_cell(experiment, columns, judges=columns + others)
     delay = experiment.evolution.estimator_delay
-    return champion, tuple(RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed) for column in columns)
+
+    def on(column: Column) -> RunCell:
+        return RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed)
+
+    labels = {column.label for column in columns}
+    models = [] if any(column.robot is not None for column in columns) else by_label(others)
+    return champion, tuple(map(on, columns)), tuple(on(column) for column in models if column.label not in labels)
+
+
+def plan_of(
+    champion: ChampionCell, claims: Sequence[RunCell], elsewhere: Sequence[RunCell], again: Again | None = None
+) -> Plan:
+    """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere."""
+    from sysid_evo.plan import Plan
+
+    judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
+    predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
+    return Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
+
+
+def chosen_from(champion: ChampionCell, store: Store) -> int:
+    """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
+    from evaluation.comparison.champion_cells import ChooseCell, PolishCell
+
+    choice = champion.chosen if isinstance(champion, PolishCell) else champion
+    if not isinstance(choice, ChooseCell):
+        return 0
+    return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
 
 
 def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
     """Return the plan of the same command again, for another process."""
     from evaluation.comparison import Experiment
-    from sysid_evo.plan import Plan, Store
+    from sysid_evo.plan import Store
 
     experiment = Experiment.of(made_of["settings"])
     load_plugins([Path(plugin) for plugin in experiment.plugins])
     store = Store(run)
-    champion, claims = cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"]))
-    return Plan.of([champion, *claims])
+    return plan_of(*cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"])))

@@ -1,0 +1,120 @@
+"""How well forecasts tell what controllers achieve on the robot: ``python -m tests.benchmarks.forecast RUN ...``.
+
+Every RUN is the folder of a comparison of an emulated car, such as ``python -m tests.benchmarks.transfer`` makes. All
+finalists in it, good and bad, are run on all its models and, in other trials, on the car; what is seen is kept in
+``--out``. Prints, within a run, the rank correlation with what is achieved (means over runs, 95 % intervals over
+cars), the error, and what is lost by choosing the best of ten; the share of 90 % intervals that hold, each car's
+calibrated on the others; whether a further term does better; and the constants of `evaluation.forecast.RULE`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from evaluation.forecast import RULE
+from tests.benchmarks.forecast.judging import (
+    Seen,
+    best_of_ten,
+    calibrated,
+    held,
+    over_cars,
+    rank_correlation,
+    seen,
+    with_term,
+)
+from tests.benchmarks.forecast.looking import look
+
+FIGURES: Mapping[str, Callable[[Seen], float]] = {
+    "forecast": lambda one: one.forecast,
+    "median on other families": lambda one: one.others,
+    "claimed": lambda one: one.claimed,
+    "prediction error of its models, negative": lambda one: -one.error,
+}
+Runs = Mapping[tuple[int, str], Sequence[Seen]]
+
+
+def interval(found: tuple[float, float, float], digits: int = 3) -> str:
+    """Return a mean and its interval as text."""
+    mean, low, high = (f"{value:.{digits}f}" for value in found)
+    return f"{mean} ({low} to {high})"
+
+
+def figure_table(runs: Runs) -> Table:
+    """Return a line for each figure by which controllers could be ranked."""
+    made = Table("figure", "rank correlation", "lowest", "RMSE", "loss of the best of ten")
+    everyone = [one for found in runs.values() for one in found]
+    for name, figure in FIGURES.items():
+        ranks = {key: rank_correlation(found, figure) for key, found in runs.items()}
+        losses = {key: best_of_ten(found, figure) for key, found in runs.items()}
+        misses = [figure(one) - one.achieved for one in everyone]
+        error = f"{np.sqrt(np.mean(np.square(misses))):.2f}" if not name.startswith("prediction") else "–"
+        made.add_row(name, interval(over_cars(ranks)), f"{min(ranks.values()):.2f}", error, interval(over_cars(losses)))
+    return made
+
+
+def term_table(runs: Runs) -> Table:
+    """Return a line for each further term: what the forecast would be with it, fitted on the other cars."""
+    made = Table("term", "rank correlation", "RMSE")
+    keys = [key for key, found in runs.items() for _ in found]
+    everyone = [one for found in runs.values() for one in found]
+    for name in everyone[0].terms:
+        values = with_term(everyone, name)
+        better = [replace(one, forecast=float(value)) for one, value in zip(everyone, values, strict=True)]
+        ranks = {
+            key: rank_correlation(
+                [one for own, one in zip(keys, better, strict=True) if own == key], FIGURES["forecast"]
+            )
+            for key in runs
+        }
+        error = np.sqrt(np.mean([(one.forecast - one.achieved) ** 2 for one in better]))
+        made.add_row(name, interval(over_cars(ranks)), f"{error:.2f}")
+    return made
+
+
+def cover_table(runs: Runs) -> Table:
+    """Return a line for each car: which share of the intervals holds."""
+    everyone = [one for found in runs.values() for one in found]
+    holds = np.array(held(everyone, RULE.share))
+    cars = np.array([one.car for one in everyone])
+    made = Table("car", "controllers", "intervals that hold")
+    for car in np.unique(cars):
+        made.add_row(str(car), str((cars == car).sum()), f"{100 * holds[cars == car].mean():.0f} %")
+    keys = [key for key, found in runs.items() for _ in found]
+    shares = {key: float(holds[[own == key for own in keys]].mean()) for key in runs}
+    made.add_row("all", str(len(cars)), f"{100 * holds.mean():.1f} %; mean over runs {interval(over_cars(shares))}")
+    return made
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Look at what is missing and print the tables."""
+    parser = argparse.ArgumentParser(prog="tests.benchmarks.forecast", description=__doc__)
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders of comparisons of emulated cars")
+    parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was seen")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    console, runs = Console(width=120), {}
+    for run in given.runs:
+        robot = json.loads((run / "report.json").read_text(encoding="utf-8"))["settings"]["robot"]
+        car = int("".join(letter for letter in robot if letter.isdigit()) or 0)
+        key = (car, str(run))
+        runs[key] = [seen(record, car, str(run), RULE) for record in look(run, given.out)]
+    everyone = [one for found in runs.values() for one in found]
+    console.print(f"{len(everyone)} controllers in {len(runs)} runs of {len({car for car, _ in runs})} cars")
+    for table in (figure_table(runs), cover_table(runs), term_table(runs)):
+        console.print(table)
+    low, high = calibrated(everyone, RULE.share)
+    console.print(f"of all cars: low={low:.1f}, high={high:.1f}; in the code: low={RULE.low}, high={RULE.high}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

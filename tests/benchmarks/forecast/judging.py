@@ -1,0 +1,133 @@
+"""How good forecasts are, on cars that had no part in their calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evaluation.forecast import Rule, forecast_of
+from evaluation.transfer.summary import mean_ranks
+from sysid_evo.arrays import Array
+from tests.benchmarks.forecast.looking import Record
+
+TENS, RESAMPLES = 200, 2000
+RIDGE = 0.1
+"""Weight of the ridge beside that of the controllers, for terms in units of their standard deviation."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One controller: what was achieved, its forecast without a calibrated interval, and what else could be told.
+
+    ``unit`` is that of the interval, see `Rule`. ``terms`` are in units of the fitness.
+    """
+
+    car: int
+    run: str
+    achieved: float
+    forecast: float
+    unit: float
+    claimed: float
+    others: float
+    error: float
+    terms: Mapping[str, float] = field(default_factory=dict)
+
+
+def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
+    """Return what a record says; a controller against several models claims the lowest of theirs."""
+    columns = record["columns"]
+    fitness = {label: np.array(column["fitness"]) for label, column in columns.items()}
+    against = [label for label in record["against"] if label in columns]
+    families = {columns[label]["family"] for label in against}
+    own = [column["family"] in families for column in columns.values()]
+    errors = [column["error"] for column in columns.values()]
+    value, _, high = forecast_of(
+        list(fitness.values()), errors, own, rule=Rule(rule.power, rule.own, rule.trial, 0.0, 1.0)
+    )
+    elsewhere = [fitness[label].mean() for label, mine in zip(columns, own, strict=True) if not mine]
+    claimed = min((float(fitness[label].mean()) for label in against), default=value)
+    others = float(np.median(elsewhere)) if elsewhere else value
+    apart = float(np.mean([one.std() for one in fitness.values()]))
+    return Seen(
+        car=car,
+        run=run,
+        achieved=record["achieved"],
+        forecast=value,
+        unit=high - value,
+        claimed=claimed,
+        others=others,
+        error=float(np.mean([columns[label]["error"] for label in against])) if against else np.nan,
+        terms={
+            "nothing else": 0.0,
+            "claimed less forecast": claimed - value,
+            "other families less forecast": others - value,
+            "optimism": record["optimism"],
+            "outside the data": apart * float(np.mean([column["outside"] for column in columns.values()])),
+            "probes": apart * float(np.mean([columns[label]["probed"] for label in against])) if against else 0.0,
+        },
+    )
+
+
+def rank_correlation(found: Sequence[Seen], figure: Callable[[Seen], float]) -> float:
+    """Return Spearman's correlation of a figure with what is achieved."""
+    pairs = [(figure(one), one.achieved) for one in found if np.isfinite(figure(one))]
+    return float(np.corrcoef(mean_ranks([a for a, _ in pairs]), mean_ranks([b for _, b in pairs]))[0, 1])
+
+
+def best_of_ten(found: Sequence[Seen], figure: Callable[[Seen], float], *, seed: int = 0) -> float:
+    """Return which share of what the best of ten achieves is lost by choosing by a figure, the mean over many tens."""
+    achieved, ranked = np.array([one.achieved for one in found]), np.array([figure(one) for one in found])
+    rng, losses = np.random.default_rng(seed), []
+    for _ in range(TENS):
+        ten = rng.choice(len(found), size=min(10, len(found)), replace=False)
+        losses.append(1.0 - achieved[ten][ranked[ten].argmax()] / achieved[ten].max())
+    return float(np.mean(losses))
+
+
+def over_cars(by_run: Mapping[tuple[int, str], float], *, seed: int = 0) -> tuple[float, float, float]:
+    """Return the mean over runs and its 95 % interval: cars are drawn, then runs of each."""
+    cars: dict[int, list[float]] = {}
+    for (car, _), value in by_run.items():
+        cars.setdefault(car, []).append(value)
+    rng, groups = np.random.default_rng(seed), [np.array(values) for values in cars.values()]
+    drawn = [
+        np.concatenate(
+            [rng.choice(groups[i], len(groups[i])) for i in rng.integers(0, len(groups), len(groups))]
+        ).mean()
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(np.mean(list(by_run.values()))), float(low), float(high)
+
+
+def calibrated(found: Sequence[Seen], share: float) -> tuple[float, float]:
+    """Return between which multiples of their units the misses of ``share`` of the controllers lie."""
+    missed = [(one.achieved - one.forecast) / one.unit for one in found]
+    low, high = np.quantile(missed, [0.5 - share / 2, 0.5 + share / 2])
+    return float(low), float(high)
+
+
+def held(found: Sequence[Seen], share: float) -> list[bool]:
+    """Return which controllers achieve what lies in the interval that the *other* cars calibrate."""
+    ends = {car: calibrated([one for one in found if one.car != car], share) for car in {one.car for one in found}}
+    return [
+        one.forecast + ends[one.car][0] * one.unit <= one.achieved <= one.forecast + ends[one.car][1] * one.unit
+        for one in found
+    ]
+
+
+def with_term(found: Sequence[Seen], name: str) -> Array:
+    """Return forecasts (N,) plus a constant and one further term, fitted by ridge to what the other cars missed."""
+    terms = np.array([one.terms[name] for one in found])
+    inputs = np.stack([np.ones(len(terms)), terms / max(float(terms.std()), 1e-12)], axis=1)
+    missed = np.array([one.achieved - one.forecast for one in found])
+    cars = np.array([one.car for one in found])
+    forecast = np.array([one.forecast for one in found])
+    for car in np.unique(cars):
+        rest = cars != car
+        penalty = np.diag([0.0, RIDGE * rest.sum()])
+        weights = np.linalg.solve(inputs[rest].T @ inputs[rest] + penalty, inputs[rest].T @ missed[rest])
+        forecast[~rest] += inputs[~rest] @ weights
+    return forecast

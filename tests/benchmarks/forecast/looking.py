@@ -1,0 +1,155 @@
+"""What the controllers of a comparison do on its models and on the emulated car that it recorded."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.comparison import runner_of
+from evaluation.exploitability import Steps, Support, probe_limits
+from evaluation.exploitability.limits import ProbeLimit
+from evaluation.exploitability.optimism import optimism, others_of
+from evaluation.forecast.credibility import HORIZON
+from evaluation.transfer import transfer_seeds
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.engine import DynamicsRunner, Rollouts, Runner
+from sysid_evo.evolution import Champion
+from sysid_evo.files import write_atomically
+from sysid_evo.registry import make_controller, make_task, robot_spec
+from sysid_evo.store import load_champion, load_model
+
+TRIALS, TRUTH, OTHER = 100, 300, 1_000_000
+"""Trials on every model, trials on the car, and what is added to the seed so that these are other ones."""
+RECORDED, JUDGED = 2, 2
+"""Trials whose states are looked at, and those in which optimism is measured."""
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Material:
+    """The models of a run, and what is known about them without the car."""
+
+    models: dict[str, DynamicsModel]
+    families: dict[str, str]
+    errors: dict[str, float | None]
+    support: Support
+    limits: Sequence[ProbeLimit]
+    seed: int
+
+    @classmethod
+    def of(cls, run: Path, report: Mapping[str, Any]) -> Material:
+        """Read the models of the comparison in ``run``."""
+        training = Dataset.load(next((run / "data").glob("*/training")))
+        named = {model["name"]: model for model in report["models"]}
+        return cls(
+            models={name: load_model(_newest(run / "models", name)) for name in named},
+            families={name: model["family"] for name, model in named.items()},
+            errors={model["name"]: _error(model) for model in report["prediction"]["models"]},
+            support=Support.of(training),
+            limits=probe_limits(Steps.moving(training)),
+            seed=report["settings"]["seed"],
+        )
+
+
+def look(run: Path, out: Path) -> list[Record]:
+    """Return a record for each finalist of the comparison in ``run``; what was seen stands in ``out`` from then on.
+
+    The trials on the car are other ones than those on the models.
+    """
+    kept = out / f"{run.parent.name}-{run.name}.json"
+    if kept.is_file():
+        found: list[Record] = json.loads(kept.read_text(encoding="utf-8"))
+        return found
+    report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+    material = Material.of(run, report)
+    car = runner_of(robot_spec(report["settings"]["robot"]))
+    records: dict[str, Record] = {}
+    for name, file in report["controller_files"].items():
+        champion = load_champion((run / file).with_suffix(""))
+        if champion.against and report["transfer"]["robot"] not in champion.against:
+            for record in _records(champion, name, material, car):
+                records.setdefault(record["digest"], record)
+    text = json.dumps(list(records.values()), allow_nan=False)
+    write_atomically(kept, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return list(records.values())
+
+
+def _records(champion: Champion, name: str, material: Material, car: Runner) -> list[Record]:
+    """Return what each finalist does, the champion first."""
+    others = [f.parameters for f in champion.finalists if not np.array_equal(f.parameters, champion.parameters)]
+    everyone = np.stack([champion.parameters, *others])
+    columns = {label: _column(champion, everyone, label, material) for label in material.models}
+    truth = _run(champion, everyone, car, material.seed + OTHER, TRUTH).fitness
+    own = champion.against[0] if len(champion.against) == 1 else None
+    return [
+        {
+            "name": name,
+            "digest": hashlib.sha256(parameters.tobytes()).hexdigest(),
+            "against": list(champion.against),
+            "achieved": float(truth[number].mean()),
+            "columns": {label: rows[number] for label, rows in columns.items()},
+            "optimism": _optimism(replace(champion, parameters=parameters), own, material),
+        }
+        for number, parameters in enumerate(everyone)
+    ]
+
+
+def _column(champion: Champion, everyone: Array, label: str, material: Material) -> list[Record]:
+    """Return what everyone does on one model: fitness, how much is outside the data, what trips a probe most."""
+    runner, support = DynamicsRunner(material.models[label]), material.support
+    fitness = _run(champion, everyone, runner, material.seed, TRIALS).fitness
+    recorded = _run(champion, everyone, runner, material.seed, RECORDED, record=True)
+    whose = np.flatnonzero(recorded.survived.ravel() > 0) // RECORDED
+    found = []
+    for number in range(len(everyone)):
+        runs = [run for which, run in zip(whose, recorded.trajectories, strict=True) if which == number]
+        steps = Steps.of(support.pairs.system, runs)
+        shares = [limit.share(steps) or 0.0 for limit in material.limits]
+        found.append(
+            {
+                "family": material.families[label],
+                "error": material.errors[label],
+                "fitness": fitness[number].tolist(),
+                "outside": support.share_outside(steps) or 0.0,
+                "probed": max(shares, default=0.0),
+            }
+        )
+    return found
+
+
+def _run(
+    champion: Champion, everyone: Array, runner: Runner, seed: int, trials: int, *, record: bool = False
+) -> Rollouts:
+    controller, task = make_controller(champion.controller), make_task(champion.task)
+    return runner.run(controller, everyone, task, transfer_seeds(seed, trials), record=record)
+
+
+def _optimism(champion: Champion, own: str | None, material: Material) -> float:
+    """Return the optimism of the one model that a controller was evolved in, 0 where it is not known."""
+    if own is None:
+        return 0.0
+    others = others_of(own, material.models, material.families)
+    found = optimism(champion, material.models[own], others, transfer_seeds(material.seed, JUDGED))
+    return 0.0 if found is None else found.value
+
+
+def _newest(folder: Path, name: str) -> Path:
+    """Return where the model of this name stands, without suffix."""
+    files = [file for file in folder.glob("*.json") if file.stem.rpartition("-")[0] == name]
+    return max(files, key=lambda file: file.stat().st_mtime).with_suffix("")
+
+
+def _error(model: Mapping[str, Any]) -> float | None:
+    """Return N after a second, else after the longest horizon, as `error_of` does."""
+    scores = model["horizons"]
+    at = [score["n"] for score in scores if score["steps"] == HORIZON] or [score["n"] for score in scores[-1:]]
+    return at[0] if at else None
