@@ -5,6 +5,7 @@ from tests.mutation.change import Change
 STRATEGY = "sysid_evo/evolution/mu_plus_lambda.py"
 TEST_STRATEGY = ("tests/sysid_evo/test_mu_plus_lambda.py",)
 TEST_CHOICE = ("tests/sysid_evo/test_choice.py",)
+TEST_FORECAST = ("tests/evaluation/forecast",)
 TEST_NICHES = ("tests/sysid_evo/test_niches.py",)
 TEST_SPARING = ("tests/sysid_evo/test_sparing.py",)
 TEST_EVOLUTION = ("tests/sysid_evo/test_controller_evolution.py",)
@@ -172,16 +173,16 @@ CHANGES = (
         TEST_CHOICE,
     ),
     Change(
-        "a model of its own family judges a controller",
-        "evaluation/comparison/champion_cells.py",
-        "for judge in fitted if judge.registered not in own}",
-        "for judge in fitted}",
-        ("tests/evaluation/test_comparison.py",),
+        "a model of its own family judges a controller as others do",
+        "evaluation/forecast/credibility.py",
+        "np.where(own, rule.own, 1.0) * weights",
+        "weights",
+        TEST_FORECAST,
     ),
     Change(
-        "a model that predicts badly judges",
+        "a contender without a judge of another family is judged by its own",
         "evaluation/comparison/champion_cells.py",
-        "fitted = list(believed(fitted, work))\n        judging",
+        "judging if any(judge.registered not in own for judge in fitted) else {}",
         "judging",
         ("tests/evaluation/test_comparison.py",),
     ),
