@@ -8,7 +8,7 @@ import pytest
 from model_zoo.hidden.learning import Lesson, radius, stabilised
 from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
-from model_zoo.hidden.shooting import Spaces, train
+from model_zoo.hidden.shooting import FAR, Spaces, train
 from model_zoo.hidden.units import UNITS
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.single_step import kernel_step
@@ -46,6 +46,15 @@ def test_derivatives_are_those_of_finite_differences() -> None:
         for state in range(2):
             found = (run(flat, starts + step * np.eye(2)[state]) - outputs) / step
             np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
+
+
+def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not() -> None:
+    """A bound has no slope, and training would stop at it."""
+    growing, segments = linear_growth(0.5), Segments(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
+    outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), segments)
+    np.testing.assert_allclose(outputs[0, :, 0], 10.0 * 1.5 ** np.arange(7))
+    np.testing.assert_allclose(derivatives[0, :, 0, -1], 1.5 ** np.arange(7))
+    assert growing.run(np.array([[[10.0]]]), segments.controls).max() == FAR
 
 
 def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference() -> None:
