@@ -132,3 +132,12 @@ def test_every_kind_of_unit_is_the_same_compiled() -> None:
         model.kinds_ = [np.resize([UNITS.index("sharp"), kind], len(model.kinds_[0]))]
         compiled = kernel_step(model.kernel(), carry, control, precision="float64")
         np.testing.assert_allclose(compiled, model.step(carry, control), rtol=1e-7, atol=1e-7)
+
+
+def test_a_space_that_says_what_no_other_says_is_astray() -> None:
+    lesson = Lesson.of(recording(0), 100)
+    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    outer = trained.spaces.outer.repeat(3, axis=0)
+    outer[2, :, 2] *= 1.3
+    three = Spaces.linear(outer, trained.spaces.pace)
+    assert lesson.escapes(three, lesson.observers(trained) * 3).tolist() == [False, False, True]
