@@ -83,7 +83,10 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
     _one("gaussian_process", 3.0, 1.0),
     _one("sindy_discrete", 1.0, 1.0),
-    _one("nonlinear_state_space(members=3, trial=8, iterations=15, horizon=300, most_steps=3000)", 4.0, 0.3),
+    _one("single_track(residual=true, starts=3, windows=120, residual_points=60)", 3.0, 0.3),
+    _one(
+        "nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)", 6.0, 0.3
+    ),
     _networks(0, 0, 3.0),
     _one("linear(state_lags=2, control_lags=2)", 0.1, 1.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=0.3)", 5.5),

@@ -167,8 +167,8 @@ CHANGES = (
     Change(
         "finalists are judged by the lowest of the other models",
         "sysid_evo/evolution/choice.py",
-        'seed, aggregate="median")',
-        'seed, aggregate="min")',
+        "np.median(by_model, axis=0)",
+        "np.min(by_model, axis=0)",
         TEST_CHOICE,
     ),
     Change(

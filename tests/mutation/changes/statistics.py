@@ -61,9 +61,9 @@ CHANGES = (
     ),
     Change(
         "a model of the same family is a judge",
-        SUMMARY,
-        "[column for column in others if matrix.families[column] not in families]",
-        "list(others)",
+        "evaluation/transfer/standing.py",
+        "[column for column in matrix.models if matrix.families[column] not in families]",
+        "list(matrix.models)",
         (TEST_TRANSFER,),
     ),
     Change(
