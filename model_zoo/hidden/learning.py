@@ -20,9 +20,11 @@ SHORT, MIDDLE = 100, 300
 """Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius from which a linear space is unstable, and what it is then brought to."""
-MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 3, 1.5
+MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
 """Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
 largest recorded output is too far."""
+ALONE, APART = 5.0, 0.1
+"""A space that is so many times as far from the median of three or more as is usual, and so many deviations."""
 LOST = 1.0
 """A root mean square residual, in deviations, from which a training begins anew at the linear start."""
 
@@ -147,7 +149,8 @@ class Lesson:
         """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls in other orders.
 
         Backwards in time, and in blocks that change places: controls as the system met them, but not as they were
-        trained, under which what is unstable shows.
+        trained, under which what is unstable shows. Among three or more, one is astray too that is far from what most
+        of them say there.
         """
         longest = max(self.parts, key=len)
         ny, controls = longest.outputs.shape[1], longest.controls[:MOST_REORDERED]
@@ -159,7 +162,11 @@ class Lesson:
         starts = np.stack([own.first[:, ny] for own in observers])[:, None].repeat(len(orders), axis=1)
         runs = spaces.run(starts, controls[np.stack(orders)])[..., :ny]
         limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
-        return np.asarray((np.abs(runs) > limit).any(axis=(1, 2, 3)))
+        astray = (np.abs(runs) > limit).any(axis=(1, 2, 3))
+        if len(runs) > 2:
+            apart = np.sqrt(((runs - np.median(runs, axis=0)) ** 2).mean(axis=(1, 2, 3)))
+            astray |= apart > max(ALONE * float(np.median(apart)), APART)
+        return np.asarray(astray)
 
 
 def joined(one: Trained, other: Trained) -> Trained:

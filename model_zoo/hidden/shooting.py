@@ -130,7 +130,8 @@ class Spaces:
     def sensitivities(self, s: int, starts: Array, segments: Segments) -> tuple[Array, Array]:
         """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
 
-        The derivatives are (B, H + 1, ny, P + n), nothing where a sample does not count; the last n by the start.
+        States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
+        a sample does not count; the last n are those by the start.
         """
         from model_zoo.kernels.shooting import compiled_sensitivities
 
@@ -142,7 +143,7 @@ class Spaces:
         compiled_sensitivities()(
             *self._arguments(s, starts, segments.controls, ny),
             segments.counts.reshape(-1),
-            np.array([FAR]),
+            np.array([np.inf]),
             states.reshape(-1),
             derivatives.reshape(-1),
             *np.empty((2, self.n * size)),

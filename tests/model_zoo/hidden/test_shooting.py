@@ -8,7 +8,7 @@ import pytest
 from model_zoo.hidden.learning import Lesson, radius, stabilised
 from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
-from model_zoo.hidden.shooting import Spaces, train
+from model_zoo.hidden.shooting import FAR, Spaces, train
 from model_zoo.hidden.units import UNITS
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.single_step import kernel_step
@@ -46,6 +46,15 @@ def test_derivatives_are_those_of_finite_differences() -> None:
         for state in range(2):
             found = (run(flat, starts + step * np.eye(2)[state]) - outputs) / step
             np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
+
+
+def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not() -> None:
+    """A bound has no slope, and training would stop at it."""
+    growing, segments = linear_growth(0.5), Segments(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
+    outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), segments)
+    np.testing.assert_allclose(outputs[0, :, 0], 10.0 * 1.5 ** np.arange(7))
+    np.testing.assert_allclose(derivatives[0, :, 0, -1], 1.5 ** np.arange(7))
+    assert growing.run(np.array([[[10.0]]]), segments.controls).max() == FAR
 
 
 def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference() -> None:
@@ -123,3 +132,12 @@ def test_every_kind_of_unit_is_the_same_compiled() -> None:
         model.kinds_ = [np.resize([UNITS.index("sharp"), kind], len(model.kinds_[0]))]
         compiled = kernel_step(model.kernel(), carry, control, precision="float64")
         np.testing.assert_allclose(compiled, model.step(carry, control), rtol=1e-7, atol=1e-7)
+
+
+def test_a_space_that_says_what_no_other_says_is_astray() -> None:
+    lesson = Lesson.of(recording(0), 100)
+    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    outer = trained.spaces.outer.repeat(3, axis=0)
+    outer[2, :, 2] *= 1.3
+    three = Spaces.linear(outer, trained.spaces.pace)
+    assert lesson.escapes(three, lesson.observers(trained) * 3).tolist() == [False, False, True]
