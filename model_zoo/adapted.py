@@ -33,7 +33,7 @@ class Adapted(DynamicsModel):
     base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
     free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
     must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
-    its base. `fit_note` says what was decided.
+    its base. A fit of the base's family to these data alone is judged alike. `fit_note` says what was decided.
     """
 
     knowledge = "dark grey"

@@ -104,7 +104,12 @@ class NonlinearStateSpace(StateSpaceModel):
     def _gate(self, dataset: Dataset, seed: int) -> None:
         """Become the linear state space, unless networks are better in free runs on held-out blocks of time."""
         plain = make_model(
-            LINEAR, order=self.order, iterations=self.trial, horizon=self.horizon, folds=1, rest_hold=self.rest_hold
+            LINEAR,
+            order=self.order,
+            iterations=self.iterations,
+            horizon=self.horizon,
+            folds=1,
+            rest_hold=self.rest_hold,
         )
         errors = [0.0, 0.0]
         for learned, held in (time_blocks(dataset, fold, GATE_FOLDS) for fold in range(GATE_FOLDS)):

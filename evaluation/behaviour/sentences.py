@@ -125,4 +125,6 @@ def _otherwise(here: Manner, other: Manner) -> str:
 
 def _told(name: str, value: float) -> str:
     unit = unit_of(name)
+    if " per " in name:
+        return f"{value:.1f}"
     return f"{value:.1f} {unit}" if unit else percent(value)

@@ -51,7 +51,7 @@ def worst_trials(models: Sequence[ModelExploitability], matrix: TransferMatrix) 
         told = worst is not None and worst.is_sure and worst.value > 0.0
         if told and model.controllers and worst is not None:
             controller = model.controllers[0]
-            if worst.trial < len(matrix.cell(controller, model.model).traces):
+            if worst.trial < _kept(matrix, controller, model.model):
                 found[controller] = worst.trial
     return found
 
@@ -60,9 +60,15 @@ def _card(model: ModelExploitability, matrix: TransferMatrix) -> Card:
     first, *more = card(model)
     said = first.removeprefix(f"{model.model}: ")
     tone: Tone = "open" if model.exploited is None else "bad" if model.exploited else "good"
-    watched = [name for name in model.controllers if matrix.cell(name, model.model).traces]
+    watched = [name for name in model.controllers if _kept(matrix, name, model.model)]
     if not watched:
         return Card(model.model, tone, said[0].upper() + said[1:], more)
     worst = worst_trials([model], matrix).get(watched[0])
     time = 0.0 if worst is None or model.optimism is None else max(0.0, model.optimism.time - LEAD)
     return Card(model.model, tone, said[0].upper() + said[1:], more, trial_name(watched[0], worst or 0), time)
+
+
+def _kept(matrix: TransferMatrix, controller: str, model: str) -> int:
+    """Return how many trials of a controller on a model were kept."""
+    cell = matrix.cells.get((controller, model))
+    return 0 if cell is None else len(cell.traces)

@@ -4,8 +4,8 @@ The controllers of S evolution seeds meet the same E trials, so that a figure va
 with both together. The variance of its mean over all is that of the trials plus that of the seeds less what the seeds
 owe to the trials (Searle, Casella and McCulloch 1992, chapter 4), its degrees of freedom are those of Satterthwaite
 (1946), and intervals are Student's. The percentiles of a nested bootstrap cannot leave the range of the seeds: of
-three they hold the truth in half of the cases (``python -m tests.benchmarks.nested``). Figures that are no means, such
-as the lowest over several models, become sums over trials by the jackknife.
+three they hold the truth in about two of three cases (``python -m tests.benchmarks.nested``). Figures that are no
+means, such as the lowest over several models, become sums over trials by the jackknife.
 """
 
 from __future__ import annotations

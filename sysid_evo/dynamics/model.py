@@ -256,9 +256,10 @@ class DynamicsModel(Dynamics, Estimator):
     ) -> DynamicsModel:
         """Return this model adapted to 10 to 30 s of another condition: one of the family ``adapted`` around it.
 
-        It is this model, unchanged, where a gate finds no correction much better; its `fit_note` says what was
-        decided. With the ``training`` data of this model a refit with the new seconds is tried as well. Raises
-        `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one free run.
+        It is this model, unchanged, where a gate finds nothing much better; its `fit_note` says what was decided. A fit
+        to the new seconds alone, and with the ``training`` data of this model one to both, are judged alike; each takes
+        four fits. Raises `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one
+        free run.
         """
         from sysid_evo.adaptation import adapted
 

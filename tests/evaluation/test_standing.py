@@ -172,8 +172,11 @@ def test_the_table_of_what_to_expect_fits_eighty_columns() -> None:
     def shown(sheet: Sheet) -> int:
         return sum("Claimed" in str(part) for part in to_rich(sheet))
 
-    long = {"nearest_neighbour": {"nearest_neighbour": 12.0, "parametrised": 11.0, "emulated_car": 10.0}}
+    fitness = {"nearest_neighbour": 12.0, "parametrised": 11.0, "emulated_car": 10.0}
+    long = {"nearest_neighbour": fitness, "parametrised": {name: 24.0 - value for name, value in fitness.items()}}
     matrix = made_up.matrix(long, robot="emulated_car")
+    wide = {key: replace(cell, fitness=cell.fitness + np.tile([-3.0, 3.0], 5)) for key, cell in matrix.cells.items()}
+    matrix = replace(matrix, cells=wide)
     assert shown(standing_sheet(matrix, summarise(matrix))) == 1
     assert WIDTH == 80
 

@@ -20,7 +20,14 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     several = any(one.over_seeds is not None for one in summary.controllers)
     return Sheet(
         title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, 90 % intervals)",
-        columns=("controller", "claimed", "achieved" if robot else "on other\nmodels", "kept", "worst\ncase", "regret"),
+        columns=(
+            "controller",
+            "claimed",
+            "achieved" if robot else "on other\nmodels",
+            "kept\n%",
+            "worst\ncase",
+            "regret",
+        ),
         rows=tuple(rows),
         note=(
             f"kept: share of the claim that is achieved{'' if robot else ' on the other models'}, ± standard error. "
@@ -49,8 +56,8 @@ def _standing_row(name: str, standing: Standing) -> tuple[str, ...]:
 
 
 def _share(kept: Estimate | None) -> str:
-    """Return ``75 ±3 %``, a share and its standard error; the first alone without the second."""
+    """Return ``75 ±3``, a share in per cent and its standard error; the first alone without the second."""
     if kept is None:
         return "–"
     error = f" ±{100 * kept.standard_error:.0f}" if np.isfinite(kept.standard_error) else ""
-    return f"{100 * kept.value:.0f}{error} %"
+    return f"{100 * kept.value:.0f}{error}"

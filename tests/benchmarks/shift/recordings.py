@@ -39,8 +39,8 @@ class Case:
 
 
 def cases(wanted: str) -> Iterator[Case]:
-    """Yield the cases whose group, "cars", "floors" or "emulated", is ``wanted``."""
-    yield from {"cars": real_cars, "floors": floors, "emulated": emulated}[wanted]()
+    """Yield the cases whose group, "cars", "drives", "floors" or "emulated", is ``wanted``."""
+    yield from {"cars": real_cars, "drives": whole_drives, "floors": floors, "emulated": emulated}[wanted]()
 
 
 def real_cars() -> Iterator[Case]:
@@ -50,6 +50,13 @@ def real_cars() -> Iterator[Case]:
         for after, (own, drive) in logs.items():
             new, test = cut(drive)
             yield Case(f"{before} -> {after}", before != after, training, new, own, test)
+
+
+def whole_drives() -> Iterator[Case]:
+    """Each of the two cars after itself, along the whole test drive: what the recursive form makes of it."""
+    for name in ("slippery_20hz", "free_20hz"):
+        training, drive = recording(name)
+        yield Case(f"{name}, whole drive", False, training, cut(drive)[0], training, drive)
 
 
 def floors() -> Iterator[Case]:
