@@ -168,6 +168,12 @@ def test_all_models_judge_finalists_but_one_that_predicts_badly_is_not_polished_
     assert set(champions["recommended"].against) == {"linear", "narx"}
 
 
+def test_a_controller_without_a_model_of_another_family_has_no_judges(tmp_path: Path) -> None:
+    matrix = run_in(tmp_path, "linear", "ridged=linear(ridge=0.1)", "fails_in_fit").matrix
+    assert matrix is not None
+    assert all(champion.judges == () for champion in matrix.champions)
+
+
 def test_no_model_at_all_is_an_error_that_gives_the_reasons(tmp_path: Path) -> None:
     with pytest.raises(InvalidData, match="no model could be fitted: fails_in_fit: this family never fits"):
         run_in(tmp_path, "fails_in_fit")

@@ -5,7 +5,7 @@ from tests.mutation.change import Change
 STRATEGY = "sysid_evo/evolution/mu_plus_lambda.py"
 TEST_STRATEGY = ("tests/sysid_evo/test_mu_plus_lambda.py",)
 TEST_CHOICE = ("tests/sysid_evo/test_choice.py",)
-TEST_FORECAST = ("tests/evaluation/forecast",)
+TEST_FORECAST = ("tests/evaluation/forecast/test_credibility.py",)
 TEST_NICHES = ("tests/sysid_evo/test_niches.py",)
 TEST_SPARING = ("tests/sysid_evo/test_sparing.py",)
 TEST_EVOLUTION = ("tests/sysid_evo/test_controller_evolution.py",)
