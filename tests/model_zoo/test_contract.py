@@ -36,8 +36,8 @@ SMALL: dict[str, dict[str, Any]] = {
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
 """Families whose every fit takes seconds; on a second system they are tried with --slow."""
-SLOWEST = ("hybrid_ode", "torch_ode")
-"""Of these, the ones that are tried on a car with --slow too."""
+SLOWEST = ("adapted", "hybrid_ode", "torch_ode")
+"""Those that are tried on a car with --slow alone."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
 SLOW_TO_LEARN = [name for name in (*TRAINED, "auto") if name != "neural_ode"]
 """Families that learn as the one left out does; how well they do is asked with --slow."""
@@ -50,7 +50,7 @@ ONE_OF_A_KIND = [
 @pytest.mark.parametrize(
     "family",
     [
-        pytest.param(name, marks=pytest.mark.slow) if name in {"hybrid_ode", "torch_ode"} else name
+        pytest.param(name, marks=pytest.mark.slow) if name in SLOWEST else name
         for name in models.names()
     ],
 )
