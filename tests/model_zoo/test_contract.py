@@ -49,10 +49,7 @@ ONE_OF_A_KIND = [
 @pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "family",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name in SLOWEST else name
-        for name in models.names()
-    ],
+    [pytest.param(name, marks=pytest.mark.slow) if name in SLOWEST else name for name in models.names()],
 )
 def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
     family: str, recording: str, request: pytest.FixtureRequest
