@@ -11,7 +11,7 @@ from evaluation.forecast.credibility import credibilities, weighted_median
 from evaluation.forecast.forecasting import Forecast
 from evaluation.forecast.rule import RULE, Rule
 from evaluation.transfer import RankCorrelation, TransferSummary
-from evaluation.transfer.summary import mean_ranks
+from evaluation.transfer.ranks import rank_correlation
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion, Judgement
 
@@ -28,7 +28,7 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
         return replace(summary, pick=None)
     best = max(evolved, key=lambda one: found[one.name].value)  # of equals the first
     pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
-    ranked = (RankCorrelation(FIGURE, _rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
+    ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
     return replace(summary, pick=best.name, correlations=(*summary.correlations, *ranked))
 
 
@@ -41,11 +41,3 @@ def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *,
         return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
 
     return worth
-
-
-def _rank_correlation(pairs: list[tuple[float, float]]) -> float | None:
-    """Return Spearman's, None for fewer than three pairs or where one side is all equal."""
-    first, second = [a for a, _ in pairs], [b for _, b in pairs]
-    if len(pairs) < 3 or len(set(first)) < 2 or len(set(second)) < 2:
-        return None
-    return float(np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1])

@@ -9,6 +9,7 @@ import numpy as np
 
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
 from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.ranks import rank_correlation
 from evaluation.transfer.standing import Standing, judges_of, standings
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion
@@ -162,17 +163,4 @@ def _correlation(
     figure: str, values: Sequence[Estimate | None], achieved: Sequence[Estimate | None]
 ) -> RankCorrelation:
     pairs = [(a.value, b.value) for a, b in zip(values, achieved, strict=True) if a is not None and b is not None]
-    first, second = [a for a, _ in pairs], [b for _, b in pairs]
-    if len(pairs) < 3 or len(set(first)) < 2 or len(set(second)) < 2:
-        return RankCorrelation(figure, None, len(pairs))
-    return RankCorrelation(figure, float(np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1]), len(pairs))
-
-
-def mean_ranks(values: Sequence[float]) -> Array:
-    """Return the rank (n,) of each of ``values``, from 1; equal ones share the mean of theirs.
-
-    The correlation of two such lists is Spearman's; importing `scipy.stats`, which has it, takes a second.
-    """
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Array = np.cumsum(count) - 0.5 * (count - 1.0)
-    return ranks[place]
+    return RankCorrelation(figure, rank_correlation(pairs), len(pairs))

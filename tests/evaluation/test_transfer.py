@@ -19,7 +19,7 @@ from evaluation.transfer import (
     transfer,
     transfer_seeds,
 )
-from evaluation.transfer.summary import mean_ranks
+from evaluation.transfer.ranks import mean_ranks
 from sysid_evo.arrays import Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from evaluation.forecast import Rule, forecast_of
-from evaluation.transfer.summary import mean_ranks
+from evaluation.transfer import ranks
 from sysid_evo.arrays import Array
 from tests.benchmarks.forecast.looking import Record
 
@@ -72,8 +72,8 @@ def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
 
 def rank_correlation(found: Sequence[Seen], figure: Callable[[Seen], float]) -> float:
     """Return Spearman's correlation of a figure with what is achieved."""
-    pairs = [(figure(one), one.achieved) for one in found if np.isfinite(figure(one))]
-    return float(np.corrcoef(mean_ranks([a for a, _ in pairs]), mean_ranks([b for _, b in pairs]))[0, 1])
+    correlation = ranks.rank_correlation([(figure(one), one.achieved) for one in found if np.isfinite(figure(one))])
+    return np.nan if correlation is None else correlation
 
 
 def best_of_ten(found: Sequence[Seen], figure: Callable[[Seen], float], *, seed: int = 0) -> float:

@@ -75,7 +75,7 @@ CHANGES = (
     ),
     Change(
         "a correlation of numbers is told as one of ranks",
-        SUMMARY,
+        "evaluation/transfer/ranks.py",
         "np.corrcoef(mean_ranks(first), mean_ranks(second))",
         "np.corrcoef(first, second)",
         (TEST_TRANSFER,),
