@@ -116,19 +116,19 @@ class Adapted(DynamicsModel):
         return self.inner.lags if hasattr(self, "base_") else (0, 0)
 
     @property
-    def n_lags(self) -> int:  # type: ignore[override]  # follows from the base
+    def n_lags(self) -> int:
         return self.inner.n_lags if hasattr(self, "base_") else 0
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # follows from the base
+    def n_carry(self) -> int:
         return self.inner.n_carry
 
     @property
-    def n_noise(self) -> int:  # type: ignore[override]  # follows from the base
+    def n_noise(self) -> int:
         return self.inner.n_noise if hasattr(self, "base_") else 0
 
     @property
-    def n_draws(self) -> int:  # type: ignore[override]  # follows from the base
+    def n_draws(self) -> int:
         return self.inner.n_draws if hasattr(self, "base_") else 0
 
     @property

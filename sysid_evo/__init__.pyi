@@ -1,7 +1,7 @@
 from .controllers import Controller, RecurrentNetwork, View
 from .cross_validation import ConditionFold, EpisodeFold
 from .data import Dataset, Trajectory, Transitions, Windows
-from .dynamics import Dynamics, DynamicsModel
+from .dynamics import Dynamics, DynamicsModel, PlainDynamics
 from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .environments import make_env, make_vector_env
 from .errors import SysidEvoError
@@ -60,6 +60,7 @@ __all__ = [
     "EvolutionStrategy",
     "Motion",
     "MuPlusLambda",
+    "PlainDynamics",
     "PlanarBody",
     "PointToPoint",
     "RecurrentNetwork",

@@ -13,7 +13,7 @@ from hardware.emulation.car_physics import BODY, BUFFER, LATENCY, Lane, coeffici
 from hardware.emulation.emulated_robot import EmulatedRobot
 from hardware.toy_car import CAR
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import PlainDynamics
 from sysid_evo.registry import register_robot
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 
 
-class CarPhysics(Dynamics):
+class CarPhysics(PlainDynamics):
     """The toy car at 5 ms, the rate of the tracker: what its 20 Hz form repeats.
 
     The carry is forward speed, lateral speed, yaw rate; the ten commands under way; motor (lagged

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class HasHeldKernel(Protocol):
         ...
 
 
-class HeldControl(Dynamics):
+class HeldControl(PlainDynamics):
     """``fine`` seen every ``repeats`` of its steps, under a control held in between.
 
     One step takes the noise of ``repeats`` fine ones, (B, repeats * fine.n_noise), the earliest first.

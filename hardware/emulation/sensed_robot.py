@@ -21,7 +21,7 @@ from hardware.recording.scripted import Recorded, prepared
 from sysid_evo.arrays import Array
 from sysid_evo.data.preparation import REACH, STENCIL
 from sysid_evo.data.raw import RawLog
-from sysid_evo.dynamics import Dynamics, clip_state
+from sysid_evo.dynamics import PlainDynamics, clip_state
 from sysid_evo.progress import Progress
 
 NOISE_BLOCK = 1024  # fine steps of noise drawn at once
@@ -39,7 +39,7 @@ EXACT = Sensor()
 """Reads a state as it is."""
 
 
-class SensedPhysics(Dynamics):
+class SensedPhysics(PlainDynamics):
     """Physics in fine steps, and what is measured of them.
 
     ``sensors`` names the states that are measured, ``rates`` the state whose change per second each of the

@@ -13,6 +13,7 @@ from model_zoo.grey.observer import observed
 from model_zoo.grey.offsets import with_offsets
 from model_zoo.grey.parameter import Hidden, Parameter
 from model_zoo.grey.residual import Residual, conditioned, inputs_of, learned_shape
+from model_zoo.grey.resting import extended_band, held_at_rest
 from model_zoo.grey.search import (
     FIRST_EVALUATIONS,
     KEPT,
@@ -31,7 +32,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
 from sysid_evo.data.measured import Measured, measured
-from sysid_evo.dynamics import REST_BAND, DynamicsModel
+from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
@@ -126,8 +127,11 @@ class GreyBox(DynamicsModel):
         raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
 
     @staticmethod
-    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # see `rate`
-        """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`."""
+    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # not what `step` asks
+        """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`.
+
+        It is a law like `rate`, and has its arguments: `step` is written here and never asks the inherited method.
+        """
         raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
 
     @property
@@ -349,7 +353,7 @@ class GreyBox(DynamicsModel):
         return self.integrated.layout
 
     @property
-    def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_lags(self) -> int:
         return max(self.layout.control_lags, self.history if self._remembers else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
@@ -377,29 +381,12 @@ class GreyBox(DynamicsModel):
 
         with np.errstate(all="ignore"):
             after, past = structure.step(self.parameters_[:, None], carry.T, control.T, extra)
-        return np.concatenate([self._held(carry, control, after.T), past.T], axis=1)
-
-    def _held(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return the extended states (B, n), neutral where nothing moves and nothing is commanded, see `held`."""
-        band = self._extended_band
-        if band is None:
-            return after
-        system, layout = self.integrated.extended, self.layout
-        idle = system.neutral_control
-        still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
-        still &= (control == idle).all(axis=1)
-        still &= (carry[:, layout.earlier_controls] == np.tile(idle, layout.control_lags)).all(axis=1)
-        return np.where(still[:, None], system.neutral_state, after)
+        held_after = held_at_rest(structure, self._extended_band, carry, control, after.T)
+        return np.concatenate([held_after, past.T], axis=1)
 
     @property
     def _extended_band(self) -> Array | None:
-        """How near to neutral each extended state counts as rest; None without ``rest_hold``."""
-        band = self.rest_band
-        if band is None:
-            return None
-        more = self.integrated.extended.states[self.system.nx :]
-        width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
-        return np.concatenate([band, REST_BAND * np.array(width)])
+        return None if self.rest_band is None else extended_band(self.integrated, self.rest_band)
 
     def kernel(self) -> DynamicsKernel | None:
         from model_zoo.grey.compiled import structure_kernel

@@ -39,11 +39,11 @@ class StateSpaceModel(DynamicsModel):
     limits: ClassVar[dict[str, Limit]] = {"order": at_least(1), "iterations": at_least(1), "horizon": at_least(2)}
 
     @property
-    def n_lags(self) -> int:  # type: ignore[override]  # follows from the fit
+    def n_lags(self) -> int:
         return int(getattr(self, "history_", 0))
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # follows from the fit
+    def n_carry(self) -> int:
         return self.system.nx + len(self.rest_)
 
     def adopt(self, scales: Scales, members: list[Spaces], observers: list[Observer], weights: Array) -> None:

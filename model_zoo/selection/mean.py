@@ -69,19 +69,19 @@ class MeanOfMembers(DynamicsModel):
         return max(states, default=0), max(controls, default=0)
 
     @property
-    def n_lags(self) -> int:  # type: ignore[override]  # follows from the members
+    def n_lags(self) -> int:
         return self._together.n_lags if hasattr(self, "members_") else 0
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # follows from the members
+    def n_carry(self) -> int:
         return self.system.nx + self._together.n_carry
 
     @property
-    def n_noise(self) -> int:  # type: ignore[override]  # follows from the members and the hyper-parameters
+    def n_noise(self) -> int:
         return self._together.n_noise + (self.system.nx if self.stochastic else 0)
 
     @property
-    def n_draws(self) -> int:  # type: ignore[override]  # follows from the members
+    def n_draws(self) -> int:
         return self._together.n_draws
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:

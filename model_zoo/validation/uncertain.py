@@ -48,15 +48,15 @@ class Uncertain(DynamicsModel):
         return self.stochastic and hasattr(self, "horizon_scales_")
 
     @property
-    def n_noise(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_noise(self) -> int:
         return self.system.nx if self.timed or (self.stochastic and hasattr(self, "noise_scale_")) else 0
 
     @property
-    def n_draws(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_draws(self) -> int:
         return self.system.nx if self.timed else 0
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_carry(self) -> int:
         return self.layout.size + (self.system.nx + 1 if self.timed else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:

@@ -8,13 +8,13 @@ import numpy as np
 
 from sysid_evo.adaptation.terms import Terms
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics.stepping import Dynamics
+from sysid_evo.dynamics.stepping import Dynamics, PlainDynamics
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
-class Corrected(Dynamics):
+class Corrected(PlainDynamics):
     """``inner`` with ``terms`` added to its accelerations; their coefficients are the end of the carry, at first 0.
 
     `told` puts others there; a step leaves them as they are.

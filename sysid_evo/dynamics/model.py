@@ -15,7 +15,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics.stepping import Dynamics, training_envelope
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
+from sysid_evo.errors import InvalidArgument, InvalidData, NotFitted
 from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
 from sysid_evo.free_run import judging_windows, many_runs, one_run, simulation_error
@@ -158,7 +158,7 @@ class DynamicsModel(Dynamics, Estimator):
         super().__setattr__(name, value)
 
     @property
-    def system(self) -> System:  # type: ignore[override]  # known only after fit
+    def system(self) -> System:
         """The system of the training data. Raises `NotFitted` before `fit`."""
         if not hasattr(self, "system_"):
             raise NotFitted(f"{type(self).__name__} is not fitted yet: call fit(dataset, rng=...) first")
@@ -184,11 +184,11 @@ class DynamicsModel(Dynamics, Estimator):
         return CarryLayout(self.system.nx, self.system.nu, *self.lags)
 
     @property
-    def n_lags(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_lags(self) -> int:
         return max(self.lags)
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # follows from the hyper-parameters
+    def n_carry(self) -> int:
         return self.layout.size
 
     @property
@@ -392,12 +392,3 @@ class DynamicsModel(Dynamics, Estimator):
     ) -> Array:
         """Return (B, H, nx), or (samples, B, H, nx)."""
         return many_runs(self, states, past_controls, controls, samples, rng)
-
-
-def require_planar(model: DynamicsModel, system: System) -> None:
-    """Raise `IncompatibleSystem` unless the states of ``system`` move a planar body."""
-    if system.motion is None or system.motion.kind != "planar_body":
-        raise IncompatibleSystem(
-            f"{type(model).__name__} describes a planar body, but the system has "
-            f"{'no motion' if system.motion is None else 'the motion ' + system.motion.kind}"
-        )

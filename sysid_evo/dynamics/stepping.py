@@ -25,13 +25,23 @@ class Dynamics(ABC):
     counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
     """
 
-    system: System
-    n_carry: int
     observed_at: int = 0
     doubt_at: int | None = None
-    n_lags: int = 0
-    n_noise: int = 0
-    n_draws: int = 0
+    if TYPE_CHECKING:  # a family answers them by properties, `PlainDynamics` has plain names
+
+        @property
+        def system(self) -> System: ...
+        @property
+        def n_carry(self) -> int: ...
+        @property
+        def n_lags(self) -> int: ...
+        @property
+        def n_noise(self) -> int: ...
+        @property
+        def n_draws(self) -> int: ...
+
+    else:
+        n_lags = n_noise = n_draws = 0
 
     @property
     def envelope(self) -> Array | None:
@@ -56,6 +66,16 @@ class Dynamics(ABC):
     def kernel(self) -> DynamicsKernel | None:
         """Return the compiled form of `step`, if it has one."""
         return None
+
+
+class PlainDynamics(Dynamics):
+    """A dynamics whose system and sizes are plain names, which its class or its constructor sets."""
+
+    system: System
+    n_carry: int
+    n_lags: int = 0
+    n_noise: int = 0
+    n_draws: int = 0
 
 
 def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.system import Channel, System
 
@@ -41,7 +41,7 @@ def _own(channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
     return channels[:half] if tuple(channel.name for channel in channels[half:]) == second else ()
 
 
-class TwoBodies(Dynamics):
+class TwoBodies(PlainDynamics):
     """Two bodies of the dynamics ``inner``, each with noise and draws of its own.
 
     The carry is the state of the first, that of the second, then what else the first and the second remember.

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import PlainDynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -62,7 +62,7 @@ def example_dataset(seed: int = 0, episodes: int = 3, steps: int = 200) -> Datas
     return Dataset.from_arrays(system, list(states), list(controls))
 
 
-class ExampleDynamics(Dynamics):
+class ExampleDynamics(PlainDynamics):
     """A stable linear system for any states and controls: x' = x_n + 0.9 (x - x_n) + B (u - u_n).
 
     The subscript n is neutral. B (nx, nu) is made of cosines, so that every control acts on every state.

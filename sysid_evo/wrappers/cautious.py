@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.data.support import QUANTILE, split_pairs
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.wrappers.members import Members
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
-class Cautious(Dynamics):
+class Cautious(PlainDynamics):
     """``model``, which counts as doubt how far it and the ``others`` disagree about the next state.
 
     All step from the same state; the state is that of ``model``. Disagreement is the largest difference between

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ WHOLE_TOLERANCE = 1e-9
 """A delay this near to a whole number of samples is one."""
 
 
-class DelayedEstimate(Dynamics):
+class DelayedEstimate(PlainDynamics):
     """``inner``, of which controllers and tasks observe the state of ``delay`` s ago.
 
     With delay / dt = m + f, m whole and 0 <= f < 1, what is observed at sample k lies between two

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
     from sysid_evo.wrappers.radical_envelope import RadicalEnvelope
 
 
-class NoisySensors(Dynamics):
+class NoisySensors(PlainDynamics):
     """``inner``, of which controllers and tasks observe the state with a bias and white noise.
 
     ``noise`` says how much, in ``spread`` (nx,). What is observed at sample k of what ``inner`` shows, o_k,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ NEVER = -1e6
 """A threshold below which no standard normal number lies."""
 
 
-class Perturbed(Dynamics):
+class Perturbed(PlainDynamics):
     """``inner`` = f with commands that come late or not at all, and with another strength and speed of answer.
 
     With the state x and command u measured from neutral, and factors g, s (nx,), e (nu,) of the trial::

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import Support, split_pairs
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ CHECKED_EVERY = 10
 """Steps from one look to the next."""
 
 
-class Supported(Dynamics):
+class Supported(PlainDynamics):
     """``inner``, which counts as doubt the steps whose state and control lie outside the training data.
 
     Looked at is every ``every``-th step, which counts for all of them: 0 within the limit of `Support`, ``weight``

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.wrappers.members import Members
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
 
-class Switching(Dynamics):
+class Switching(PlainDynamics):
     """One of several ``models`` of a system, drawn for every trial.
 
     With ``every``, another is drawn within the trial too, after so many samples on average. All models step at

@@ -38,7 +38,7 @@ class Walk(DynamicsModel):
         self.stochastic = stochastic
 
     @property
-    def n_noise(self) -> int:  # type: ignore[override]
+    def n_noise(self) -> int:
         return 2 if self.stochastic else 0
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:

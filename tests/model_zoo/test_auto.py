@@ -76,7 +76,7 @@ class Remembering(DynamicsModel):
         return self
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]  # as in other families
+    def n_carry(self) -> int:
         return self.system.nx + 1
 
     def start(self, states: Any, controls: Any, draws: Any = None) -> Any:

@@ -37,7 +37,7 @@ class Shaken(DynamicsModel):
         return self
 
     @property
-    def n_noise(self) -> int:  # type: ignore[override]
+    def n_noise(self) -> int:
         return 1 if self.stochastic else 0
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:

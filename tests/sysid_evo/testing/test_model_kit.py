@@ -41,7 +41,7 @@ class Stochastic(Fading):
     n_draws = 1
 
     @property
-    def n_carry(self) -> int:  # type: ignore[override]
+    def n_carry(self) -> int:
         return super().n_carry + 1
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
