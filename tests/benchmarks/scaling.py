@@ -1,9 +1,9 @@
 """What a finished run would take on N processes: ``python -m tests.benchmarks.scaling RUN [--processes 1 2 1000]``.
 
 All comes from the records of the run, ``cells/*.json``: what each cell needs, the seconds that it took, its files.
-Cells are dealt out as `sysid_evo.plan` does it, those first on whose results most work waits, to N processes that do nothing
-else: the ideal time of exactly this plan. A measured run takes longer by the start of processes, making the plan and
-the report (``--around`` adds them), and by what processes take from each other's memory and caches.
+Cells are dealt out as `sysid_evo.plan` does it, those first on whose results most work waits, to N processes that do
+nothing else: the ideal time of exactly this plan. A measured run takes longer by the start of processes, making the
+plan and the report (``--around`` adds them), and by what processes take from each other's memory and caches.
 
 ``--copies 200`` puts as many independent runs like this one beside each other, as the points of a study are.
 ``--client 0.001`` lets one process hand out all cells, one after the other, with so many seconds each. ``RUN`` may be a
