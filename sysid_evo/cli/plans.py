@@ -26,7 +26,7 @@ def carry_out(
         print_plan(plan, store, json=json)
         return None
     session.run = store.path
-    with Bars(f"--run {store.path}") as bars:
+    with Bars(f"--run {store.path}", elsewhere=scheduler is not None) as bars:
         return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 
