@@ -75,13 +75,12 @@ def _ranged(setting: str, value: Any, where: str) -> list[Any]:
 
 def _check_distinct(where: str, pairs: Sequence[tuple[str, Any]]) -> None:
     """Raise `InvalidArgument` where two values, or two labels, are the same."""
-    seen: list[Any] = []
+    values, labels = [value for _, value in pairs], [label for label, _ in pairs]
     for label, value in pairs:
-        if value in seen:
+        if values.count(value) > 1:
             raise InvalidArgument(f"{where}: {label_of(value)!r} stands there twice")
-        if [other for other, _ in pairs].count(label) > 1:
+        if labels.count(label) > 1:
             raise InvalidArgument(f"{where}: two values are called {label!r}; name them, such as {{a = ..., b = ...}}")
-        seen.append(value)
 
 
 def _no_axis(setting: str) -> str:

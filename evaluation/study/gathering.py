@@ -58,7 +58,7 @@ def gather(planned: PlannedStudy, folder: Path) -> StudyResults:
         study=planned.study,
         points=tuple(points),
         models=tuple(models),
-        controllers=_measured(points, controllers),
+        controllers=with_yardsticks(points, controllers),
         failures=tuple(failures.values()),
         times=tuple(times.values()),
         versions=versions(),
@@ -208,7 +208,7 @@ class _Gathered:
         return self.store.where(cell).relative_to(self.store.path).as_posix()
 
 
-def _measured(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
+def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
     """Return ``rows`` with the yardsticks of their robots, and the shares of these that they achieve."""
     place = {point.name: (point.where, point.task) for point in points}
     best: dict[tuple[str, str], float] = {}

@@ -83,6 +83,7 @@ class Study:
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Study:
         """Return the study with these settings, all checked. Raises `InvalidArgument` that names what is wrong."""
+        settings = _plain(settings)
         for name in settings:
             if name not in PARTS:
                 close = difflib.get_close_matches(name, PARTS, n=1)
@@ -127,7 +128,7 @@ class Study:
 
     def write(self, path: str | Path) -> Path:
         """Write the study to a TOML file."""
-        text = tomli_w.dumps(_plain(self.settings))
+        text = tomli_w.dumps(dict(self.settings))
         return write_atomically(Path(path), lambda file: file.write_text(text, encoding="utf-8"))
 
     @property
@@ -187,7 +188,7 @@ def _reference(value: Any, grids: Sequence[Mapping[str, Axis]]) -> dict[str, str
 
 
 def _plain(value: Any) -> Any:
-    """Return lists for tuples, which TOML does not know."""
+    """Return lists for tuples, as TOML and JSON give them."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
