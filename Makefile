@@ -37,7 +37,7 @@ pytest: setup
 # The pages of docs/ as a site in build/site; a broken link or name is an error.
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
-	@echo build/site/index.html
+	@echo "build/site/index.html; its search needs a server: python3 -m http.server -d build/site"
 
 clean:
 	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
