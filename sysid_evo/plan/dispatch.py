@@ -35,6 +35,7 @@ class Dispatch:
     def __init__(self, client: Client, store: Store, again: Again, tell: Callable[[dict[str, Any]], None]) -> None:
         self.client, self.store, self.again, self._tell = client, store, again, tell
         self.bytes_sent = 0
+        self._address = getattr(client.scheduler, "address", "its address")
         self._sent: dict[str, Future[Any]] = {}
         self._hello: Future[Any] | None = None
         self._orders = 0
@@ -58,7 +59,7 @@ class Dispatch:
         Where there is none, one is asked for, so that a cluster that grows with its work does.
         """
         if self.client.status not in (RUNNING, "connecting"):
-            raise SchedulerLost(f"the scheduler is gone; {GO_ON}")
+            raise SchedulerLost(f"the scheduler at {self._address} does not answer any more: {GO_ON}")
         found: dict[str, int] = {}
         with self._unless_lost():
             info = self.client.scheduler_info()
