@@ -74,7 +74,7 @@ def print_study(results: StudyResults, path: Path, *, json: bool, verbose: bool)
         return
     for part in study_brief(results, verbose=verbose):
         out.print(part)
-    out.print(f"Tables: {path / 'study.md'}, {path}/*.parquet", highlight=False, soft_wrap=True)
+    out.print(f"Tables: {path / 'study.md'}", highlight=False, soft_wrap=True)
     out.print(f"Page: {path / 'study.html'}", highlight=False, soft_wrap=True)
 
 
