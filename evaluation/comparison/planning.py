@@ -17,9 +17,11 @@ from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
 from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
+from evaluation.comparison.named_files import files_beside
 from evaluation.comparison.recipes import chosen_cell, controller_cell, evolution_on
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import AT_REST, Measured, kept_traces
+from evaluation.transfer.measured import FOLDER
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -146,7 +148,13 @@ def plan_comparison(
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
-    again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
+    again = Again(
+        AGAIN,
+        settled.model_dump(mode="json", exclude_none=True),
+        after=(data.digest,),
+        inside=(FOLDER.as_posix(),),
+        files=files_beside(settled),
+    )
     plan = Plan.of(wanted, remarks=remarks, again=again)
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
 

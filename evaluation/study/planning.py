@@ -47,7 +47,8 @@ class PlannedStudy:
 
     def where(self, cell: Cell) -> str:
         """Return what stands before the title of ``cell``, so that it can be told apart: where it belongs."""
-        return self.places.get(cell.digest, "")
+        place = self.places.get(cell.digest, "")
+        return f"{place}: " if place else ""
 
 
 def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store | None = None) -> PlannedStudy:

@@ -13,8 +13,7 @@ from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults
 from evaluation.study.study import FILE, Study
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Observer, Store, execute
-from sysid_evo.plan.scheduler import Scheduler
+from sysid_evo.plan import Observer, Scheduler, Store, execute
 
 
 def run_study(

@@ -39,7 +39,8 @@ class Dispatch:
         self._hello: Future[Any] | None = None
         self._orders = 0
         names, files = _packed_files(again.files)
-        self._made_of: dict[str, Parcel] = {FILES: files, **_made_of(again, store)}
+        made_of = {FILES: files, **_made_of(again, store)}
+        self._made_of: dict[str, Parcel] = {name: parcel for name, parcel in made_of.items() if parcel}
         self._plan = {"function": again.function, "settings": again.settings, "files": names}
         told = [json.dumps(self._plan, sort_keys=True), *map(digest_of, self._made_of.values())]
         self._run = hashlib.sha256("\n".join(told).encode()).hexdigest()
@@ -87,7 +88,7 @@ class Dispatch:
                 remote.compute,
                 json.dumps(order),
                 [made for name, made in made_of.items() if name != FILES],
-                made_of[FILES],
+                made_of.get(FILES, ()),
                 list(needed.values()),
                 key=f"sysid-evo-{digest[:16]}-{self._topic[-19:]}-{self._orders}",
                 workers=None if only is None else sorted(only),

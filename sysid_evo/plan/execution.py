@@ -44,6 +44,8 @@ def execute(
     """
     from sysid_evo.plan.jobs import number_of_jobs
 
+    if scheduler is not None and jobs not in (None, 1):
+        raise InvalidArgument(f"{jobs} jobs in processes here and a scheduler: expected one of both; leave one out")
     ledger = Ledger(plan, store, observer, only)
     left = ledger.open()
     if scheduler is not None and plan.again is not None and left:

@@ -41,7 +41,7 @@ class Processes:
         self.file.unlink(missing_ok=True)
         self.scheduler = self._run(
             "dask_scheduler", "--host", HOST, "--port", str(port), "--protocol", self.protocol, "--no-dashboard",
-            "--no-jupyter", "--no-show", "--scheduler-file", str(self.file),
+            "--no-jupyter", "--scheduler-file", str(self.file),
         )  # fmt: skip
         deadline = time.monotonic() + LIMIT
         while not self.file.exists():
