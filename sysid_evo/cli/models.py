@@ -17,6 +17,7 @@ from sysid_evo.cli.options import (
     Out,
     Plugins,
     Preset,
+    Scheduler,
     Seed,
     Test,
     given,
@@ -105,6 +106,7 @@ def fit(
     columns: Columns = None,
     plugin: Plugins = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
@@ -122,4 +124,4 @@ def fit(
         plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
     )
     experiment = Experiment.of({**settings, "only": "fit"})
-    run_experiment(experiment, folder, jobs=jobs, dry_run=dry_run, json=as_json, verbose=False)
+    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=as_json, verbose=False)

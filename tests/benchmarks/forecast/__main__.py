@@ -1,6 +1,6 @@
 """How well forecasts tell what controllers achieve on the robot: ``python -m tests.benchmarks.forecast RUN ...``.
 
-Every RUN is the folder of a comparison of an emulated car, such as ``python -m tests.benchmarks.transfer`` makes. All
+Every RUN is the folder of a comparison of an emulated car, ``sysid-evo compare --robot emulated_car:1 --seed 2``. All
 finalists in it, good and bad, are run on all its models and, in other trials, on the car; what is seen is kept in
 ``--out``. Prints, within a run, the rank correlation with what is achieved (means over runs, 95 % intervals over
 cars), the error, and what is lost by choosing the best of ten; the share of 90 % intervals that hold, each car's
