@@ -22,7 +22,7 @@ IN_EACH = 0.05
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t)."""
 AS_GOOD = 0.10
-"""Share of the lowest error of all corrections by which a simpler one may be worse."""
+"""Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
 
 
@@ -43,15 +43,15 @@ class Held:
 class Trial:
     """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
 
-    ``sure`` says whether it is better than none beyond what chance would do to so short a recording, ``correction``
-    whether it corrects the model that there was and does not train one.
+    ``sure`` says whether it is better than none beyond what chance would do to so short a recording, ``further``
+    whether it is more training of the model that there was.
     """
 
     name: str
     error: float
     each: tuple[float, ...]
     sure: bool
-    correction: bool = True
+    further: bool = False
 
     @property
     def good(self) -> bool:
@@ -141,7 +141,7 @@ def blocks_of(first: IntArray, horizon: int) -> list[Block]:
     return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []
 
 
-def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, correction: bool = True) -> Trial:
+def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, further: bool = False) -> Trial:
     """Return a trial from what each block shows without and with a correction."""
     pairs = list(zip(plain, corrected, strict=True))
     each = tuple(error_of(after.errors) / max(error_of(before.errors), 1e-12) for before, after in pairs)
@@ -151,7 +151,7 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, corre
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)), correction)
+    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)), further)
 
 
 def surely_positive(gains: Array) -> bool:
@@ -163,13 +163,14 @@ def surely_positive(gains: Array) -> bool:
 
 
 def decided(trials: Sequence[Trial]) -> str:
-    """Return the name of the best of those that are good, "none" if none is.
+    """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
 
-    Of corrections that is the first, which is the simplest, of those about as good as the best of them.
+    "none" if none is good. More training is no simpler and no less simple than a correction: it is taken if it is
+    better than what is found without it.
     """
     good = [trial for trial in trials if trial.good]
-    corrections = [trial for trial in good if trial.correction]
-    least = min((trial.error for trial in corrections), default=0.0)
-    simplest = [trial for trial in corrections if trial.error <= (1.0 + AS_GOOD) * least][:1]
-    left = simplest + [trial for trial in good if not trial.correction]
+    others = [trial for trial in good if not trial.further]
+    least = min((trial.error for trial in others), default=0.0)
+    simplest = [trial for trial in others if trial.error <= (1.0 + AS_GOOD) * least][:1]
+    left = simplest + [trial for trial in good if trial.further]
     return min(left, key=lambda trial: trial.error).name if left else NONE

@@ -52,13 +52,12 @@ def test_of_corrections_about_as_good_the_simplest_is_taken() -> None:
     assert decided([Trial(name, share, (share,) * 3, True) for name, share in shares.items()]) == "weak"
 
 
-def test_a_model_that_is_trained_there_is_taken_if_it_is_better_than_the_simplest_of_good_corrections() -> None:
+def test_more_training_is_taken_if_it_is_better_than_the_simplest_that_is_about_as_good() -> None:
     shares = {"weak": 0.52, "weaker": 0.5}
-    corrections = [Trial(name, share, (share,) * 3, True) for name, share in shares.items()]
-    for error, chosen in ((0.51, "trained"), (0.53, "weak")):
-        trained = Trial("trained", error, (error,) * 3, True, correction=False)
-        assert decided([*corrections, trained]) == chosen
-    assert decided([Trial("trained", 0.5, (0.5,) * 3, True, correction=False)]) == "trained"
+    others = [Trial(name, share, (share,) * 3, True) for name, share in shares.items()]
+    for error, chosen in ((0.51, "further"), (0.53, "weak")):
+        assert decided([*others, Trial("further", error, (error,) * 3, True, further=True)]) == chosen
+    assert decided([Trial("further", 0.5, (0.5,) * 3, True, further=True)]) == "further"
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
