@@ -64,6 +64,9 @@ class Trial:
         return max(self.each) <= 1.0 - IN_EACH
 
 
+_NOTHING = Trial(NONE, 1.0, (1.0,), sure=False)
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
@@ -165,12 +168,15 @@ def surely_positive(gains: Array) -> bool:
 def decided(trials: Sequence[Trial]) -> str:
     """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
 
-    "none" if none is good. More training is no simpler and no less simple than a correction: it is taken if it is
-    better than what is found without it.
+    "none" if none is good. More training is no simpler and no less simple than a correction: the least of it that is
+    about as good as any is taken if it is better than what is found without it.
     """
     good = [trial for trial in trials if trial.good]
-    others = [trial for trial in good if not trial.further]
-    least = min((trial.error for trial in others), default=0.0)
-    simplest = [trial for trial in others if trial.error <= (1.0 + AS_GOOD) * least][:1]
-    left = simplest + [trial for trial in good if trial.further]
-    return min(left, key=lambda trial: trial.error).name if left else NONE
+    found = [_simplest([trial for trial in good if trial.further == further]) for further in (False, True)]
+    return min((trial for trial in found if trial is not None), key=lambda trial: trial.error, default=_NOTHING).name
+
+
+def _simplest(good: Sequence[Trial]) -> Trial | None:
+    """Return the first that is about as good as the best; None of none."""
+    least = min((trial.error for trial in good), default=0.0)
+    return next((trial for trial in good if trial.error <= (1.0 + AS_GOOD) * least), None)

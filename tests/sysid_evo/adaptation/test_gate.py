@@ -57,7 +57,8 @@ def test_more_training_is_taken_if_it_is_better_than_the_simplest_that_is_about_
     others = [Trial(name, share, (share,) * 3, True) for name, share in shares.items()]
     for error, chosen in ((0.51, "further"), (0.53, "weak")):
         assert decided([*others, Trial("further", error, (error,) * 3, True, further=True)]) == chosen
-    assert decided([Trial("further", 0.5, (0.5,) * 3, True, further=True)]) == "further"
+    updates = {"few": 0.62, "more": 0.52, "most": 0.5}
+    assert decided([Trial(name, share, (share,) * 3, True, further=True) for name, share in updates.items()]) == "more"
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
