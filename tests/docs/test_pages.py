@@ -43,7 +43,8 @@ EXAMPLES = {
     "motion": ("motions.md", "rail"),
 }
 """The page of each kind, and what its example is called."""
-LANGUAGES = {"", "python", "toml", "sh"}
+LANGUAGES = {"", "python", "toml", "sh", "py", "matlab"}
+"""``py`` and ``matlab`` are other programs' and are not run: what is ours is ``python``."""
 OTHER_PROGRAMS = {"make", "pip", "cd", "python3"}
 
 
