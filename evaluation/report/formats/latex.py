@@ -46,8 +46,13 @@ NAME = 24
 
 def to_latex(report: Report) -> str:
     """Return all tables, each a ``table`` with its title as caption and its note below."""
-    tables = [sheet_to_latex(sheet, f"tab:{place}-{_slug(sheet)}") for place, sheet in Story.of(report).sheets]
-    return "\n\n".join([HEAD.format(title=" ".join(report.title.split())), *tables]) + "\n"
+    return story_to_latex(Story.of(report))
+
+
+def story_to_latex(story: Story) -> str:
+    """Return all tables of a story."""
+    tables = [sheet_to_latex(sheet, f"tab:{place}-{_slug(sheet)}") for place, sheet in story.sheets]
+    return "\n\n".join([HEAD.format(title=" ".join(story.title.split())), *tables]) + "\n"
 
 
 def sheet_to_latex(sheet: Sheet, label: str) -> str:
