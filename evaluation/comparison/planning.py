@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 from evaluation.comparison.advice_cells import AdviseCell
@@ -40,6 +41,7 @@ from sysid_evo.registry import (
     distinct,
     make_robot,
     robot_spec,
+    robots,
     tasks,
 )
 from sysid_evo.system import System
@@ -191,7 +193,13 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
     """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet."""
     if dataset is not None:
         return farthest_recorded(dataset)
-    dynamics = None if robot is None else make_robot(robot).dynamics
+    return None if robot is None else _farthest_driven(robots.get(robot.name), str(robot))
+
+
+@lru_cache(maxsize=64)
+def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
+    """Return how far the states go on ``robot``, once for all plans of a study; its factory tells namesakes apart."""
+    dynamics = make_robot(robot_spec(robot)).dynamics
     return None if dynamics is None else farthest_driven(dynamics)
 
 

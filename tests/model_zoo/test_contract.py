@@ -22,6 +22,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "delay_embedding": {"family": "linear"},
     "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 100},
     "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
+    "latent_ode": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
     "subnet": {"order": 3, "hidden": 4, "updates": 15, "horizon": 5, "past": 4, "batch": 16},
     "gaussian_process": {"inducing": 40},
     "evolved3": {"generations": 30},
