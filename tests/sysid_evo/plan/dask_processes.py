@@ -80,6 +80,7 @@ class Processes:
             process.kill()
             process.wait(LIMIT)
         self.workers.clear()
+        self.scheduler = None
 
     def _run(
         self, program: str, *options: str, environment: Mapping[str, str] | None = None
