@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,17 +43,30 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
             f"scheduler {address}: expected certificates in Dask's configuration, found none; the page 'A cluster' of "
             "the documentation tells how to make them and where they are named"
         )
+    with _quiet():
+        try:
+            client = Client(address, set_as_default=False, name="sysid-evo")
+        except OSError as error:
+            raise SchedulerLost(
+                f"no scheduler answers at {address} ({_first(error)}): start one with 'dask scheduler', name the "
+                f"address that it prints, or compute without one; {GO_ON}"
+            ) from error
+        try:
+            yield client
+        finally:
+            client.close()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let Dask's client log nothing: that a scheduler is lost is an error of ours, told once."""
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
     try:
-        client = Client(address, set_as_default=False, name="sysid-evo")
-    except OSError as error:
-        raise SchedulerLost(
-            f"no scheduler answers at {address} ({_first(error)}): start one with 'dask scheduler', name the address "
-            f"that it prints, or compute without one; {GO_ON}"
-        ) from error
-    try:
-        yield client
+        yield
     finally:
-        client.close()
+        log.setLevel(level)
 
 
 def address_of(text: str) -> str:

@@ -13,6 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,13 @@ from distributed import Client
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.plan import Plan, Scheduler, Store, execute
-from tests.sysid_evo.plan.dask_processes import ROOT, Processes
+from tests.sysid_evo.plan.dask_processes import LIMIT, ROOT, Processes
 from tests.sysid_evo.plan.deeds import planned
 from tests.sysid_evo.plan.made_up_cells import AtHome, Number, Watching
-from tests.sysid_evo.plan.test_side_by_side import eventually, gone
+from tests.sysid_evo.plan.test_side_by_side import eventually as soon
+from tests.sysid_evo.plan.test_side_by_side import gone
 
+eventually = partial(soon, seconds=LIMIT)
 ROW = [(f"row {i}", "wait 0.05", ["base"]) for i in range(4)]
 LADDER = [("base", "", []), *ROW, ("top", "", [label for label, _, _ in ROW])]
 
@@ -336,7 +339,7 @@ def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path
     assert eventually(lambda: sum(diary(tmp_path).values()) == 2)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
+    _, said = process.communicate(timeout=LIMIT)
     assert said == ""
     assert process.returncode == 130
     assert all(eventually(lambda one=one: gone(one)) for one, label in lines(tmp_path) if label != "quick")
