@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 LOOK = 1.0  # s, between two looks at who is there
+ALONE = 5.0  # s without workers, after which that is told
+LOST = 20
+"""How often a cell is handed out whose data are lost on the way."""
 AHEAD = 2
 """Cells that are handed out for every thread of the workers, so that none waits for this process."""
 FIRST = 16
@@ -65,10 +68,11 @@ class Cluster:
         self.home = at_home(ledger.plan)
         self.ahead = work_ahead(ledger.plan)
         self.tried: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()
         self.elsewhere: dict[str, float] = {}  # when to look again at what another process computes
         self.lacking: dict[str, frozenset[str]] = {}  # what each worker cannot compute
         self.workers: dict[str, int] = {}
-        self.looked = 0.0
+        self.looked, self.seen = 0.0, time.monotonic()
 
     def to_the_end(self, cells: Sequence[Cell]) -> None:
         """Bring all of ``cells`` to their end. Raises `SchedulerLost`, OSError if a result cannot be written."""
@@ -96,10 +100,11 @@ class Cluster:
         now = time.monotonic()
         if now - self.looked < LOOK:
             return
-        self.looked, before = now, self.workers
+        self.looked = now
         self.workers = self.post.workers()
-        if before and not self.workers:
-            self.ledger.tell("no worker is there: waiting for one")
+        self.seen = now if self.workers else self.seen
+        if now - self.seen > ALONE:
+            self.ledger.tell("there is no worker: waiting for one")
         self.post.forget({needed.digest for cell in left for needed in cell.needs})
         for digest, away in tuple(self.away.items()):
             if away.only is not None and not away.only & set(self.workers):
@@ -228,17 +233,21 @@ class Cluster:
         """A cell has no result: its workers were lost too often, workers cannot run it, or what it needs is lost."""
         from distributed import KilledWorker
 
+        cell, seconds = away.cell, time.monotonic() - away.began
         if away.future.status != "error":  # the next look says whether the scheduler is there
             self.looked = 0.0
+            self.lost[cell.digest] += 1
+            if self.lost[cell.digest] > LOST:
+                self.ledger.fail(cell, f"it, or what it needs, was lost in the cluster {LOST} times", "", seconds)
             self.post.listen()
             return
         error = away.future.exception()
         if isinstance(error, KilledWorker):
             times = error.allowed_failures + 1
-            seconds = time.monotonic() - away.began
-            self.ledger.fail(away.cell, f"{times} workers were lost while they had it", "", seconds)
+            died = "1 worker" if times == 1 else f"{times} workers, one after the other,"
+            self.ledger.fail(cell, f"{died} died while it was there", "", seconds)
         else:
-            self.home.add(away.cell.digest)
+            self.home.add(cell.digest)
             self.ledger.tell(f"workers cannot compute this, so it is computed here: {type(error).__name__}: {error}")
 
     def _lacks(self, cell: Cell, answer: dict[str, Any]) -> None:
