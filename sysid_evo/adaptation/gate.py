@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -111,12 +111,21 @@ class Block:
     def rest(self, dataset: Dataset) -> Dataset:
         """Return ``dataset`` without these samples."""
         kept: list[Trajectory] = []
+        for episode, low, high in self._edges(dataset):
+            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+        return dataset.with_episodes(kept)
+
+    def part(self, dataset: Dataset) -> Dataset:
+        """Return these samples of ``dataset``."""
+        return dataset.with_episodes([episode[low:high] for episode, low, high in self._edges(dataset) if high > low])
+
+    def _edges(self, dataset: Dataset) -> Iterator[tuple[Trajectory, int, int]]:
+        """Yield every episode and where the block begins and ends in it."""
         begin = 0
         for episode in dataset:
             low, high = (int(np.clip(edge - begin, 0, len(episode))) for edge in (self.low, self.high))
-            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+            yield episode, low, high
             begin += len(episode)
-        return dataset.with_episodes(kept)
 
 
 def blocks_of(first: IntArray, horizon: int) -> list[Block]:

@@ -14,7 +14,7 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.execution import PATIENCE, Here
 from sysid_evo.plan.ledger import Ledger
 from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.worker import Inbox, Worker
+from sysid_evo.plan.worker import Inbox, Worker, said_of
 from sysid_evo.processors import usable_processors
 
 TRIES = 2
@@ -153,7 +153,7 @@ class SideBySide:
         self.coming.discard(worker)
         worker.dismiss()
         code = worker.wait()
-        why = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        why = said_of(code)
         if worker not in self.at:
             if code != 0:
                 self.ledger.tell(f"a process that was to compute cells ended before it began ({why})")

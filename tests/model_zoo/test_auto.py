@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
+import sys
 from functools import cache
 from typing import Any
 
@@ -11,7 +14,7 @@ import pytest
 from model_zoo.auto import Auto
 from model_zoo.selection.candidates import SHIPPED, Candidate, offered, structure_of
 from model_zoo.selection.choosing import UNTRIED, Choosing
-from model_zoo.selection.fitting import Task, Work, fitted
+from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import balanced, folds_of
 from sysid_evo.dynamics import DynamicsModel
@@ -275,6 +278,13 @@ def test_what_progress_raises_is_no_failure_of_a_candidate() -> None:
 
     with pytest.raises(Enough):
         make_model("auto", candidates=["sindy(lag_search=few)", *FEW]).fit(example_dataset(), rng=0, progress=progress)
+
+
+def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest() -> None:
+    load(["json", "no_such_library"])
+    here = "import sys; from model_zoo.selection.fitting import LARGE, load; load(LARGE); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", here], capture_output=True, text=True, check=True).stdout.split()
+    assert {name for name in LARGE if importlib.util.find_spec(name)} <= set(loaded)
 
 
 @pytest.mark.slow
