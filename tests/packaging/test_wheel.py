@@ -103,6 +103,15 @@ def test_compare_runs_without_extras_and_names_what_installs_the_rest(bare: Envi
     assert report["failures"] == []
 
 
+def test_a_study_runs_without_extras_down_to_its_tables_and_page(bare: Environment) -> None:
+    text = '[experiment]\nmodels = ["linear"]\nminutes = 0.5\nonly = "prediction"\n[grid]\nseed = "0..1"\n'
+    (bare.work / "tiny.toml").write_text(text)
+    done = bare.python("-m", "sysid_evo", "study", "tiny.toml", "--jobs", "2", "--out", "study")
+    assert done.returncode == 0, done.stderr
+    made = {path.name for path in (bare.work / "study").iterdir()}
+    assert {"study.html", "study.md", "study.json", "points.parquet", "models.parquet"} <= made
+
+
 def test_a_family_asked_for_by_name_is_refused_before_any_work(bare: Environment) -> None:
     done = bare.python("-m", "sysid_evo", "compare", "--models", "sindy", "--out", "with_sindy")
     assert done.returncode == 2, done.stderr
