@@ -83,7 +83,7 @@ CHANGES = (
         FORECASTS,
     ),
     Change(
-        "what was evolved on the robot itself is picked",
+        "a controller that was written by hand is chosen",
         "evaluation/forecast/choosing.py",
         "if one.name in found and one.against and not one.on_robot]",
         "if one.name in found]",
@@ -97,10 +97,10 @@ CHANGES = (
         SHOWN,
     ),
     Change(
-        "a waypoint that was reached was missed, too",
+        "a waypoint that was passed at any distance was missed",
         "evaluation/behaviour/chase.py",
         "if radius <= nearest < NEAR * radius:",
-        "if nearest < NEAR * radius:",
+        "if radius <= nearest:",
         MANNERS,
     ),
     Change(
