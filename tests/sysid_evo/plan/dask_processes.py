@@ -44,7 +44,7 @@ class Processes:
         self.file.unlink(missing_ok=True)
         self.scheduler = self._run(
             "dask_scheduler", "--host", HOST, "--port", str(port), "--protocol", self.protocol, "--no-dashboard",
-            "--no-jupyter", "--scheduler-file", str(self.file),
+            "--dashboard-address", f"{HOST}:0", "--no-jupyter", "--scheduler-file", str(self.file),
         )  # fmt: skip
         deadline = time.monotonic() + LIMIT
         while not self.file.exists():
