@@ -22,7 +22,7 @@ from sysid_evo.registry import make_model, models
 
 WORTH = 10.0
 """Seconds of work for which one more process is worth its start."""
-IDLE = 30
+IDLE = 60
 """Seconds after which processes end that have nothing to do."""
 LARGE = ("numba", "pysindy")
 """Libraries of candidates that take 60 and 170 MB. A process that loads them after its first task looks to joblib as if

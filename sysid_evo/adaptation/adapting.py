@@ -91,7 +91,7 @@ def adaptation(
     for name, way in ways.items() if blocks else ():
         shown = _made(way, dataset, blocks, counter.advance)
         if shown is not None:
-            trials.append(judged(name, plain, [errors for _, errors in shown]))
+            trials.append(judged(name, plain, [errors for _, errors in shown], further=name in FURTHER))
             apart[name] = [learned for learned, _ in shown]
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
