@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -44,25 +45,25 @@ class PlannedStudy:
                 shared[cell.digest] = same
         return {digest: name_of(labels) for digest, labels in shared.items()}
 
-    def title(self, cell: Cell) -> str:
-        """Return what ``cell`` does, and in which point."""
+    def where(self, cell: Cell) -> str:
+        """Return what stands before the title of ``cell``, so that it can be told apart: where it belongs."""
         place = self.places.get(cell.digest, "")
-        return f"{place}: {cell.title}" if place else cell.title
+        return f"{place}: " if place else ""
 
 
-def plan_study(study: Study, *, digests: Mapping[str, str] | None = None, store: Store | None = None) -> PlannedStudy:
+def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store | None = None) -> PlannedStudy:
     """Return the plan of ``study``; nothing is computed. Raises what is wrong with a point, with its name.
 
-    Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, by the names
-    of points, they are taken from ``store`` instead.
+    Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, one for each
+    point or None, they are taken from ``store`` instead.
     """
     for plugin in study.experiment.get("plugins", ()):
         load_plugin(plugin)
     known: dict[tuple[Any, ...], Dataset] = {}
     comparisons = []
-    for point in study.points:
+    for point, digest in itertools.zip_longest(study.points, digests):
         try:
-            stored = _stored(store, (digests or {}).get(point.name))
+            stored = _stored(store, digest)
             dataset = None if stored is not None else _dataset(point.experiment, known)
             _check_robot(point.experiment)
             comparisons.append(plan_comparison(point.experiment, dataset=dataset, stored=stored))
@@ -78,12 +79,13 @@ def plan_again(settings: Mapping[str, Any], folder: Path) -> Plan:
 
 def _united(study: Study, comparisons: list[Comparison]) -> Plan:
     """Return all cells, each once; cells of several points are found by their digests."""
-    given = {
-        point.name: comparison.data.digest
-        for point, comparison in zip(study.points, comparisons, strict=True)
-        if isinstance(comparison.data, GivenData)
-    }
-    again = Again(AGAIN, {"study": dict(study.settings), "data": given}, after=tuple(dict.fromkeys(given.values())))
+    given = [one.data.digest if isinstance(one.data, GivenData) else None for one in comparisons]
+    again = Again(
+        AGAIN,
+        {"study": dict(study.settings), "data": given if any(given) else []},
+        after=tuple(dict.fromkeys(digest for digest in given if digest is not None)),
+        files={text: files for one in comparisons if one.plan.again for text, files in one.plan.again.files.items()},
+    )
     remarks = dict.fromkeys(remark for comparison in comparisons for remark in comparison.plan.remarks)
     return Plan.of((cell for comparison in comparisons for cell in comparison.plan), remarks=remarks, again=again)
 

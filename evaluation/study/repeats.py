@@ -3,7 +3,7 @@
 Robots are drawn with replacement, then seeds of each. The percentiles of so few draws are too narrow: of five robots
 with five seeds those for 95 % hold the truth in about 85 %. They are expanded as Hesterberg (2015, The American
 Statistician 69, section 4.3) proposes: as many times as Student's quantile is beyond the normal one, and the spread of
-a sample below that of what it comes from. Then it is 94 % and more (``python -m tests.benchmarks.repeats``).
+a sample below that of what it comes from. Then it is 94 % and more; ``docs/study.md`` has a table.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults
 from evaluation.study.study import FILE, Study
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Observer, Store, execute
+from sysid_evo.plan import Observer, Scheduler, Store, execute
 
 
 def run_study(
@@ -22,10 +22,12 @@ def run_study(
     out: str | Path | None = None,
     observer: Observer | None = None,
     jobs: int | None = None,
+    scheduler: Scheduler | None = None,
 ) -> StudyResults:
     """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
 
-    ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out::
+    ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
+    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for::
 
         from evaluation import run_study
 
@@ -44,7 +46,7 @@ def run_study(
     folder = study_folder(out, Path(str(study)))
     planned = plan_study(found)
     found.write(folder / FILE)
-    execute(planned.plan, Store(folder), observer=observer, jobs=jobs)
+    execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
     return finish(planned, folder)
 
 

@@ -11,7 +11,7 @@ import typer
 
 from sysid_evo.cli.console import out, session, tell
 from sysid_evo.cli.exits import SOME_FAILED
-from sysid_evo.cli.options import DryRun, Jobs, Json
+from sysid_evo.cli.options import DryRun, Jobs, Json, Scheduler
 
 if TYPE_CHECKING:
     from evaluation.study import PlannedStudy, StudyResults
@@ -24,6 +24,7 @@ def study(
         Path | None, typer.Option("--out", help="Folder of the study (default runs/NAME of the file).")
     ] = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     dry_run: DryRun = False,
     render: Annotated[
         bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
@@ -56,8 +57,8 @@ def study(
     session.run = path
     if not render:
         found.write(path / FILE)
-        with Bars(f"--out {path}") as bars:
-            execute(planned.plan, store, observer=bars, jobs=jobs)
+        with Bars(f"--out {path}", where=planned.where, elsewhere=scheduler is not None) as bars:
+            execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = finish(planned, path)
     print_study(results, path, json=json, verbose=verbose)
     if results.failures:
@@ -74,7 +75,7 @@ def print_study(results: StudyResults, path: Path, *, json: bool, verbose: bool)
         return
     for part in study_brief(results, verbose=verbose):
         out.print(part)
-    out.print(f"Tables: {path / 'study.md'}, {path}/*.parquet", highlight=False, soft_wrap=True)
+    out.print(f"Tables: {path / 'study.md'}", highlight=False, soft_wrap=True)
     out.print(f"Page: {path / 'study.html'}", highlight=False, soft_wrap=True)
 
 

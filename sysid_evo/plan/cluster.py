@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 LOOK = 1.0  # s, between two looks at who is there
+ALONE = 5.0  # s without workers, after which that is told
+LOST = 20
+"""How often a cell is handed out whose data are lost on the way."""
 AHEAD = 2
 """Cells that are handed out for every thread of the workers, so that none waits for this process."""
 FIRST = 16
@@ -65,10 +68,12 @@ class Cluster:
         self.home = at_home(ledger.plan)
         self.ahead = work_ahead(ledger.plan)
         self.tried: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()
         self.elsewhere: dict[str, float] = {}  # when to look again at what another process computes
         self.lacking: dict[str, frozenset[str]] = {}  # what each worker cannot compute
+        self.told: set[str] = set()  # of what workers cannot plan, and why, each once
         self.workers: dict[str, int] = {}
-        self.looked = 0.0
+        self.looked, self.seen = 0.0, time.monotonic()
 
     def to_the_end(self, cells: Sequence[Cell]) -> None:
         """Bring all of ``cells`` to their end. Raises `SchedulerLost`, OSError if a result cannot be written."""
@@ -96,10 +101,11 @@ class Cluster:
         now = time.monotonic()
         if now - self.looked < LOOK:
             return
-        self.looked, before = now, self.workers
+        self.looked = now
         self.workers = self.post.workers()
-        if before and not self.workers:
-            self.ledger.tell("no worker is there: waiting for one")
+        self.seen = now if self.workers else self.seen
+        if now - self.seen > ALONE:
+            self.ledger.tell("there is no worker: waiting for one")
         self.post.forget({needed.digest for cell in left for needed in cell.needs})
         for digest, away in tuple(self.away.items()):
             if away.only is not None and not away.only & set(self.workers):
@@ -118,7 +124,8 @@ class Cluster:
         ready.sort(key=lambda cell: -self.ahead[cell.digest])
         own = [cell for cell in ready if self._only_here(cell)]
         room = FIRST + AHEAD * sum(self.workers.values()) - len(self.away)
-        for cell in [cell for cell in ready if cell not in own][: max(0, room)]:
+        known = set(own)
+        for cell in [cell for cell in ready if cell not in known][: max(0, room)]:
             self._hand(cell)
         if own and not self.here.attempt(own[0]):
             self.elsewhere[own[0].digest] = now + PATIENCE
@@ -228,33 +235,38 @@ class Cluster:
         """A cell has no result: its workers were lost too often, workers cannot run it, or what it needs is lost."""
         from distributed import KilledWorker
 
+        cell, seconds = away.cell, time.monotonic() - away.began
         if away.future.status != "error":  # the next look says whether the scheduler is there
             self.looked = 0.0
+            self.lost[cell.digest] += 1
+            if self.lost[cell.digest] > LOST:
+                self.ledger.fail(cell, f"it, or what it needs, was lost in the cluster {LOST} times", "", seconds)
             self.post.listen()
             return
         error = away.future.exception()
         if isinstance(error, KilledWorker):
             times = error.allowed_failures + 1
-            seconds = time.monotonic() - away.began
-            self.ledger.fail(away.cell, f"{times} workers were lost while they had it", "", seconds)
+            died = "1 worker" if times == 1 else f"{times} workers, one after the other,"
+            self.ledger.fail(cell, f"{died} died while it was there", "", seconds)
         else:
-            self.home.add(away.cell.digest)
+            self.home.add(cell.digest)
             self.ledger.tell(f"workers cannot compute this, so it is computed here: {type(error).__name__}: {error}")
 
     def _lacks(self, cell: Cell, answer: dict[str, Any]) -> None:
         """A worker does not know the cell: it has another version of something."""
-        unknown = frozenset(one.digest for one in self.ledger.plan) - set(answer["knows"]) | {cell.digest}
+        asked = {one.digest for one in self.ledger.plan} - self.home
+        unknown = frozenset(asked - set(answer["knows"]) | {cell.digest})
         self.lacking[answer["worker"]] = unknown
         ours = versions()
         there = {name: version for name, version in answer["versions"].items() if version != ours.get(name)}
         differing = ", ".join(f"{name} {version} instead of {ours.get(name)}" for name, version in there.items())
-        why = answer["reason"] or differing or "a plugin there may be another one"
-        if answer["reason"] and differing:
-            why = f"{answer['reason']}; {differing}"
-        what = "this work" if not answer["knows"] else f"{len(unknown)} of {len(self.ledger.plan)} cells"
-        self.ledger.tell(
-            f"the worker {answer['worker']} cannot plan {what} ({why}): others compute that, or this process"
+        why = "; ".join(filter(None, (answer["reason"], differing))) or "a plugin there may be another one"
+        told = (
+            f"cannot plan {len(unknown)} of {len(self.ledger.plan)} cells ({why}): that is computed by others, or here"
         )
+        if told not in self.told:
+            self.told.add(told)
+            self.ledger.tell(f"the worker {answer['worker']} {told}")
 
 
 def at_home(plan: Plan) -> set[str]:

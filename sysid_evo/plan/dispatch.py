@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from sysid_evo.errors import SchedulerLost
 from sysid_evo.plan import remote
 from sysid_evo.plan.again import Again
-from sysid_evo.plan.parcels import Parcel, digest_of, packed, size_of
+from sysid_evo.plan.parcels import Parcel, digest_of, packed
 from sysid_evo.plan.scheduler import GO_ON
 from sysid_evo.plan.store import Store
 
@@ -34,7 +34,7 @@ class Dispatch:
 
     def __init__(self, client: Client, store: Store, again: Again, tell: Callable[[dict[str, Any]], None]) -> None:
         self.client, self.store, self.again, self._tell = client, store, again, tell
-        self.bytes_sent = 0
+        self._address = getattr(client.scheduler, "address", "its address")
         self._sent: dict[str, Future[Any]] = {}
         self._hello: Future[Any] | None = None
         self._orders = 0
@@ -58,7 +58,7 @@ class Dispatch:
         Where there is none, one is asked for, so that a cluster that grows with its work does.
         """
         if self.client.status not in (RUNNING, "connecting"):
-            raise SchedulerLost(f"the scheduler is gone; {GO_ON}")
+            raise SchedulerLost(f"the scheduler at {self._address} does not answer any more: {GO_ON}")
         found: dict[str, int] = {}
         with self._unless_lost():
             info = self.client.scheduler_info()
@@ -126,7 +126,6 @@ class Dispatch:
             keys = {name: f"sysid-evo-parcel-{digest_of(parcel)}" for name, parcel in parcels.items()}
             came = self.client.scatter({keys[name]: parcel for name, parcel in parcels.items()}, timeout=PATIENT)
             self._sent |= {name: came[key] for name, key in keys.items()}
-            self.bytes_sent += sum(map(size_of, parcels.values()))
         return {name: self._sent[name] for name in wanted}
 
     def _is_there(self, name: str) -> bool:

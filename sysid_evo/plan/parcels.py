@@ -46,8 +46,3 @@ def digest_of(parcel: Parcel) -> str:
     for name, time, content in parcel:
         digest.update(f"{name}\0{time}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()
-
-
-def size_of(parcel: Parcel) -> int:
-    """Return the bytes of the contents of a parcel."""
-    return sum(len(content) for _, _, content in parcel)

@@ -17,12 +17,14 @@ from model_zoo.selection.choosing import UNTRIED, Choosing
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import balanced, folds_of
+from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import Spec, make_model, models, register_model
+from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
@@ -150,6 +152,13 @@ def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_t
 def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:
     with pytest.raises(InvalidData, match=r"got none: narx\(state_lags=500.*no episode is longer"):
         make_model("auto", candidates=["narx(state_lags=500, control_lags=0)"]).fit(example_dataset(), rng=0)
+
+
+def test_if_no_candidate_can_describe_the_system_the_reasons_are_told() -> None:
+    turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
+    data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
+    with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it is not periodic, and angle comes round"):
+        make_model("auto", candidates=["linear"]).fit(data, rng=0)
 
 
 def test_auto_is_no_candidate_of_itself() -> None:

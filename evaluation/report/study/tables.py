@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 from evaluation.labels import percent
 from evaluation.report.sheets import Sheet, lines, number
 from evaluation.study import (
@@ -30,11 +32,16 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
     figures = controller_figures(results)
     reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
     compared = any(one.difference is not None for one in figures)
-    heads = ["controller", *results.study.group_axes, "share", "worst", "claimed -\nachieved"]
+    axes, labels = _told_apart(results, [one.group for one in figures])
+    heads = ["controller", *axes, "share", "worst", "claimed -\nachieved"]
     heads += ["reference\nminus this"] if compared else []
     rows = []
     for one in figures:
-        row = [lines(one.controller, "(reference)" if one.is_reference else ""), *one.group, spread(one.share, 2)]
+        row = [
+            lines(one.controller, "(reference)" if one.is_reference else ""),
+            *labels(one.group),
+            spread(one.share, 2),
+        ]
         row += [number(None if one.share is None else one.share.lowest, 2), spread(one.gap, 1, sign=True)]
         row += [spread(one.difference, 2, sign=True)] if compared else []
         rows.append((*row, _points(one)))
@@ -50,6 +57,7 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
 def short_sheet(results: StudyResults) -> Sheet | None:
     """What matters of each group: what is picked, what is recommended, the best family alone; None without any."""
     figures = controller_figures(results)
+    axes, labels = _told_apart(results, [one.group for one in figures])
     rows = []
     for group in dict.fromkeys(one.group for one in figures):
         own = [one for one in figures if one.group == group]
@@ -61,10 +69,10 @@ def short_sheet(results: StudyResults) -> Sheet | None:
         for one in shown:
             name = f"{one.controller} (best family alone)" if one in singles else one.controller
             worst = number(None if one.share is None else one.share.lowest, 2)
-            rows.append((name, *one.group, spread(one.share, 2), worst, spread(one.gap, 1, sign=True)))
+            rows.append((name, *labels(one.group), spread(one.share, 2), worst, spread(one.gap, 1, sign=True)))
     if not rows:
         return None
-    heads = ("controller", *results.study.group_axes, "share", "worst", "claimed -\nachieved")
+    heads = ("controller", *axes, "share", "worst", "claimed -\nachieved")
     unit = _unit(results, ", in ")
     note = f"share: achieved on the robot, of the best known there. claimed - achieved{unit}. Below: 95 % intervals."
     return Sheet("In short", heads, tuple(rows), note=note)
@@ -95,8 +103,9 @@ def exploit_sheet(results: StudyResults) -> Sheet | None:
     figures = exploit_figures(results)
     if not figures:
         return None
-    heads = ("model", *results.study.group_axes, "exploited\nin", "claim kept")
-    rows = [(one.model, *one.group, f"{one.exploited} of {one.judged}", spread(one.kept, 2)) for one in figures]
+    axes, labels = _told_apart(results, [one.group for one in figures])
+    heads = ("model", *axes, "exploited\nin", "claim kept")
+    rows = [(one.model, *labels(one.group), f"{one.exploited} of {one.judged}", spread(one.kept, 2)) for one in figures]
     note = (
         "exploited in: points in which the claims of its own controllers exceed what they achieve on the robot by a "
         "tenth and two standard errors. claim kept: share of the claim that is achieved."
@@ -109,9 +118,10 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
     figures = forecast_figures(results)
     if not figures:
         return None
+    axes, labels = _told_apart(results, [one.group for one in figures])
     heads = (
         "chosen by",
-        *results.study.group_axes,
+        *axes,
         "rank\ncorrelation",
         "lowest",
         "loss",
@@ -120,7 +130,7 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
     rows = [
         (
             one.figure,
-            *one.group,
+            *labels(one.group),
             spread(one.correlation, 2),
             number(None if one.correlation is None else one.correlation.lowest, 2),
             spread(one.loss, 3),
@@ -201,6 +211,15 @@ def _between(found: Spread, digits: int, *, sign: bool = False) -> str:
         return ""
     low, high = (f"{end:+.{digits}f}" if sign else number(end, digits) for end in (found.low, found.high))
     return f"{low} to {high}"
+
+
+def _told_apart(
+    results: StudyResults, groups: Sequence[tuple[str, ...]]
+) -> tuple[list[str], Callable[[tuple[str, ...]], list[str]]]:
+    """Return the axes along which ``groups`` differ, and what picks the labels of a group along these."""
+    places = [place for place, labels in enumerate(zip(*groups, strict=True)) if len(set(labels)) > 1]
+    axes = [results.study.group_axes[place] for place in places]
+    return axes, lambda group: [group[place] for place in places]
 
 
 def _unit(results: StudyResults, before: str) -> str:

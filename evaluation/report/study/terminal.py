@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import RenderableType
 from rich.text import Text
 
+from evaluation.report.study.tables import prediction_sheet
 from evaluation.report.study.telling import study_story
 from evaluation.report.terminal import findings_lines, to_rich
 from evaluation.report.verdict import Finding
@@ -19,7 +20,8 @@ def study_brief(results: StudyResults, *, verbose: bool = False) -> list[Rendera
         *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in story.headlines]),
         *findings_lines(story.findings),
     ]
-    parts += [] if story.overview is None else to_rich(story.overview)
+    short = story.overview or prediction_sheet(results)
+    parts += [] if short is None else to_rich(short)
     if verbose:
         for section in story.sections:
             for sheet in section.sheets:

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.forecast RUN ... --out FOLDER
     python -m tests.benchmarks.forecast --study STUDY.toml --store FOLDER --out FOLDER
 
-Every RUN is the folder of a comparison of an emulated car, such as ``python -m tests.benchmarks.transfer`` makes; a
+Every RUN is the folder of a comparison of an emulated car, such as ``sysid-evo compare --seed 2`` makes; a
 study (``sysid-evo study``) has many of them in one store, of which the complete points are taken. All finalists, good
 and bad, are run on all models of their run and, in other trials, on the car; what is seen is kept in ``--out``. Further
 terms are looked at in single runs alone, where they take most of the time. Prints, within a run, the rank correlation

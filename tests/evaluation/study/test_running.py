@@ -135,7 +135,7 @@ def test_the_same_plan_is_made_again_from_its_settings(planned: PlannedStudy, tm
 
 def test_a_cell_is_named_by_what_the_points_that_need_it_share() -> None:
     both = plan_study(Study.of({**TINY, "grid": {"seed": [0, 1], "aggregate": ["min", "mean"]}}))
-    titles = {both.title(cell) for cell in both.plan}
+    titles = {f"{both.where(cell)}{cell.title}" for cell in both.plan}
     assert "seed 1: fit linear" in titles
     assert "seed 0, aggregate mean: polish recommended" in titles
 

@@ -10,6 +10,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+import psutil
+from distributed import Client
+
 ROOT = Path(__file__).parents[3]
 HOST = "127.0.0.1"
 LIMIT = 60.0  # s
@@ -41,7 +44,7 @@ class Processes:
         self.file.unlink(missing_ok=True)
         self.scheduler = self._run(
             "dask_scheduler", "--host", HOST, "--port", str(port), "--protocol", self.protocol, "--no-dashboard",
-            "--no-jupyter", "--scheduler-file", str(self.file),
+            "--dashboard-address", f"{HOST}:0", "--no-jupyter", "--scheduler-file", str(self.file),
         )  # fmt: skip
         deadline = time.monotonic() + LIMIT
         while not self.file.exists():
@@ -59,6 +62,17 @@ class Processes:
         )  # fmt: skip
         self.workers.append(worker)
         return worker
+
+    def wait(self) -> None:
+        """Return when all workers are there."""
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(len(self.workers), timeout=LIMIT)
+
+    def processor(self) -> float:
+        """Return the processor time of all of them, in s, and of what they started that has not ended."""
+        roots = [psutil.Process(process.pid) for process in (self.scheduler, *self.workers) if process is not None]
+        times = [one.cpu_times() for root in roots for one in (root, *root.children(recursive=True))]
+        return sum(used.user + used.system for used in times)
 
     def stop(self) -> None:
         """End all processes."""
