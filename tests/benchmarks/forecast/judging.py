@@ -61,7 +61,7 @@ def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
         claimed=claimed,
         others=others,
         error=float(np.mean([columns[label]["error"] for label in against])) if against else np.nan,
-        name=record["name"],
+        name=record.get("name", ""),
         terms={}
         if "optimism" not in record
         else {
