@@ -11,6 +11,8 @@ from mkdocs.structure.files import File, Files
 from typer.cli import get_docs_for_click
 
 FIRMWARE = "../hardware/firmware/README.md"
+FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
+"""The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
 LONG = 1000
 """Characters that one sentence on a command never has."""
 
@@ -24,8 +26,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Lead links to the firmware's page to where it stands on the site."""
-    return markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
+    """Lead links to the firmware's page to where it stands on the site, and call pages by names instead of files."""
+    markdown = markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
+    return FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
 
 
 def commands() -> str:

@@ -1,6 +1,6 @@
 """What a controller will do on the robot, said before it runs there."""
 
-from evaluation.forecast.choosing import chosen_by, highest, worth_by
+from evaluation.forecast.choosing import chosen_by, highest, summary_of, worth_by
 from evaluation.forecast.credibility import credibilities, error_of, weighted_median
 from evaluation.forecast.forecasting import Forecast, forecast_of, forecasts
 from evaluation.forecast.of_models import ModelForecast, model_forecasts
@@ -18,6 +18,7 @@ __all__ = [
     "forecasts",
     "highest",
     "model_forecasts",
+    "summary_of",
     "weighted_median",
     "worth_by",
 ]

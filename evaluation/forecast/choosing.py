@@ -8,14 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from evaluation.forecast.credibility import credibilities, weighted_median
-from evaluation.forecast.forecasting import Forecast
+from evaluation.forecast.forecasting import Forecast, forecasts
 from evaluation.forecast.rule import RULE, Rule
-from evaluation.transfer import RankCorrelation, TransferSummary
+from evaluation.transfer import RankCorrelation, TransferMatrix, TransferSummary, summarise
 from evaluation.transfer.ranks import rank_correlation
 from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion, Judgement
 
 FIGURE = "forecast"
+
+
+def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
+    """Return the summary of a matrix with the controller of the highest forecast as its pick.
+
+    Without the prediction ``errors`` of its models (see `error_of`) all are believed alike.
+    """
+    return chosen_by(summarise(matrix), forecasts(matrix, errors or {}))
 
 
 def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:

@@ -44,9 +44,15 @@ class Prior:
     degrees: float
 
     def with_own(self, variance: float, degrees: float) -> tuple[float, float]:
-        """Return the variance and its degrees with those of the controller's own seeds; it is never below its own."""
+        """Return the variance and its degrees with those of the controller's own seeds.
+
+        Own seeds that differ less are believed in part. Those that differ further keep their variance, and what is
+        known from others counts the less: it is not of the same kind.
+        """
         both = self.degrees + degrees
-        return max(variance, (self.degrees * self.variance + degrees * variance) / both), both
+        if variance <= self.variance:
+            return (self.degrees * self.variance + degrees * variance) / both, both
+        return variance, degrees + self.degrees * self.variance / variance
 
 
 @dataclass(frozen=True)

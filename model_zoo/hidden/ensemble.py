@@ -8,19 +8,15 @@ from typing import ClassVar, Self
 import numpy as np
 
 from model_zoo.hidden.family import StateSpaceModel
+from model_zoo.hidden.gate import LINEAR, linear_instead
 from model_zoo.hidden.learning import Lesson, joined
 from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks
 from model_zoo.hidden.shooting import Spaces, Trained
-from model_zoo.linear_state_space import STEPS
 from sysid_evo.arrays import Array
-from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
-from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.registry import make_model
 
-LINEAR = "linear_state_space"
 FEWEST_STATES, ORDERS = 2, 3
 LIKELY = 4
 """Mixtures of units of which more networks are begun."""
@@ -28,8 +24,6 @@ SHARPNESS = 40.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
 ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
-FEW, GATE_FOLDS, BETTER = 600, 3, 0.9
-"""A record of fewer samples is gated: on so many folds networks must be better by this factor."""
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
 
@@ -77,38 +71,15 @@ class NetworkSpaces(StateSpaceModel):
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
         trained = lesson.lengthened(trained, linear[order].spaces, self.iterations, counter.advance)
         self._mean_of(lesson, trained, list(linear.values()))
-        if self.gated and sum(len(part) for part in lesson.parts) < FEW and not self.linear_order_:
-            self._gate(dataset, int(rng.integers(2**63)))
+        if self.gated and not self.linear_order_:
+            settings = {"order": self.order, "iterations": self.iterations, "horizon": self.horizon}
+            trial = self.variant(gated=False)
+            self.replaced_by(linear_instead(trial, dataset, rng, rest_hold=self.rest_hold, **settings))
         counter.advance()
         return self
 
     def uses(self) -> tuple[str, ...]:
         return (LINEAR,) if self.gated else ()
-
-    def _gate(self, dataset: Dataset, seed: int) -> None:
-        """Become the linear state space, unless networks are better in free runs on held-out blocks of time."""
-        plain = make_model(
-            LINEAR,
-            order=self.order,
-            iterations=self.iterations,
-            horizon=self.horizon,
-            folds=1,
-            rest_hold=self.rest_hold,
-        )
-        errors = [0.0, 0.0]
-        for learned, held in (time_blocks(dataset, fold, GATE_FOLDS) for fold in range(GATE_FOLDS)):
-            for i, model in enumerate((self.variant(gated=False), plain)):
-                model.fit(learned, rng=np.random.default_rng(seed))
-                windows = judging_windows(held, model.n_lags, fewest=STEPS)
-                errors[i] += float(np.nan_to_num(simulation_error(model, windows), nan=np.inf))
-        if errors[0] <= BETTER * errors[1]:
-            return
-        plain.fit(dataset, rng=np.random.default_rng(seed))
-        for name in ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_"):
-            setattr(self, name, getattr(plain, name))
-        if self.flows:
-            self.flow_ = False
-        self.linear_order_ = len(self.rest_)
 
     def _mean_of(self, lesson: Lesson, trained: Trained, linear: list[Trained]) -> None:
         """Become the mean of the networks, or the best linear space if its criterion is lower than all of theirs."""
@@ -128,16 +99,6 @@ class NetworkSpaces(StateSpaceModel):
         kept = np.flatnonzero(weights > NEGLIGIBLE).tolist()
         chosen = [observers[i] for i in kept]
         self.adopt(lesson.scales, [trained.spaces[[i]] for i in kept], chosen, weights[kept] / weights[kept].sum())
-
-    @property
-    def fit_note(self) -> str:
-        said = [super().fit_note]
-        if getattr(self, "linear_order_", 0):
-            said.append(
-                f"the recording does not tell the weights of a network: this is a linear state space of order "
-                f"{self.linear_order_}"
-            )
-        return "; ".join(sentence for sentence in said if sentence)
 
 
 def criterion(errors: Array, spaces: Spaces, lesson: Lesson) -> Array:

@@ -71,6 +71,7 @@ class Cluster:
         self.lost: Counter[str] = Counter()
         self.elsewhere: dict[str, float] = {}  # when to look again at what another process computes
         self.lacking: dict[str, frozenset[str]] = {}  # what each worker cannot compute
+        self.told: set[str] = set()  # of what workers cannot plan, and why, each once
         self.workers: dict[str, int] = {}
         self.looked, self.seen = 0.0, time.monotonic()
 
@@ -123,7 +124,8 @@ class Cluster:
         ready.sort(key=lambda cell: -self.ahead[cell.digest])
         own = [cell for cell in ready if self._only_here(cell)]
         room = FIRST + AHEAD * sum(self.workers.values()) - len(self.away)
-        for cell in [cell for cell in ready if cell not in own][: max(0, room)]:
+        known = set(own)
+        for cell in [cell for cell in ready if cell not in known][: max(0, room)]:
             self._hand(cell)
         if own and not self.here.attempt(own[0]):
             self.elsewhere[own[0].digest] = now + PATIENCE
@@ -252,18 +254,19 @@ class Cluster:
 
     def _lacks(self, cell: Cell, answer: dict[str, Any]) -> None:
         """A worker does not know the cell: it has another version of something."""
-        unknown = frozenset(one.digest for one in self.ledger.plan) - set(answer["knows"]) | {cell.digest}
+        asked = {one.digest for one in self.ledger.plan} - self.home
+        unknown = frozenset(asked - set(answer["knows"]) | {cell.digest})
         self.lacking[answer["worker"]] = unknown
         ours = versions()
         there = {name: version for name, version in answer["versions"].items() if version != ours.get(name)}
         differing = ", ".join(f"{name} {version} instead of {ours.get(name)}" for name, version in there.items())
-        why = answer["reason"] or differing or "a plugin there may be another one"
-        if answer["reason"] and differing:
-            why = f"{answer['reason']}; {differing}"
-        what = "this work" if not answer["knows"] else f"{len(unknown)} of {len(self.ledger.plan)} cells"
-        self.ledger.tell(
-            f"the worker {answer['worker']} cannot plan {what} ({why}): others compute that, or this process"
+        why = "; ".join(filter(None, (answer["reason"], differing))) or "a plugin there may be another one"
+        told = (
+            f"cannot plan {len(unknown)} of {len(self.ledger.plan)} cells ({why}): that is computed by others, or here"
         )
+        if told not in self.told:
+            self.told.add(told)
+            self.ledger.tell(f"the worker {answer['worker']} {told}")
 
 
 def at_home(plan: Plan) -> set[str]:

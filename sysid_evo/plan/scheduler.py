@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 Scheduler: TypeAlias = Union[str, Path, "Client"]
 """``tcp://HOST:PORT``, ``tls://HOST:PORT``, the file that a scheduler wrote, or a client of it."""
 FILE_ENDS = ".json"
+SCHEMES = ("tcp://", "tls://", "ws://", "wss://")
 GO_ON = (
     "what was finished until then is kept, and the same command goes on from there, with another scheduler or without"
 )
@@ -28,7 +30,7 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
     Certificates for ``tls://`` are those of Dask's configuration. Raises `InvalidArgument`, and `SchedulerLost` if
     nobody answers there.
     """
-    from distributed import Client
+    from distributed import Client, Security
 
     if isinstance(scheduler, Client):
         if scheduler.asynchronous:
@@ -36,22 +38,35 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
         yield scheduler
         return
     address = address_of(str(scheduler))
-    try:
-        client = Client(address, set_as_default=False, name="sysid-evo")
-    except OSError as error:
-        raise SchedulerLost(
-            f"no scheduler answers at {address} ({_first(error)}): start one with 'dask scheduler', name the address "
-            f"that it prints, or compute without one; {GO_ON}"
-        ) from error
-    except (TypeError, ValueError, RuntimeError) as error:
+    if address.startswith("tls://") and Security().get_connection_args("client").get("ssl_context") is None:
         raise InvalidArgument(
-            f"scheduler {address}: {_first(error)}; tls:// needs certificates in Dask's configuration, see the page "
-            "'A cluster' of the documentation"
-        ) from error
+            f"scheduler {address}: expected certificates in Dask's configuration, found none; the page 'A cluster' of "
+            "the documentation tells how to make them and where they are named"
+        )
+    with _quiet():
+        try:
+            client = Client(address, set_as_default=False, name="sysid-evo")
+        except OSError as error:
+            raise SchedulerLost(
+                f"no scheduler answers at {address} ({_first(error)}): start one with 'dask scheduler', name the "
+                f"address that it prints, or compute without one; {GO_ON}"
+            ) from error
+        try:
+            yield client
+        finally:
+            client.close()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let Dask's client log nothing: that a scheduler is lost is an error of ours, told once."""
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
     try:
-        yield client
+        yield
     finally:
-        client.close()
+        log.setLevel(level)
 
 
 def address_of(text: str) -> str:
@@ -66,7 +81,7 @@ def address_of(text: str) -> str:
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InvalidArgument(f"scheduler: expected the file of a scheduler, {text} is none: {error}") from error
         return str(found)
-    if "://" not in text:
+    if not text.startswith(SCHEMES):
         raise InvalidArgument(
             f"scheduler: expected tcp://HOST:PORT, tls://HOST:PORT or the {FILE_ENDS} file of a scheduler, got {text!r}"
         )

@@ -53,9 +53,13 @@ class SideBySide:
                 self.here.to_the_end(cells)
             for worker in self.coming:
                 worker.say(folder=str(self.ledger.store.path))
-            while left := self.ledger.left(cells):
+            left = self.ledger.left(cells)
+            while left:
+                ended = len(self.ledger.ended)
                 self._hand_out(left)
                 self._hear()
+                if len(self.ledger.ended) != ended:  # a plan may have ten thousand cells: not after every word
+                    left = self.ledger.left(left)
         finally:
             self._dismiss_all()
 
@@ -73,6 +77,8 @@ class SideBySide:
 
     def _hand_out(self, left: Sequence[Cell]) -> None:
         """Give every idle process a cell that waits for nothing; compute one here if only this process can."""
+        if self.at and all(self.at.values()) and self.known >= self.cells.keys():
+            return
         now = time.monotonic()
         busy = set(self.at.values())
         ready = [

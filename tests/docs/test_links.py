@@ -19,6 +19,7 @@ OTHERS = {
     "gymnasium.farama.org",
     "squidfunk.github.io",
     "distributed.dask.org",
+    "jobqueue.dask.org",
 }
 """Whom pages link to. A host is added here by hand, so that no address of a machine slips in."""
 PATHS = re.compile(r"(?<![\w./])/(?:home|root|work|tmp|Users|opt|mnt)/\w")

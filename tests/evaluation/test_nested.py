@@ -113,11 +113,13 @@ def test_ninety_percent_intervals_hold_the_truth_with_three_evolution_seeds(kind
         assert 0.85 <= share <= 0.97, name
 
 
-@pytest.mark.parametrize("kind", ["skewed", "basins"])
-def test_where_seeds_fall_into_basins_the_other_controllers_make_the_interval_wide_enough(kind: str) -> None:
-    """With their own three seeds alone intervals hold 82 to 84 % in basins."""
+@pytest.mark.parametrize(("kind", "least"), [("basins", 0.85), ("odd", 0.82)])
+def test_where_seeds_fall_into_basins_the_other_controllers_make_the_interval_wide_enough(
+    kind: str, least: float
+) -> None:
+    """With three seeds of its own alone 80 to 92 % hold in basins; others that differ less must not mislead much."""
     for name, share in coverage(kind, 3, 20, 250).items():
-        assert 0.85 <= share <= 0.98, name
+        assert least <= share <= 0.98, name
 
 
 def test_seeds_that_all_fall_into_one_basin_learn_from_the_others_how_far_seeds_differ() -> None:
@@ -139,8 +141,11 @@ def test_seeds_that_all_fall_into_one_basin_learn_from_the_others_how_far_seeds_
     degrees = 8.0 / 3.0 + 2.0
     assert found["lucky"].degrees == pytest.approx(degrees)
     assert found["lucky"].standard_error ** 2 == pytest.approx(8.0 / 3.0 * 4.0 / 3.0 / degrees / 3.0)
-    assert found["a"].standard_error == pytest.approx(figures["a"].standard_error)  # never less than its own seeds show
-    assert found["a"].degrees > figures["a"].degrees
+    further = alike({**figures, "far": of_seeds(-9.0, 9.0, 9.0, name="far")})["far"]
+    assert further.standard_error == pytest.approx(np.sqrt(108.0 / 3.0))  # no less than its own seeds show
+    assert further.degrees == pytest.approx(
+        2.0 + further.priors["far"].degrees * further.priors["far"].variance / 108.0
+    )
     assert found["alone"] == figures["alone"]
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from evaluation.comparison import compare
 from evaluation.transfer import Cell, Measured, person, save_measured
 from sysid_evo.testing import example_dataset
 from tests.evaluation.test_side_by_side import SMALL, Remarks
-from tests.sysid_evo.cli.calling import forgetting
+from tests.sysid_evo.cli.calling import forgetting, run_here
 from tests.sysid_evo.plan.dask_processes import Processes
 
 PLUGIN = '''
@@ -70,7 +72,11 @@ def test_a_comparison_is_the_same_in_every_byte(
     (tmp_path / "own.py").write_text(PLUGIN)
     settings = {
         **SMALL,
-        "models": ("linear", "near=nearest_neighbour", "mine"),
+        "models": ("linear", "mine"),
+        "ensembles": ("linear+mine",),
+        "recipe": "plain",
+        "robot": "emulated_car",
+        "traces": 1,
         "plugins": (str(tmp_path / "own.py"),),
         "by_hand": ("pursuit",),
     }
@@ -94,3 +100,37 @@ def test_a_comparison_is_the_same_in_every_byte(
     assert len(loaded) == 2
     assert str(os.getpid()) not in loaded
     assert not any(file.startswith(str(tmp_path)) for file in loaded.values())
+
+
+def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is_the_same(
+    tmp_path: Path, cluster: Processes
+) -> None:
+    example_dataset().save(tmp_path / "logs")
+    for name, models in (("one", "linear,near=nearest_neighbour"), ("two", "far=linear(ridge=0.5)")):
+        done = run_here("fit", "logs", "--models", models, "--out", name, "--jobs", "1", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    shutil.copytree(tmp_path / "one", tmp_path / "three")
+    found = []
+    for folder, where in (("one", ("--jobs", "1")), ("three", ("--scheduler", str(cluster.file)))):
+        (own,) = (tmp_path / folder / "models").glob("linear-*.json")
+        ended = run_here(
+            "evolve", "--run", folder, "--against", f"{own.relative_to(tmp_path)},two/models/far", "--generations", "2",
+            "--trials", "2", "--task", "point_to_point(horizon=40)", "--controller", "recurrent(hidden=2)",
+            "--strategy", "mu_plus_lambda(parents=2, children=2)", "--runs", "1", *where, cwd=tmp_path,
+        )  # fmt: skip
+        assert ended.returncode == 0, ended.stderr
+        assert "cannot plan" not in ended.stderr
+        found.append(results(tmp_path / folder))
+    assert found[0] == found[1]
+    log = [json.loads(line) for line in (tmp_path / "three" / "log.jsonl").read_text().splitlines()]
+    assert set(Counter(line["digest"] for line in log).values()) == {1}
+
+
+def test_a_scheduler_that_is_lost_ends_the_command_with_a_sentence_and_a_code(tmp_path: Path) -> None:
+    example_dataset().save(tmp_path / "logs")
+    command = ("fit", "logs", "--models", "linear", "--out", "run", "--scheduler", "tcp://127.0.0.1:9")
+    with dask.config.set({"distributed.comm.timeouts.connect": "0.5s"}):
+        ended = run_here(*command, cwd=tmp_path)
+    assert ended.returncode == 4
+    assert "no scheduler answers at tcp://127.0.0.1:9" in " ".join(ended.stderr.split())
+    assert "Traceback" not in ended.stderr

@@ -83,15 +83,18 @@ def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_
     assert all(len(units) for units in long.inner_)
 
 
-@pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
+@pytest.mark.parametrize(
+    "family", ["nonlinear_state_space", "latent_ode", pytest.param("subnet", marks=pytest.mark.slow)]
+)
 def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_better(
     family: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Asked for the impossible, it gives the linear state space in both forms, and networks again when refitted."""
     data = recording(0, 300, bend=0.03)
-    passed, stopped = (make_model(family, **FEW) for _ in range(2))
+    own = {"order": 2, "hidden": 6, "updates": 300, "learning_rate": 0.01} if family == "subnet" else FEW
+    passed, stopped = (make_model(family, **own) for _ in range(2))
     assert not passed.fit(data, rng=0).fit_note
-    monkeypatch.setattr("model_zoo.hidden.ensemble.BETTER", 0.0)
+    monkeypatch.setattr("model_zoo.hidden.gate.BETTER", 0.0)
     assert "linear state space" in stopped.fit(data, rng=0).fit_note
     assert [len(units) for units in stopped.inner_] == [0]
     windows = recording(1).windows(1, stride=20, history=stopped.n_lags)

@@ -15,7 +15,7 @@ from distributed import Client
 
 ROOT = Path(__file__).parents[3]
 HOST = "127.0.0.1"
-LIMIT = 60.0  # s
+LIMIT = 150.0  # s
 
 
 class Processes:
@@ -44,7 +44,7 @@ class Processes:
         self.file.unlink(missing_ok=True)
         self.scheduler = self._run(
             "dask_scheduler", "--host", HOST, "--port", str(port), "--protocol", self.protocol, "--no-dashboard",
-            "--no-jupyter", "--scheduler-file", str(self.file),
+            "--dashboard-address", f"{HOST}:0", "--no-jupyter", "--scheduler-file", str(self.file),
         )  # fmt: skip
         deadline = time.monotonic() + LIMIT
         while not self.file.exists():
@@ -80,6 +80,7 @@ class Processes:
             process.kill()
             process.wait(LIMIT)
         self.workers.clear()
+        self.scheduler = None
 
     def _run(
         self, program: str, *options: str, environment: Mapping[str, str] | None = None
