@@ -2,8 +2,8 @@
 
 Numba takes every compiled function through all of LLVM: it inlines what the function calls, optimises, and makes
 machine code that Python could call. A kernel is a chain of functions, each inlined into the next, so the innermost
-would be optimised and translated once for every link of the chain, and all but the last thrown away. With
-``pipeline_class=Inlined`` a function stops before that; who calls it takes it in and does the work once.
+would be translated once for every link of the chain, and all but the last thrown away. With
+``pipeline_class=Inlined`` a function stops before that; who calls it takes it in.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _ToBeInlined(JITCodeLibrary):
-    """The code of a function and of what it calls, as LLVM text alone."""
+    """The code of a function and of what it calls, as LLVM text alone.
 
-    def _optimize_final_module(self) -> None:
-        """Leave it to the caller's module."""
+    It is optimised here as well as in its caller: which products are fused into sums depends on what was done before.
+    """
 
     def _finalize_final_module(self) -> None:
         """Give nothing to the machine that translates."""
