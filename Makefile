@@ -5,7 +5,7 @@ STAMP := .venv/.complete
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup compare test pytest lint docs clean
+.PHONY: setup compare test pytest lint docs pictures clean
 
 setup: $(STAMP)
 
@@ -37,7 +37,11 @@ pytest: setup
 # The pages of docs/ as a site in build/site; a broken link or name is an error.
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
-	@echo build/site/index.html
+	@echo "build/site/index.html; its search needs a server: python3 -m http.server -d build/site"
+
+# The pictures of the tutorials, by the commands in their text: some minutes a page.
+pictures: setup
+	$(BIN)/python -m tests.docs.pictures
 
 clean:
 	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

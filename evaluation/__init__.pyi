@@ -3,6 +3,7 @@ from .exploitability import ModelExploitability, assess_exploitability
 from .prediction import Prediction, PredictionProtocol, assess_prediction
 from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json
 from .report.page import to_html
+from .study import Study, StudyResults, run_study
 from .transfer import Cell, TransferMatrix, TransferSummary, run_cell, summarise, transfer, transfer_seeds
 
 __all__ = [
@@ -15,6 +16,8 @@ __all__ = [
     "Prediction",
     "PredictionProtocol",
     "Report",
+    "Study",
+    "StudyResults",
     "TransferMatrix",
     "TransferSummary",
     "assess_exploitability",
@@ -22,6 +25,7 @@ __all__ = [
     "compare",
     "plan_comparison",
     "run_cell",
+    "run_study",
     "save_report",
     "summarise",
     "tables",

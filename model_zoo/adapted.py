@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from model_zoo.validation.elsewhere import calibrated_elsewhere
+from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, DynamicsModel, load_model, make_model, register_model
-from sysid_evo.adaptation import NONE, Terms, adaptation, as_of
+from sysid_evo.adaptation import ANEW, NONE, REFIT, Terms, adaptation, as_of
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.errors import InvalidArgument
@@ -33,7 +35,9 @@ class Adapted(DynamicsModel):
     base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
     free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
     must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
-    its base. A fit of the base's family to these data alone is judged alike. `fit_note` says what was decided.
+    its base. More training of a base that learns in updates, and a fit of its family to these data alone, are judged
+    alike. `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on the blocks, each
+    run through by what was learned without it.
     """
 
     knowledge = "dark grey"
@@ -67,16 +71,20 @@ class Adapted(DynamicsModel):
             )
         dataset = as_of(self.base_.system, dataset)
         found = adaptation(self.inner, dataset, training=training, rng=rng, progress=progress)
-        if found.model is not self.inner:
-            self.base_ = found.model
+        learned = found.learned
+        if learned.model is not self.inner:
+            self.base_ = learned.model
         self.system_ = self.base_.system
         for name in OF_TERMS:
-            setattr(self, f"{name}_", getattr(found.terms, name))
-        self.coefficients_ = found.coefficients
+            setattr(self, f"{name}_", getattr(learned.terms, name))
+        self.coefficients_ = learned.coefficients
         self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
         self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
         self.tried_ = [trial.name for trial in found.verdict.trials]
         self._widen()
+        base = self.base_
+        if isinstance(base, Uncertain) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
+            self.base_ = calibrated_elsewhere(base, found.apart, rng)
         return self
 
     def _widen(self) -> None:

@@ -24,6 +24,7 @@ from model_zoo.selection.mean import MeanOfMembers
 from model_zoo.selection.standing import Standing
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.cross_validation import folds_of
+from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.judging import Judge, Trial, history_of, horizons_of
 from sysid_evo.progress import Progress
@@ -81,6 +82,8 @@ class Auto(MeanOfMembers):
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = folds_of(dataset, self.folds)
         tried, left_out = self._tried(dataset)
+        if not tried:
+            raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
         judge = Judge.of(dataset, [Trial.of(held, horizons, history_of(pairs)) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))

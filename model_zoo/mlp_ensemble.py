@@ -137,6 +137,16 @@ class MlpEnsemble(Uncertain):
             self._calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
+        from model_zoo.networks.members import train_further
+        from model_zoo.networks.multistep import FURTHER_RATE, Plan
+
+        plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE, input_noise=self.input_noise)
+        network = train_further(self.network, dataset, self.lags, plan, rng)
+        other = self.variant()
+        other.weights_, other.biases_ = list(network.weights), list(network.biases)
+        return other
+
     @property
     def network(self) -> Network:
         """The members: features of (carry, control) to accelerations."""

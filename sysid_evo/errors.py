@@ -66,6 +66,10 @@ class LinkLost(SysidEvoError, ConnectionError):
     """A robot or its tracker is silent, or the connection is closed."""
 
 
+class SchedulerLost(SysidEvoError, ConnectionError):
+    """The scheduler of a cluster does not answer, or not any more."""
+
+
 class IncompatibleRobot(SysidEvoError, ConnectionError):
     """A robot speaks another version of the link's protocol."""
 

@@ -1,7 +1,9 @@
 """A hook of MkDocs for pages that are written elsewhere: the commands themselves, and the firmware's own page."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import typer
 from mkdocs.config.defaults import MkDocsConfig
@@ -9,6 +11,10 @@ from mkdocs.structure.files import File, Files
 from typer.cli import get_docs_for_click
 
 FIRMWARE = "../hardware/firmware/README.md"
+FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
+"""The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
+LONG = 1000
+"""Characters that one sentence on a command never has."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -20,8 +26,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Lead links to the firmware's page to where it stands on the site."""
-    return markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
+    """Lead links to the firmware's page to where it stands on the site, and call pages by names instead of files."""
+    markdown = markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
+    return FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
 
 
 def commands() -> str:
@@ -31,4 +38,13 @@ def commands() -> str:
     command = typer.main.get_command(app)
     context = typer.Context(command, info_name="sysid-evo")
     written = get_docs_for_click(obj=command, ctx=context, name="sysid-evo", title="Command line")
+    for part in _all_of(command):
+        written = written.replace(f"`: {part.get_short_help_str()}\n", f"`: {part.get_short_help_str(LONG)}\n")
     return re.sub(r"(?m)^\* `--(install|show)-completion`.*\n", "", written)
+
+
+def _all_of(command: Any) -> Iterator[Any]:
+    """Yield the commands of a group, and those of its groups."""
+    for part in getattr(command, "commands", {}).values():
+        yield part
+        yield from _all_of(part)

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 from evaluation.comparison.believing import BELIEVED, believed, prediction_error
 from evaluation.comparison.columns import Column
 from evaluation.comparison.model_cells import files_of
+from evaluation.comparison.named_files import named_files
 from evaluation.forecast import RULE, worth_by
 from sysid_evo.engine import Runner
 from sysid_evo.errors import Blocked, InvalidArgument
@@ -75,6 +76,10 @@ class EvolveCell(ControllerFiles):
     @property
     def needs(self) -> tuple[Cell, ...]:
         return tuple(cell for member in self.members for cell in member.needs)
+
+    @property
+    def at_home(self) -> bool:
+        return any(named_files(self.settings.controller))
 
     def inputs(self) -> dict[str, Any]:
         settings = self.settings

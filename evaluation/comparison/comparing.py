@@ -14,7 +14,7 @@ from evaluation.report import Report, save_report
 from evaluation.transfer import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Observer, Store, execute
+from sysid_evo.plan import Observer, Scheduler, Store, execute
 from sysid_evo.registry import load_plugin
 
 
@@ -24,14 +24,15 @@ def compare(
     out: str | Path | None = None,
     observer: Observer | None = None,
     jobs: int | None = None,
+    scheduler: Scheduler | None = None,
     **settings: Any,
 ) -> Report:
     """Fit models, evolve controllers in them, and compare both; return the report.
 
     ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
     run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
-    written there too. Up to ``jobs`` cells are computed side by side, see `execute`. ``settings`` are those of
-    `Experiment`::
+    written there too. Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler``
+    have room for, see `execute`. ``settings`` are those of `Experiment`::
 
         from evaluation import compare
 
@@ -62,7 +63,7 @@ def compare(
     comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
     comparison.experiment.write(folder / FILE)
     store = Store(folder)
-    execute(comparison.plan, store, observer=observer, jobs=jobs)
+    execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
     return finished(comparison, store)
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from evaluation.comparison.champion_cells import ControllerFiles
 from evaluation.comparison.columns import Column
-from evaluation.comparison.named_files import file_digests
+from evaluation.comparison.named_files import file_digests, named_files
 from sysid_evo.evolution import Champion
 from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, controllers, tasks
@@ -44,6 +44,10 @@ class HandWrittenCell(ControllerFiles):
     @property
     def needs(self) -> tuple[Cell, ...]:
         return tuple(self.models.values())
+
+    @property
+    def at_home(self) -> bool:
+        return bool(self.models) or any(named_files(self.spec))
 
     def inputs(self) -> dict[str, Any]:
         spec = named_models(self.spec, {label: cell.digest for label, cell in self.models.items()})

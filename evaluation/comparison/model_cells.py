@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.comparison.named_files import file_digests
+from evaluation.comparison.named_files import file_digests, named_files
 from evaluation.prediction import (
     FORM,
     PERSISTENCE,
@@ -77,6 +77,10 @@ class FitCell(Cell):
         files = file_digests(self.spec)
         further = {**({"uses": used} if used else {}), **({"files": files} if files else {})}
         return {"model": models.identity(self.spec), "seed": self.seed, **further}
+
+    @property
+    def at_home(self) -> bool:
+        return any(named_files(self.spec))
 
     def compute(self, work: Work) -> DynamicsModel:
         training = work.result(self.data).training

@@ -6,7 +6,14 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from evaluation.comparison.experiment import Experiment
 from sysid_evo.registry import Spec
+
+
+def files_beside(experiment: Experiment) -> dict[str, tuple[str, ...]]:
+    """Return the texts of an experiment that name plugins and robots in files, with their files."""
+    found = (*experiment.plugins, *((experiment.robot,) if experiment.robot else ()))
+    return {text: (text,) for text in found if Path(text).is_file()}
 
 
 def file_digests(spec: Spec) -> list[str]:

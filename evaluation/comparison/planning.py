@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 from evaluation.comparison.advice_cells import AdviseCell
@@ -16,9 +17,11 @@ from evaluation.comparison.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.comparison.families import ALL, asked_models, ensembles_of, made, made_model, models_of
 from evaluation.comparison.hand_written import HandWrittenCell, labels_inside
 from evaluation.comparison.model_cells import FitCell, PredictCell, without_preset
+from evaluation.comparison.named_files import files_beside
 from evaluation.comparison.recipes import chosen_cell, controller_cell, evolution_on
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.transfer import AT_REST, Measured, kept_traces
+from evaluation.transfer.measured import FOLDER
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -38,6 +41,7 @@ from sysid_evo.registry import (
     distinct,
     make_robot,
     robot_spec,
+    robots,
     tasks,
 )
 from sysid_evo.system import System
@@ -144,7 +148,13 @@ def plan_comparison(
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
-    again = Again(AGAIN, settled.model_dump(mode="json", exclude_none=True), after=(data.digest,))
+    again = Again(
+        AGAIN,
+        settled.model_dump(mode="json", exclude_none=True),
+        after=(data.digest,),
+        inside=(FOLDER.as_posix(),),
+        files=files_beside(settled),
+    )
     plan = Plan.of(wanted, remarks=remarks, again=again)
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
 
@@ -183,7 +193,13 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
     """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet."""
     if dataset is not None:
         return farthest_recorded(dataset)
-    dynamics = None if robot is None else make_robot(robot).dynamics
+    return None if robot is None else _farthest_driven(robots.get(robot.name), str(robot))
+
+
+@lru_cache(maxsize=64)
+def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
+    """Return how far the states go on ``robot``, once for all plans of a study; its factory tells namesakes apart."""
+    dynamics = make_robot(robot_spec(robot)).dynamics
     return None if dynamics is None else farthest_driven(dynamics)
 
 

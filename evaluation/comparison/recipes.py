@@ -8,14 +8,22 @@ from evaluation.comparison.champion_cells import ChampionCell, ChooseCell, Evolv
 from evaluation.comparison.columns import Column
 from evaluation.comparison.experiment import Experiment
 from sysid_evo.evolution import ControllerEvolution
+from sysid_evo.registry import make_aggregate
 
+ALONE = "min"
+"""The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
 POLISHED = 2
 """Finalists that the recommended recipe polishes."""
 
 
 def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> ControllerEvolution:
-    """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for."""
+    """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for.
+
+    Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
+    """
     evolution = experiment.evolution
+    if len(members) == 1 and make_aggregate(evolution.aggregate).mean_of_one:
+        evolution = replace(evolution, aggregate=ALONE)
     if experiment.noise is None and any(member.robot is not None for member in members):
         return replace(evolution, noise="")
     return evolution

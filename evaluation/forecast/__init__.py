@@ -1,6 +1,6 @@
 """What a controller will do on the robot, said before it runs there."""
 
-from evaluation.forecast.choosing import chosen_by, worth_by
+from evaluation.forecast.choosing import chosen_by, highest, summary_of, worth_by
 from evaluation.forecast.credibility import credibilities, error_of, weighted_median
 from evaluation.forecast.forecasting import Forecast, forecast_of, forecasts
 from evaluation.forecast.of_models import ModelForecast, model_forecasts
@@ -16,7 +16,9 @@ __all__ = [
     "error_of",
     "forecast_of",
     "forecasts",
+    "highest",
     "model_forecasts",
+    "summary_of",
     "weighted_median",
     "worth_by",
 ]

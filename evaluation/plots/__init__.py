@@ -5,6 +5,7 @@ from evaluation.plots.changes import plot_changes
 from evaluation.plots.evolution import plot_fitness
 from evaluation.plots.exploitability import plot_probes
 from evaluation.plots.prediction import plot_free_run, plot_horizon_curve
+from evaluation.plots.spreads import plot_spreads
 from evaluation.plots.traces import plot_state, plot_trace, plotted_places
 from evaluation.plots.transfer import plot_claims, plot_transfer
 
@@ -17,6 +18,7 @@ __all__ = [
     "plot_free_run",
     "plot_horizon_curve",
     "plot_probes",
+    "plot_spreads",
     "plot_state",
     "plot_trace",
     "plot_transfer",

@@ -57,7 +57,7 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
 
 
 def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
-    """Draw, for each controller, claimed fitness and fitness elsewhere, with two standard errors.
+    """Draw, for each controller, claimed fitness and fitness elsewhere, with 90 % intervals.
 
     Ticks below a claim are the champions of several evolution seeds. Names are folded to ``name_width``.
     """
@@ -66,13 +66,14 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
         found = [
             (row, estimate)
             for row, controller in enumerate(summary.controllers)
-            if (estimate := getattr(controller, kind)) is not None
+            if (estimate := controller.shown.get(kind)) is not None
         ]
         if found:
+            value, low, high = np.array([(one.value, one.low, one.high) for _, one in found]).T
             ax.errorbar(
-                [estimate.value for _, estimate in found],
+                value,
                 [row for row, _ in found],
-                xerr=[2.0 * np.nan_to_num(estimate.standard_error) for _, estimate in found],
+                xerr=np.nan_to_num(np.maximum([value - low, high - value], 0.0)),
                 fmt=marker,
                 markersize=6,
                 markerfacecolor=face,
@@ -82,7 +83,7 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
                 label=label,
             )
     for row, controller in enumerate(summary.controllers):
-        values = [e.value for kind, *_ in MARKS if (e := getattr(controller, kind)) is not None]
+        values = [estimate.value for estimate in controller.shown.values()]
         if len(values) > 1:
             ax.plot([min(values), max(values)], [row, row], color=REFERENCE, linewidth=0.8, zorder=0)
         if len(controller.seed_fitness) > 1:

@@ -15,13 +15,13 @@ from evaluation.advice import advice_to_json
 from evaluation.behaviour import Manner, described, manners
 from evaluation.behaviour.manner import unit_of
 from evaluation.exploitability import ModelExploitability
-from evaluation.forecast import RULE
+from evaluation.forecast import RULE, summary_of
 from evaluation.prediction import Coverage, Difference, EpisodeError, ErrorScore, ModelPrediction, Prediction, Residuals
 from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.report.contents import Report
 from evaluation.report.headlines import headlines
 from evaluation.report.verdict import verdict
-from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary, summarise
+from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary
 from evaluation.transfer.nested import SHARE
 from evaluation.transfer.standing import judges_of
 from sysid_evo.evolution import Champion
@@ -76,7 +76,7 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "schema": SCHEMA,
         "champions": [_champion(champion) for champion in matrix.champions],
         "transfer": _matrix(matrix),
-        "controllers": _summary(summarise(matrix)),
+        "controllers": _summary(summary_of(matrix)),
         "behaviour": _behaviour(manners(matrix), matrix),
     }
     strict: dict[str, Any] = plain(document)

@@ -12,6 +12,7 @@ from evaluation.report.forecasting import forecast_text
 from evaluation.report.overview import drive_command
 from evaluation.report.predicting import horizon_name, main_horizon, predicts, scored
 from evaluation.report.sheets import three_digits
+from evaluation.report.transferring import sized
 from evaluation.transfer import ControllerSummary, Estimate
 
 Tone = Literal["good", "bad", "open"]
@@ -74,7 +75,7 @@ def _trusted(report: Report) -> Headline:
     where = "on the robot" if any(model.achieved is not None for model in judged) else "on the other models"
     told = [f"{m.model} ({_claim(m.claimed, m.elsewhere)})" for m in sorted(lost, key=_loss)]
     if not kept:
-        return Headline(question, "None", f"Every one is exploited: {_few(told)}.", "bad")
+        return Headline(question, "None", f"Every one is exploited, {where}: {_few(told)}.", "bad")
     exploited = f" Exploited: {_few(told)}." if lost else ""
     names = "All of them" if not lost and len(kept) > 1 else _few([model.model for model in kept])
     several = [c for c in report.transfer.controllers if c.exploited and len(c.against) > 1]
@@ -97,19 +98,26 @@ def _taken(report: Report) -> Headline:
 def _worth(pick: ControllerSummary, report: Report) -> str:
     assert report.matrix is not None
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
-    claim = "" if pick.claimed is None else f"Claims {_size(pick.claimed)}{unit}"
+    shown = pick.shown
+    claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
     found = report.forecasts.get(pick.name)
     claim += "" if found is None else f", forecast {forecast_text(found)}"
-    if pick.achieved is not None:
-        return f"{claim}, achieves {_size(pick.achieved)} on the robot."
-    if pick.others is not None:
-        return f"{claim}, reaches {_size(pick.others)} on the other models. Nothing was run on the robot."
+    if "achieved" in shown:
+        return f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
+    if "others" in shown:
+        return f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
     return f"{claim}. Nothing was run on the robot."
 
 
-def _size(estimate: Estimate) -> str:
-    error = estimate.standard_error
-    return f"{estimate.value:.1f} ± {2 * error:.1f}" if error > 0 else f"{estimate.value:.1f}"
+def _better(pick: ControllerSummary, report: Report) -> str:
+    """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
+    assert report.transfer is not None
+    others = [c for c in report.transfer.controllers if c.against and not c.on_robot and c.name != pick.name]
+    reached = [(c.shown["achieved"], c.name) for c in others if "achieved" in c.shown]
+    best = max(reached, key=lambda one: one[0].value, default=None)
+    if best is None or not best[0].low > pick.shown["achieved"].high:
+        return ""
+    return f" {best[1]} does better there: {sized(best[0])}."
 
 
 def _claim(claimed: Estimate | None, achieved: Estimate | None) -> str:

@@ -92,7 +92,7 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
     seeds = " Ticks: the champions of several evolution seeds." if several else ""
     return Picture(
         "Claimed and achieved",
-        f"Bars are two standard errors over trials.{seeds}",
+        f"Bars are 90 % intervals over trials, those of the table below.{seeds}",
         (Panel(drawn("claims", WIDE, 26), drawn("claims-narrow", NARROW, 13)),),
     )
 

@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from evaluation.labels import percent
-from evaluation.transfer import ControllerSummary, TransferMatrix, TransferSummary
+from evaluation.report.sheets import number
+from evaluation.transfer import ControllerSummary, Estimate, TransferMatrix, TransferSummary
 
 KEPT = 0.9
 """A claim is kept from this share of it on."""
 LOST = 0.5
 """A claim is lost below this share of it."""
 ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
+POLISHED = (
+    "{} was polished once, from the best of all searches and seeds together: there is no such controller of each seed, "
+    "and how far another polish would end from it is unknown."
+)
 
 
 def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
@@ -44,7 +49,7 @@ def recommended(matrix: TransferMatrix, summary: TransferSummary, why: str | Non
 def unknown(summary: TransferSummary) -> tuple[str, ...]:
     """Say what the claims leave open."""
     claiming = [c for c in summary.controllers if c.claimed is not None]
-    answers = [ONE_SEED] if any(len(c.seed_fitness) < 2 for c in claiming) else []
+    answers = [said] if (said := seeds_unknown(summary)) else []
     single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
     if single:
         answers.append(f"A single trial on the robot has no error and judges no claim: {', '.join(single)}.")
@@ -85,6 +90,14 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     return tuple(answers)
 
 
+def seeds_unknown(summary: TransferSummary) -> str:
+    """Say of which controllers it is not known how far evolution seeds differ, and why; empty if it is of all."""
+    single = [c for c in summary.controllers if c.claimed is not None and len(c.seed_fitness) < 2]
+    if any(not c.polished for c in single):
+        return ONE_SEED
+    return POLISHED.format(", ".join(c.name for c in single)) if single else ""
+
+
 def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     pairs = [(c.name, c.claimed.value, c.others.value) for c in summary.controllers if c.claimed and c.others]
     if not pairs:
@@ -103,6 +116,11 @@ def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
 
 def _achieved(controller: ControllerSummary, unit: str) -> str:
     assert controller.achieved is not None
-    error = controller.achieved.standard_error
-    size = f"{controller.name}, {controller.achieved.value:.1f}"
-    return f"{size} ± {2 * error:.1f}{unit} (two standard errors)" if error > 0 else f"{size}{unit}"
+    return f"{controller.name}, {sized(controller.shown['achieved'])}{unit}"
+
+
+def sized(estimate: Estimate) -> str:
+    """Return a value with its 90 % interval, alone where it has none."""
+    if not estimate.low < estimate.high:
+        return number(estimate.value)
+    return f"{number(estimate.value)} ({number(estimate.low)} to {number(estimate.high)})"

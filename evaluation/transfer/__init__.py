@@ -4,7 +4,7 @@ from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces,
 from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
-from evaluation.transfer.nested import Nested, regrets
+from evaluation.transfer.nested import Nested, alike, regrets
 from evaluation.transfer.standing import Figures, Standing, standings
 from evaluation.transfer.storage import load_cell, save_cell
 from evaluation.transfer.summary import (
@@ -29,6 +29,7 @@ __all__ = [
     "Trace",
     "TransferMatrix",
     "TransferSummary",
+    "alike",
     "cell_of",
     "fitness_on",
     "is_exploited",

@@ -6,12 +6,16 @@ owe to the trials (Searle, Casella and McCulloch 1992, chapter 4), its degrees o
 (1946), and intervals are Student's. The percentiles of a nested bootstrap cannot leave the range of the seeds: of
 three they hold the truth in about two of three cases (``python -m tests.benchmarks.nested``). Figures that are no
 means, such as the lowest over several models, become sums over trials by the jackknife.
+
+Three seeds may fall into one of two basins together, and then show nothing of how far seeds differ. The other
+controllers of a matrix do: `alike` gives each what is known from the others, as a prior on the variance between its
+seeds (Smyth 2004, of genes in place of controllers).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -25,8 +29,30 @@ from sysid_evo.registry import make_aggregate
 SHARE = 0.9
 """Of repetitions with other seeds and trials, how many give an interval that holds the truth."""
 
+PRIOR_DEGREES = 8.0
+"""What is known from very many other controllers of how far seeds differ counts as much as this many degrees."""
+
 Rule: TypeAlias = Callable[[Array], Array]
 """How fitness on models (models, candidates, trials) becomes one figure (candidates,)."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What other controllers tell of one: the ``variance`` between its seeds, worth this many ``degrees``."""
+
+    variance: float
+    degrees: float
+
+    def with_own(self, variance: float, degrees: float) -> tuple[float, float]:
+        """Return the variance and its degrees with those of the controller's own seeds.
+
+        Own seeds that differ less are believed in part. Those that differ further keep their variance, and what is
+        known from others counts the less: it is not of the same kind.
+        """
+        both = self.degrees + degrees
+        if variance <= self.variance:
+            return (self.degrees * self.variance + degrees * variance) / both, both
+        return variance, degrees + self.degrees * self.variance / variance
 
 
 @dataclass(frozen=True)
@@ -34,14 +60,16 @@ class Nested:
     """A figure over evolution seeds and trials, of one controller or of several that are compared.
 
     ``seeds`` holds, for each controller, what each of its S seeds adds to the figure (S,), ``trials`` what each of its
-    E trials adds in each seed (S, E), both about zero. ``sizes`` are the numbers of trials that went in. Figures can be
-    subtracted, averaged and divided: seeds of one controller and trials are paired.
+    E trials adds in each seed (S, E), both about zero. ``sizes`` are the numbers of trials that went in; ``priors`` say
+    what others tell of how far the seeds of a controller differ, see `alike`. Figures can be subtracted, averaged and
+    divided: seeds of one controller and trials are paired.
     """
 
     value: float
     seeds: Mapping[str, Array] = field(repr=False)
     trials: Mapping[str, Array] = field(repr=False)
     sizes: frozenset[int]
+    priors: Mapping[str, Prior] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, controller: str, fitness: Array, rule: Rule | None = None) -> Nested:
@@ -95,10 +123,13 @@ class Nested:
             seeds = self.seeds[controller]
             count = len(seeds)
             if count > 1:
-                among = float(seeds.var(ddof=1)) / count
+                own, degrees = float(seeds.var(ddof=1)), count - 1.0
+                if controller in self.priors:
+                    own, degrees = self.priors[controller].with_own(own, degrees)
+                among = own / count
                 owed = float(((adds - mean) ** 2).sum()) / (count * (count - 1))
                 if among > owed:
-                    found.append((among - owed, among, count - 1.0))
+                    found.append((among - owed, among, degrees))
         begin = 0
         for end in sorted(self.sizes):
             size = float((of_trial[begin:end] ** 2).sum())
@@ -124,6 +155,28 @@ class Nested:
         return self.value - reach, self.value + reach
 
 
+def alike(figures: Mapping[str, Nested]) -> dict[str, Nested]:
+    """Return the same figure of several controllers, by their names, each told by the others how far seeds differ.
+
+    The prior of a controller is the mean variance between the seeds of each other one that has several, as if it came
+    from `PRIOR_DEGREES` degrees of freedom, or fewer where the others are few.
+    """
+    own = {
+        name: (float(seeds.var(ddof=1)), len(seeds) - 1.0)
+        for name, figure in figures.items()
+        if len(seeds := figure.seeds[name]) > 1
+    }
+    found = dict(figures)
+    for name in own:
+        others = np.array([one for label, one in own.items() if label != name])
+        if len(others):
+            variances, degrees = others.T
+            worth = 1.0 / (1.0 / PRIOR_DEGREES + 1.0 / degrees.sum())
+            prior = Prior(float(np.average(variances, weights=degrees)), float(worth))
+            found[name] = replace(figures[name], priors={**figures[name].priors, name: prior})
+    return found
+
+
 def regrets(figures: Mapping[str, Nested]) -> dict[str, Nested]:
     """Return by how much each of ``figures`` falls short of the best other one: what taking it costs.
 
@@ -139,10 +192,17 @@ def regrets(figures: Mapping[str, Nested]) -> dict[str, Nested]:
 
 
 def _sum(value: float, parts: Sequence[tuple[float, Nested]]) -> Nested:
-    """Return the weighted sum of figures: what one controller adds to several of them adds up, trial by trial."""
+    """Return the weighted sum of figures: what one controller adds to several of them adds up, trial by trial.
+
+    What others tell of a controller that is in one of them alone stays with it; of the sum of two they tell nothing.
+    """
     seeds: dict[str, Array] = {}
     trials: dict[str, Array] = {}
+    priors: dict[str, Prior] = {}
     for weight, figure in parts:
+        for controller, prior in figure.priors.items():
+            if sum(controller in other.seeds for _, other in parts) == 1:
+                priors[controller] = replace(prior, variance=weight**2 * prior.variance)
         for controller, adds in figure.trials.items():
             own, length = weight * figure.seeds[controller], adds.shape[1]
             if controller not in seeds:
@@ -156,4 +216,4 @@ def _sum(value: float, parts: Sequence[tuple[float, Nested]]) -> Nested:
             longest = max(length, trials[controller].shape[1])
             padded = [np.pad(a, ((0, 0), (0, longest - a.shape[1]))) for a in (trials[controller], weight * adds)]
             seeds[controller], trials[controller] = seeds[controller] + own, padded[0] + padded[1]
-    return Nested(value, seeds, trials, frozenset().union(*(figure.sizes for _, figure in parts)))
+    return Nested(value, seeds, trials, frozenset().union(*(figure.sizes for _, figure in parts)), priors)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from evaluation.transfer.claims import Estimate
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.nested import Nested, Rule, regrets
+from evaluation.transfer.nested import Nested, Rule, alike, regrets
 from sysid_evo.evolution import Champion
 from sysid_evo.registry import make_aggregate
 
@@ -40,17 +40,24 @@ class Standing:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of the controllers of a matrix: of each one alone, or of the controllers of all its evolution seeds."""
+    """Figures of the controllers of a matrix: of each one alone, or of the controllers of all its evolution seeds.
+
+    Then each tells the others how far evolution seeds differ, see `alike`. Shares of the claim are measured from the
+    fitness of ``at_rest``, the name of the controller that does nothing; None to measure from 0.
+    """
 
     matrix: TransferMatrix
     all_seeds: bool = False
+    at_rest: str | None = None
 
     @cached_property
     def singles(self) -> Mapping[tuple[str, str], Nested]:
         """The mean fitness of every controller on every column that it was run on."""
-        pairs = [(champion, column) for champion in self.matrix.champions for column in self.matrix.columns]
-        found = {(one.name, column): self.on(one, [column], make_aggregate("mean")) for one, column in pairs}
-        return {pair: figure for pair, figure in found.items() if figure is not None}
+        mean, found = make_aggregate("mean"), {}
+        for column in self.matrix.columns:
+            of_column = self._of_all(partial(self.on, columns=[column], rule=mean))
+            found.update({(name, column): figure for name, figure in of_column.items()})
+        return found
 
     @cached_property
     def known(self) -> Mapping[tuple[str, str], Nested]:
@@ -68,15 +75,36 @@ class Figures:
             return None
         return Nested.of(champion.name, np.stack([one[:, :trials] for one in found]), rule)
 
-    def claimed(self, champion: Champion) -> Nested | None:
-        """Return the fitness on what it was evolved against, by the rule of its evolution."""
-        return self.on(champion, champion.against, make_aggregate(champion.aggregate))
+    @cached_property
+    def claimed(self) -> Mapping[str, Nested]:
+        """The fitness of each on what it was evolved against, by the rule of its evolution."""
+        return self._of_all(lambda one: self.on(one, one.against, make_aggregate(one.aggregate)))
 
-    def elsewhere(self, champion: Champion) -> Nested | None:
-        """Return the fitness on the robot, without one the mean over the models that it was not evolved against."""
-        if self.matrix.robot is not None:
-            return self.singles.get((champion.name, self.matrix.robot))
-        return self.on(champion, self._run(champion, self.matrix.models), make_aggregate("mean"))
+    @cached_property
+    def elsewhere(self) -> Mapping[str, Nested]:
+        """The fitness of each on the robot, without one the mean over the models that it was not evolved against."""
+        mean, robot = make_aggregate("mean"), self.matrix.robot
+        if robot is not None:
+            return {name: figure for (name, column), figure in self.singles.items() if column == robot}
+        return self._of_all(lambda one: self.on(one, self._run(one, self.matrix.models), mean))
+
+    @cached_property
+    def gap(self) -> Mapping[str, Nested]:
+        """What each claims less what it achieves."""
+        return alike({name: self.claimed[name] - self.elsewhere[name] for name in self._with_both})
+
+    @cached_property
+    def kept(self) -> Mapping[str, Nested]:
+        """The share of a positive claim that each achieves, both measured from controls at rest."""
+        floor = None if self.at_rest is None else Figures(self.matrix).elsewhere.get(self.at_rest)
+        found = {}
+        for name in self._with_both:
+            claimed, achieved = self.claimed[name], self.elsewhere[name]
+            if floor is not None:
+                claimed, achieved = claimed - floor, achieved - floor
+            if claimed.value > 0.0:
+                found[name] = achieved.over(claimed)
+        return alike(found)
 
     def consensus(self, champion: Champion) -> Nested | None:
         """Return the median over the models of families that it was not evolved in."""
@@ -103,6 +131,16 @@ class Figures:
                 found.append(regrets(there)[champion.name])
         return max(found, key=lambda figure: figure.value, default=None)
 
+    @property
+    def _with_both(self) -> list[str]:
+        """Return the controllers whose claim is known, and what they achieve."""
+        return [name for name in self.claimed if name in self.elsewhere]
+
+    def _of_all(self, figure: Callable[[Champion], Nested | None]) -> dict[str, Nested]:
+        """Return a figure of every controller that has it."""
+        found = {one.name: figure(one) for one in self.matrix.champions}
+        return alike({name: one for name, one in found.items() if one is not None})
+
     def _run(self, champion: Champion, columns: Sequence[str]) -> list[str]:
         """Return those of ``columns`` that it was run on and not evolved against."""
         others = [column for column in columns if column not in champion.against]
@@ -121,41 +159,30 @@ def standings(matrix: TransferMatrix, at_rest: str | None = None, *, all_seeds: 
 
     ``at_rest`` names the controller that does nothing, from whose fitness shares are measured; None to measure from 0.
     """
-    alone, several = Figures(matrix), Figures(matrix, all_seeds=True)
-    resting = next((one for one in matrix.champions if one.name == at_rest), None)
-    floor = None if resting is None else alone.elsewhere(resting)
+    figures = Figures(matrix, all_seeds=all_seeds, at_rest=at_rest)
     found = {}
     for champion in matrix.champions:
         seeds = max((len(matrix.cell(champion.name, column).by_seed) for column in matrix.columns), default=0)
         if not all_seeds:
-            found[champion.name] = _standing(champion, alone, floor)
+            found[champion.name] = _standing(champion, figures)
         elif seeds > 1:
-            found[champion.name] = _standing(champion, several, floor, seeds)
+            found[champion.name] = _standing(champion, figures, seeds)
     return found
 
 
-def _standing(champion: Champion, figures: Figures, floor: Nested | None, seeds: int = 1) -> Standing:
-    claimed, achieved = figures.claimed(champion), figures.elsewhere(champion)
+def _standing(champion: Champion, figures: Figures, seeds: int = 1) -> Standing:
     worst, worst_on = figures.worst(champion)
-    both = claimed is not None and achieved is not None
+    name = champion.name
     return Standing(
         seeds=seeds,
-        claimed=_estimate(claimed),
-        achieved=_estimate(achieved),
-        gap=_estimate(claimed - achieved) if claimed is not None and achieved is not None else None,
-        kept=_estimate(_share(achieved, claimed, floor)) if both else None,
+        claimed=_estimate(figures.claimed.get(name)),
+        achieved=_estimate(figures.elsewhere.get(name)),
+        gap=_estimate(figures.gap.get(name)),
+        kept=_estimate(figures.kept.get(name)),
         worst=_estimate(worst),
         worst_on=worst_on,
         regret=_estimate(figures.regret(champion), least=0.0),
     )
-
-
-def _share(achieved: Nested | None, claimed: Nested | None, floor: Nested | None) -> Nested | None:
-    if achieved is None or claimed is None:
-        return None
-    if floor is not None:
-        achieved, claimed = achieved - floor, claimed - floor
-    return achieved.over(claimed) if claimed.value > 0.0 else None
 
 
 def _estimate(figure: Nested | None, *, least: float = -np.inf) -> Estimate | None:

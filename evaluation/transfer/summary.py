@@ -56,6 +56,15 @@ class ControllerSummary:
         return self.others if self.achieved is None else self.achieved
 
     @property
+    def shown(self) -> Mapping[str, Estimate]:
+        """What there is of claimed, others, other_families and achieved, with the intervals of its `Standing`."""
+        at, elsewhere = self.standing, "others" if self.achieved is None else "achieved"
+        found = {"claimed": self.claimed, "others": self.others, "other_families": self.other_families}
+        found |= {"achieved": self.achieved, "claimed": at.claimed or self.claimed}
+        found[elsewhere] = at.achieved or found[elsewhere]
+        return {name: estimate for name, estimate in found.items() if estimate is not None}
+
+    @property
     def exploited(self) -> bool | None:
         """Whether its claim is exploited; None where that cannot be said, or it was evolved on the robot itself."""
         gap = self.exploitation_gap if self.achieved is None else self.reality_gap
@@ -87,10 +96,9 @@ class RankCorrelation:
 class TransferSummary:
     """All controllers, the one to pick without the robot, and what would have predicted success.
 
-    ``pick`` is the controller that was polished, by the recommended recipe. Where there is none it has the highest
-    median fitness on models of other families; controllers evolved on the robot itself, people, and those that
-    no other family can judge, are left out; all but the last also of the correlations: what the first claim is
-    what they achieve, and people claim nothing.
+    ``pick`` is None until one is chosen, by its forecast: see `evaluation.forecast.chosen_by`. Controllers evolved on
+    the robot itself, and people, are left out of the correlations: what the first claim is what they achieve, and
+    people claim nothing.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -103,7 +111,7 @@ class TransferSummary:
 
 
 def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
-    """Condense the matrix; ``seed`` is that of the bootstrap over trials."""
+    """Condense the matrix, nothing picked yet; ``seed`` is that of the bootstrap over trials."""
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
     at_rest = [
         champion.name for champion in matrix.champions if champion.controller.name == AT_REST and not champion.against
@@ -114,15 +122,13 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
         replace(one, floor=floor, standing=alone[one.name], over_seeds=several.get(one.name)) for one in controllers
     )
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
-    judged = [c for c in elsewhere if c.other_families is not None]
-    best = max(judged, key=lambda c: c.other_families.value if c.other_families else -np.inf, default=None)
     correlations = tuple(
         _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])
         for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))
     )
     return TransferSummary(
         controllers=controllers,
-        pick=next((c.name for c in controllers if c.polished), None if best is None else best.name),
+        pick=None,
         best_on={column: matrix.best(column) for column in matrix.columns},
         correlations=correlations if matrix.robot is not None else (),
     )

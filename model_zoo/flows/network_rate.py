@@ -110,6 +110,21 @@ class NetworkRate(Uncertain):
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
+        from model_zoo.flows.training import train_flow_further
+        from model_zoo.networks.multistep import FURTHER_RATE, Plan
+
+        plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE, input_noise=self.input_noise)
+        physics, physical = self.physics(), self.physical_ if len(self.initial) else self.initial
+        network, physical = train_flow_further(
+            self.network, dataset, self.lags, plan, rng, physics=physics, physical=physical
+        )
+        other = self.variant()
+        other.weights_, other.biases_ = list(network.weights), list(network.biases)
+        if len(self.initial):
+            other.physical_ = physical
+        return other
+
     def known_rate(self, state: Array, control: Array) -> Array | None:
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
         return None

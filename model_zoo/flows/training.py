@@ -128,5 +128,28 @@ def train_flow(
     if physics is not None:
         model.know(physics, physical)
     best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
-    network = model.layers.network(best).folded(model.centre, model.scale, model.rates)
-    return FittedFlow(network, np.exp(best[0, model.layers.size :].astype(np.float64)), float(errors[0]))
+    return FittedFlow(model.network(best), _physical(model, best), float(errors[0]))
+
+
+def train_flow_further(
+    network: Network,
+    dataset: Dataset,
+    lags: tuple[int, int],
+    plan: Plan,
+    rng: np.random.Generator,
+    *,
+    physics: Physics | None,
+    physical: Array,
+) -> tuple[Network, Array]:
+    """Train a ``network`` and ``physical`` parameters, which `train_flow` found, on all of ``dataset``."""
+    model = Flow(dataset, lags, hidden=[weight.shape[2] for weight in network.weights[:-1]], rng=rng)
+    if physics is not None:
+        model.know(physics, physical)
+    model.begin_with(network)
+    found = model.learn_further(dataset, plan, Trainings(rng))
+    return model.network(found), _physical(model, found)
+
+
+def _physical(model: Flow, parameters: Single) -> Array:
+    """Return the physical part (n,) of ``parameters`` (1, P)."""
+    return np.asarray(np.exp(parameters[0, model.layers.size :].astype(np.float64)))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from model_zoo.flows.runge_kutta import rk4
 from model_zoo.hidden.observer import Observer
 from model_zoo.hidden.records import Scales
 from model_zoo.hidden.shooting import FAR, Spaces
@@ -19,6 +20,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
+LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_")
 SETTLING = 300
 """Steps after which a body that is left alone rests."""
 
@@ -28,9 +30,10 @@ class StateSpaceModel(DynamicsModel):
 
         x' = outer (x, u, 1, units(inner (x, u, 1))) + gain (y - output x - offset),  y' = output x' + offset
 
-    Each member has states of its own; the output is their weighted mean. In a free run y is the model's own, and
-    the gain corrects nothing. Where y is overwritten, by a measurement, a limit, or another model, it corrects the
-    hidden states. `start` runs this observer over the last ``history_`` samples. Samples that were only repeated
+    Of a flow the first term is dx/dt, time in samples, and x' the state after one Runge-Kutta step of it, plus the
+    correction. Each member has states of its own; the output is their weighted mean. In a free run y is the model's
+    own, and the gain corrects nothing. Where y is overwritten, by a measurement, a limit, or another model, it corrects
+    the hidden states. `start` runs this observer over the last ``history_`` samples. Samples that were only repeated
     before the first are left out there: the first state again under neutral controls.
     """
 
@@ -46,14 +49,22 @@ class StateSpaceModel(DynamicsModel):
     def n_carry(self) -> int:
         return self.system.nx + len(self.rest_)
 
+    @property
+    def flows(self) -> bool:
+        """Whether what was learned is a differential equation."""
+        return bool(getattr(self, "flow_", False))
+
     def adopt(self, scales: Scales, members: list[Spaces], observers: list[Observer], weights: Array) -> None:
         """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
         ny = len(scales.output_scale)
+        if members[0].flow:
+            self.flow_ = True
         self.outer_, self.inner_, self.kinds_ = [], [], [member.kinds[0] for member in members]
         outputs = []
         for member, weight in zip(members, weights, strict=True):
             outer = member.pace[:, None] * member.outer[0]
-            outer[:, : member.n] += np.eye(member.n)
+            if not member.flow:
+                outer[:, : member.n] += np.eye(member.n)
             self.outer_.append(_of_raw_controls(outer, member.n, scales))
             self.inner_.append(_of_raw_controls(member.inner[0].copy(), member.n, scales))
             outputs.append(weight * np.diag(scales.output_scale) @ np.eye(ny, member.n))
@@ -64,6 +75,27 @@ class StateSpaceModel(DynamicsModel):
         self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
         self.history_ = max(one.history for one in observers)
         self.rest_ = self._settled()
+
+    def replaced_by(self, linear: StateSpaceModel | None) -> None:
+        """Learn what a ``linear`` state space has learned, if there is one; `fit_note` says so."""
+        self.linear_order_ = 0
+        if linear is None:
+            return
+        for name in LEARNED:
+            setattr(self, name, getattr(linear, name))
+        if self.flows:
+            self.flow_ = False
+        self.linear_order_ = len(self.rest_)
+
+    @property
+    def fit_note(self) -> str:
+        said = [super().fit_note]
+        if getattr(self, "linear_order_", 0):
+            said.append(
+                f"the recording does not tell the weights of a network: this is a linear state space of order "
+                f"{self.linear_order_}"
+            )
+        return "; ".join(sentence for sentence in said if sentence)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         neutral, idle = self.system.neutral_state, self.system.neutral_control
@@ -107,6 +139,7 @@ class StateSpaceModel(DynamicsModel):
             offset=self.offset_,
             gain=self.gain_,
             far=FAR,
+            flow=self.flows,
             rest=np.concatenate([band, rest, self.system.neutral_control]) if self.rest_hold else None,
         )
 
@@ -131,13 +164,18 @@ class StateSpaceModel(DynamicsModel):
     def _advanced(self, outputs: Array, hidden: Array, control: Array) -> Array:
         """Return the next hidden states (B, n), corrected by how far ``outputs`` (B, ny) are off."""
         off = outputs - hidden @ self.output_.T - self.offset_
+        after = rk4(lambda at: self._rates(at, control), hidden, 1.0) if self.flows else self._rates(hidden, control)
+        return np.clip(after + off @ self.gain_.T, -FAR, FAR)
+
+    def _rates(self, hidden: Array, control: Array) -> Array:
+        """Return the next states (B, n) before any correction, or the rates of a flow."""
         parts, at, ones = [], 0, np.ones((len(hidden), 1))
         for outer, inner, kinds in zip(self.outer_, self.inner_, self.kinds_, strict=True):
             seen = np.concatenate([hidden[:, at : at + len(outer)], control, ones], axis=1)
             units = values(kinds, seen @ inner.T)
             parts.append(np.concatenate([seen, units], axis=1) @ outer.T)
             at += len(outer)
-        return np.clip(np.concatenate(parts, axis=1) + off @ self.gain_.T, -FAR, FAR)
+        return np.concatenate(parts, axis=1)
 
 
 def _of_raw_controls(weights: Array, n: int, scales: Scales) -> Array:

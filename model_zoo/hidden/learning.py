@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -12,7 +12,7 @@ import numpy as np
 from model_zoo.hidden.observer import Observer, observer
 from model_zoo.hidden.records import Record, Scales, Segments, records
 from model_zoo.hidden.shooting import FAR, Spaces, Trained, train
-from model_zoo.hidden.subspace import Subspace, linear_space
+from model_zoo.hidden.subspace import Subspace, flowing, linear_space
 from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.data import Dataset
 
@@ -31,17 +31,21 @@ LOST = 1.0
 
 @dataclass(frozen=True)
 class Lesson:
-    """Recordings in units of deviation, and segments of at most ``horizon`` steps of them."""
+    """Recordings in units of deviation, and segments of at most ``horizon`` steps of them.
+
+    With ``flow`` what learns from them is a differential equation.
+    """
 
     scales: Scales
     parts: list[Record]
     horizon: int
+    flow: bool = False
 
     @classmethod
-    def of(cls, dataset: Dataset, horizon: int, scales: Scales | None = None) -> Self:
+    def of(cls, dataset: Dataset, horizon: int, scales: Scales | None = None, *, flow: bool = False) -> Self:
         """Prepare ``dataset`` in its own units of deviation, or in those given."""
         scales = scales or Scales.of(dataset)
-        return cls(scales, records(dataset, scales), horizon)
+        return cls(scales, records(dataset, scales), horizon, flow)
 
     @cached_property
     def subspace(self) -> Subspace:
@@ -63,8 +67,9 @@ class Lesson:
     def linear(self, order: int) -> Spaces:
         """Return the linear space that the subspace gives, made stable if it is not."""
         found = linear_space(self.subspace, order)
-        outer = found.rates / found.pace[:, None]
-        return stabilised(Spaces.linear(outer[None], found.pace))
+        rates = flowing(found.rates) if self.flow else found.rates
+        outer = rates / found.pace[:, None]
+        return stabilised(Spaces.linear(outer[None], found.pace, flow=self.flow))
 
     def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
@@ -111,7 +116,7 @@ class Lesson:
                 outer = spaces.outer.copy()
                 outer[lost] = 0.0
                 outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
-                spaces = Spaces(outer, spaces.inner, spaces.pace, spaces.kinds)
+                spaces = replace(spaces, outer=outer)
                 starts[lost] = self.blank(segments, spaces)[lost]
             share = iterations * (number + 1) // len(later) - iterations * number // len(later)
             trained, before = train(spaces, segments, starts, share, told), segments
@@ -171,18 +176,20 @@ class Lesson:
 
 def joined(one: Trained, other: Trained) -> Trained:
     """Return the spaces of both trainings, which are alike but for their weights, side by side."""
-    spaces = Spaces(
-        np.concatenate([one.spaces.outer, other.spaces.outer]),
-        np.concatenate([one.spaces.inner, other.spaces.inner]),
-        one.spaces.pace,
-        np.concatenate([one.spaces.kinds, other.spaces.kinds]),
+    spaces = replace(
+        one.spaces,
+        outer=np.concatenate([one.spaces.outer, other.spaces.outer]),
+        inner=np.concatenate([one.spaces.inner, other.spaces.inner]),
+        kinds=np.concatenate([one.spaces.kinds, other.spaces.kinds]),
     )
     return Trained(spaces, np.concatenate([one.starts, other.starts]), np.concatenate([one.error, other.error]))
 
 
 def radius(space: Spaces) -> float:
     """Return the spectral radius of the linear part of one space."""
-    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
+    seen = space.inner.shape[2]
+    linear = Spaces.linear(space.outer[..., :seen], space.pace, flow=space.flow)
+    drift = linear.jacobian(np.zeros((1, 1, space.n)), np.zeros((1, seen - space.n - 1)))[0, 0]
     return float(np.abs(np.linalg.eigvals(drift)).max())
 
 
@@ -190,10 +197,13 @@ def stabilised(space: Spaces) -> Spaces:
     """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
     if radius(space) <= UNSTABLE:
         return space
-    drift = np.eye(space.n) + space.pace[:, None] * space.outer[0, :, : space.n]
-    values, vectors = np.linalg.eig(drift)
-    values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
+    one = np.zeros((space.n, space.n)) if space.flow else np.eye(space.n)
+    values, vectors = np.linalg.eig(one + space.pace[:, None] * space.outer[0, :, : space.n])
+    if space.flow:
+        values = np.minimum(values.real, np.log(STABLE)) + 1j * values.imag
+    else:
+        values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
     outer = space.outer.copy()
     kept = (vectors * values) @ np.linalg.pinv(vectors)
-    outer[0, :, : space.n] = (kept.real - np.eye(space.n)) / space.pace[:, None]
-    return Spaces(outer, space.inner, space.pace, space.kinds)
+    outer[0, :, : space.n] = (kept.real - one) / space.pace[:, None]
+    return replace(space, outer=outer)

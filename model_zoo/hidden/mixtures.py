@@ -57,4 +57,4 @@ def networks(linear: Spaces, mixtures: list[Mixture], hidden: int, rng: np.rando
             if unit.controls:
                 inner[s, h] *= np.where(np.arange(seen) < n, 0.0, STEEPER)
     outer = np.concatenate([linear.outer, np.zeros((1, n, hidden))], axis=2).repeat(count, axis=0)
-    return Spaces(outer, inner, linear.pace, kinds)
+    return Spaces(outer, inner, linear.pace, kinds, linear.flow)

@@ -2,7 +2,8 @@
 
     x' = x + pace (Outer (x, u, 1, units(Inner (x, u, 1)))),  y = the first states
 
-The Jacobian comes from forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
+or the flow of dx/dt = pace (...), time in samples, by one step of the classical Runge-Kutta method. The Jacobian comes
+from forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from model_zoo.flows.runge_kutta import rk4
 from model_zoo.hidden.records import Segments
 from model_zoo.hidden.units import slopes, values
 from sysid_evo.arrays import Array, BoolArray, IntArray
@@ -32,24 +34,29 @@ SAME, LOOSE = 1e-5, 1e-2
 
 @dataclass(frozen=True)
 class Spaces:
-    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``kinds`` (S, h)."""
+    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``kinds`` (S, h).
+
+    They step by the change in one sample, or with ``flow`` by a differential equation.
+    """
 
     outer: Array
     inner: Array
     pace: Array
     kinds: IntArray
+    flow: bool = False
 
     @classmethod
-    def linear(cls, outer: Array, pace: Array) -> Self:
+    def linear(cls, outer: Array, pace: Array, *, flow: bool = False) -> Self:
         """Return spaces without units, from ``outer`` (S, n, n + nu + 1)."""
-        return cls(outer, np.empty((len(outer), 0, outer.shape[2])), pace, np.empty((len(outer), 0), dtype=np.int64))
+        none = np.empty((len(outer), 0, outer.shape[2]))
+        return cls(outer, none, pace, np.empty((len(outer), 0), dtype=np.int64), flow)
 
     def __len__(self) -> int:
         return len(self.outer)
 
     def __getitem__(self, rows: Sequence[int] | IntArray) -> Spaces:
         chosen = np.asarray(rows, dtype=np.int64)
-        return Spaces(self.outer[chosen], self.inner[chosen], self.pace, self.kinds[chosen])
+        return replace(self, outer=self.outer[chosen], inner=self.inner[chosen], kinds=self.kinds[chosen])
 
     @property
     def n(self) -> int:
@@ -85,31 +92,52 @@ class Spaces:
 
     def step(self, states: Array, controls: Array) -> Array:
         """Return the next states (S, B, n) under ``controls`` (B, nu)."""
+        if self.flow:
+            return np.asarray(rk4(lambda at: self.rates(at, controls), states, 1.0))
+        return states + self.rates(states, controls)
+
+    def rates(self, states: Array, controls: Array) -> Array:
+        """Return the change of the states (S, B, n) in one sample, of a flow if it went on as it begins."""
         regressors = self._regressors(states, controls)
         inside = regressors @ self.inner.swapaxes(1, 2)
         units = np.stack([values(own, s) for own, s in zip(self.kinds, inside, strict=True)])
-        rates = np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2)
-        return states + self.pace * rates
+        return self.pace * (np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2))
 
     def run(self, states: Array, controls: Array) -> Array:
         """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
+        from model_zoo.kernels.flow_shooting import compiled_flow_run
         from model_zoo.kernels.shooting import compiled_run
 
         out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
-        room = np.empty(self._room)
+        room = np.empty(self._room + 2 * self.n)
+        compiled = compiled_flow_run() if self.flow else compiled_run()
         for s in range(len(self)):
             own = self._arguments(s, states[s], controls, 0)
-            compiled_run()(*own, np.array([FAR]), out[s].reshape(-1), room)
+            compiled(*own, np.array([FAR]), out[s].reshape(-1), room)
         return out
 
     def jacobian(self, states: Array, controls: Array) -> Array:
         """Return dx'/dx (S, B, n, n)."""
+        one = np.eye(self.n)
+        if not self.flow:
+            through, linear = self._slopes(states, controls)
+            return np.asarray(through + one + linear)
+
+        def rates(at: Array) -> Array:
+            own, (through, linear) = at[..., 0], self._slopes(at[..., 0], controls)
+            return np.concatenate([self.rates(own, controls)[..., None], (through + linear) @ at[..., 1:]], axis=3)
+
+        begin = np.concatenate([states[..., None], np.broadcast_to(one, (*states.shape, self.n))], axis=3)
+        return np.asarray(rk4(rates, begin, 1.0)[..., 1:])
+
+    def _slopes(self, states: Array, controls: Array) -> tuple[Array, Array]:
+        """Return the derivatives of `rates` by the states, through the units (S, B, n, n) and of the linear part."""
         regressors = self._regressors(states, controls)
         inside = regressors @ self.inner.swapaxes(1, 2)
         steep = np.stack([slopes(own, s) for own, s in zip(self.kinds, inside, strict=True)])
         weights = self.pace[:, None] * self.outer[:, None, :, regressors.shape[2] :]
         through = weights @ steep @ self.inner[:, None, :, : self.n]
-        return np.asarray(through + np.eye(self.n) + self.pace[:, None] * self.outer[:, None, :, : self.n])
+        return through, self.pace[:, None] * self.outer[:, None, :, : self.n]
 
     def _regressors(self, states: Array, controls: Array) -> Array:
         shape = *states.shape[:2], controls.shape[1]
@@ -133,20 +161,22 @@ class Spaces:
         States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
         a sample does not count; the last n are those by the start.
         """
+        from model_zoo.kernels.flow_shooting import compiled_flow_sensitivities
         from model_zoo.kernels.shooting import compiled_sensitivities
 
         ny = segments.outputs.shape[2]
         size = self.outer[s].size + self.inner[s].size + self.n
         states = np.empty((*segments.counts.shape, self.n))
         derivatives = np.empty((*segments.counts.shape, ny, size))
-        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n))
-        compiled_sensitivities()(
+        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2))
+        compiled = compiled_flow_sensitivities() if self.flow else compiled_sensitivities()
+        compiled(
             *self._arguments(s, starts, segments.controls, ny),
             segments.counts.reshape(-1),
             np.array([np.inf]),
             states.reshape(-1),
             derivatives.reshape(-1),
-            *np.empty((2, self.n * size)),
+            *np.empty((4 if self.flow else 2, self.n * size)),
             room,
         )
         return states[..., :ny], derivatives

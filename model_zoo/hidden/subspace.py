@@ -15,6 +15,8 @@ MOST_PAST = 20
 SHARE = 4
 """Samples for each coefficient of the predictor, at least."""
 RIDGE = 1e-8
+FASTEST = 0.1
+"""What is left of the fastest mode of a differential equation after a sample, at least."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,23 @@ def linear_space(sequence: Subspace, order: int) -> LinearSpace:
     penalty = RIDGE * len(now) * np.eye(regressors.shape[1])
     rates = np.linalg.solve(regressors.T @ regressors + penalty, regressors.T @ change).T
     return LinearSpace(rates, np.maximum(np.sqrt(np.mean(change**2, axis=0)), 1e-3))
+
+
+def flowing(rates: Array) -> Array:
+    """Return the rates of the differential equation that steps as x' = x + ``rates`` (n, n + nu + 1) (x, u, 1) does.
+
+    No differential equation has modes that change their sign from sample to sample, or that are over at once: in
+    their place are modes that decay fast and end where those end.
+    """
+    n = len(rates)
+    modes, vectors = np.linalg.eig(np.eye(n) + rates[:, :n])
+    followed = np.where((modes.imag == 0.0) & (modes.real < FASTEST), FASTEST, modes.astype(np.complex128))
+    slow = np.log(followed * np.maximum(1.0, FASTEST / np.abs(followed)))
+    near = np.abs(modes - 1.0) < 1e-6
+    share = np.where(near, 1.0, slow / np.where(near, 1.0, modes - 1.0))
+    back = np.linalg.pinv(vectors)
+    drift, drive = (vectors * slow) @ back, (vectors * share) @ back @ rates[:, n:]
+    return np.concatenate([drift.real, drive.real], axis=1)
 
 
 def _with_past(part: Record, past: int) -> tuple[Array, Array, Array]:

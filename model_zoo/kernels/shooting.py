@@ -53,10 +53,7 @@ def sensitivities(
     pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
     seen = n + nu + 1
     width = seen + units
-    before = n * width
-    size = before + units * seen + n
-    through = width + 2 * units
-    by_state = through + n * units
+    size = n * width + units * seen + n
     far = limit[0]
     for piece in range(pieces):
         at = piece * (steps + 1) * n
@@ -72,35 +69,45 @@ def sensitivities(
                     derivatives[(row * ny + i) * size + j] = counts[row] * now[i * size + j]
             if k < steps:
                 look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
-                for i in range(n):
-                    for h in range(units):
-                        share = outer[i * width + seen + h] * room[width + h]
-                        if h + 1 < units and kinds[h + 1] == 4:
-                            share += outer[i * width + seen + h + 1] * room[width + units + h]
-                        room[through + i * units + h] = share
-                    for j in range(n):
-                        total = outer[i * width + j]
-                        for h in range(units):
-                            total += room[through + i * units + h] * inner[h * seen + j]
-                        room[by_state + i * n + j] = pace[i] * total
-                    room[by_state + i * n + i] += 1.0
-                for i in range(n):
-                    for j in range(size):
-                        after[i * size + j] = 0.0
-                    for m in range(n):
-                        share = room[by_state + i * n + m]
-                        for j in range(size):
-                            after[i * size + j] += share * now[m * size + j]
-                    for j in range(width):
-                        after[i * size + i * width + j] += pace[i] * room[j]
-                    for h in range(units):
-                        share = pace[i] * room[through + i * units + h]
-                        for j in range(seen):
-                            after[i * size + before + h * seen + j] += share * room[j]
+                push(outer, inner, kinds, pace, n, seen, units, 1.0, now, after, room)
                 advance(states, at, outer, pace, n, width, far, room)
                 at += n
                 for j in range(n * size):
                     now[j] = after[j]
+
+
+def push(outer, inner, kinds, pace, n, seen, units, kept, now, after, room):
+    """Write the derivatives after those now: of the rates where `look` looked, and ``kept`` times of the states."""
+    width = seen + units
+    before = n * width
+    size = before + units * seen + n
+    through = width + 2 * units
+    by_state = through + n * units
+    for i in range(n):
+        for h in range(units):
+            share = outer[i * width + seen + h] * room[width + h]
+            if h + 1 < units and kinds[h + 1] == 4:
+                share += outer[i * width + seen + h + 1] * room[width + units + h]
+            room[through + i * units + h] = share
+        for j in range(n):
+            total = outer[i * width + j]
+            for h in range(units):
+                total += room[through + i * units + h] * inner[h * seen + j]
+            room[by_state + i * n + j] = pace[i] * total
+        room[by_state + i * n + i] += kept
+    for i in range(n):
+        for j in range(size):
+            after[i * size + j] = 0.0
+        for m in range(n):
+            share = room[by_state + i * n + m]
+            for j in range(size):
+                after[i * size + j] += share * now[m * size + j]
+        for j in range(width):
+            after[i * size + i * width + j] += pace[i] * room[j]
+        for h in range(units):
+            share = pace[i] * room[through + i * units + h]
+            for j in range(seen):
+                after[i * size + before + h * seen + j] += share * room[j]
 
 
 def look(states, at, controls, place, inner, kinds, n, nu, units, room):

@@ -19,6 +19,9 @@ from sysid_evo.system import System
 HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)
 MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
+UNBOUNDED = 1e30
+"""More than any rate."""
+
 
 def state_space_kernel(
     system: System,
@@ -30,9 +33,13 @@ def state_space_kernel(
     offset: Array,
     gain: Array,
     far: float,
+    flow: bool,
     rest: Array | None,
 ) -> DynamicsKernel:
-    """Return the kernel of a `StateSpaceModel`; ``rest`` is band, hidden band, neutral state, hidden rest, control."""
+    """Return the kernel of a `StateSpaceModel`; ``rest`` is band, hidden band, neutral state, hidden rest, control.
+
+    Of a ``flow`` the weights give rates, as `flow_step` says.
+    """
     blocks, at = [], 0
     for own_outer, own_inner, own_kinds in zip(outer, inner, kinds, strict=True):
         n, count = len(own_outer), len(own_inner)
@@ -61,7 +68,38 @@ def state_space_kernel(
         own=places[3],
     )
     widest = max((len(one) for one in inner), default=0)
+    if flow:
+        return DynamicsKernel(KernelSource(flow_step), parameters, 2 * system.nx + 3 * at + widest)
     return DynamicsKernel(KernelSource(step), parameters, system.nx + at + widest)
+
+
+def flow_step(carry, control, noise, parameters, scratch):
+    """Step every member by the method of Runge and Kutta, correct by what the output was off, and write the output."""
+    ny, nu, n = int(parameters[HEAD.ny]), int(parameters[HEAD.nu]), int(parameters[HEAD.n])
+    states, fresh = view(carry, ny * LANES), view(scratch, ny * LANES)
+    none, trial, slope = view(fresh, n * LANES), view(fresh, (n + ny) * LANES), view(fresh, (2 * n + ny) * LANES)
+    room, output = view(fresh, (3 * n + ny) * LANES), view(parameters, int(parameters[HEAD.output]))
+    off_by(carry, output, ny, n, scratch)
+    for row in range(ny):
+        store(none, row * LANES, splat(0.0))
+    at, place, far = 0, int(parameters[HEAD.own]), parameters[HEAD.far]
+    for _ in range(int(parameters[HEAD.members])):
+        own = view(parameters, place)
+        begin, after, count = view(states, at * LANES), view(fresh, at * LANES), int(own[MEMBER.n])
+        copy(begin, trial, count * LANES)
+        copy(begin, after, count * LANES)
+        for stage in range(4):
+            advance(trial, control, none, own, ny, nu, UNBOUNDED, slope, room)
+            weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+            ahead = 1.0 if stage == 2 else 0.5
+            for row in range(count):
+                rate = load(slope, row * LANES)
+                store(after, row * LANES, load(after, row * LANES) + splat(weight) * rate)
+                store(trial, row * LANES, load(begin, row * LANES) + splat(ahead) * rate)
+        correct(after, scratch, own, ny, nu, far)
+        at += count
+        place += int(own[MEMBER.next])
+    conclude(carry, control, parameters, ny, nu, n, scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
@@ -69,16 +107,26 @@ def step(carry, control, noise, parameters, scratch):
     ny, nu, n = int(parameters[HEAD.ny]), int(parameters[HEAD.nu]), int(parameters[HEAD.n])
     states, fresh = view(carry, ny * LANES), view(scratch, ny * LANES)
     room, output = view(scratch, (ny + n) * LANES), view(parameters, int(parameters[HEAD.output]))
-    observe(states, output, ny, n, scratch)
-    for row in range(ny):
-        store(scratch, row * LANES, load(carry, row * LANES) - load(scratch, row * LANES))
+    off_by(carry, output, ny, n, scratch)
     at, place, far = 0, int(parameters[HEAD.own]), parameters[HEAD.far]
     for _ in range(int(parameters[HEAD.members])):
         own = view(parameters, place)
         advance(view(states, at * LANES), control, scratch, own, ny, nu, far, view(fresh, at * LANES), room)
         at += int(own[MEMBER.n])
         place += int(own[MEMBER.next])
-    observe(fresh, output, ny, n, scratch)
+    conclude(carry, control, parameters, ny, nu, n, scratch)
+
+
+def off_by(carry, output, ny, n, off):
+    """Write how far the outputs are from those of the hidden states."""
+    observe(view(carry, ny * LANES), output, ny, n, off)
+    for row in range(ny):
+        store(off, row * LANES, load(carry, row * LANES) - load(off, row * LANES))
+
+
+def conclude(carry, control, parameters, ny, nu, n, scratch):
+    """Write the carry from the next hidden states, which stand in scratch after room for the outputs."""
+    observe(view(scratch, ny * LANES), view(parameters, int(parameters[HEAD.output])), ny, n, scratch)
     if parameters[HEAD.limited] > 0.0:
         limits = view(parameters, int(parameters[HEAD.limits]))
         for row in range(ny):
@@ -133,6 +181,18 @@ def advance(x, u, off, p, ny, nu, far, after, room):
             value = value + weights[n + i] * load(u, i * LANES)
         for j in range(count):
             value = value + weights[seen + j] * load(room, j * LANES)
+        for i in range(ny):
+            value = value + gain[row * ny + i] * load(off, i * LANES)
+        store(after, row * LANES, min(max(value, -far), far))
+
+
+def correct(after, off, p, ny, nu, far):
+    """Add to the next states of one member what ``off`` says, and keep them within ``far``."""
+    n, count = int(p[MEMBER.n]), int(p[MEMBER.units])
+    seen = n + nu + 1
+    gain = view(p, MEMBER.size + count + count * seen + n * (seen + count))
+    for row in range(n):
+        value = load(after, row * LANES)
         for i in range(ny):
             value = value + gain[row * ny + i] * load(off, i * LANES)
         store(after, row * LANES, min(max(value, -far), far))

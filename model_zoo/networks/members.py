@@ -82,8 +82,14 @@ def train_members(
     model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=trainings.rng)
     splits = [time_blocks(dataset, member, folds) for member in range(members)]
     parameters, errors = model.learn(splits, plan, trainings)
-    flagged = model.layers.network(parameters)
-    weights, biases = list(flagged.weights), list(flagged.biases)
-    biases[0] = biases[0] + weights[0][:, -1]
-    weights[0] = weights[0][:, :-1]
-    return Network(weights, biases).folded(model.centre, model.scale, model.rates), errors
+    return model.network(parameters), errors
+
+
+def train_further(
+    network: Network, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator
+) -> Network:
+    """Train the members of ``network``, which `train_members` made, on all of ``dataset``."""
+    members, hidden = len(network.weights[0]), [weight.shape[2] for weight in network.weights[:-1]]
+    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=None, rng=rng)
+    model.begin_with(network)
+    return model.network(model.learn_further(dataset, plan, Trainings(rng)))

@@ -24,6 +24,9 @@ from sysid_evo.lags import CarryLayout
 SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
 
+FURTHER_RATE = 2e-3
+"""Learning rate of what has learned and goes on with other data."""
+
 TOLD_EVERY = 10
 """Updates between two reports of progress."""
 

@@ -56,6 +56,14 @@ class Network:
         biases[-1] = biases[-1] * output_scale
         return Network(weights, biases)
 
+    def unfolded(self, centre: Array, scale: Array, output_scale: Array) -> Network:
+        """Undo `folded` with the same numbers, (n,) each."""
+        weights, biases = list(self.weights), list(self.biases)
+        biases[0] = biases[0] + centre @ weights[0]
+        weights[0] = weights[0] * scale[:, None]
+        weights[-1], biases[-1] = weights[-1] / output_scale, biases[-1] / output_scale
+        return Network(weights, biases)
+
 
 def random_network(sizes: Sequence[int], members: int, rng: np.random.Generator, *, last: float = 0.1) -> Network:
     """Return networks with normal weights of deviation 1 / sqrt(n_in), times ``last`` in the last layer."""

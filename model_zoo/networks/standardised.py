@@ -12,7 +12,7 @@ from model_zoo.channels.mirror import Mirror
 from model_zoo.channels.standard import Standard
 from model_zoo.networks.layers import Layers, Single
 from model_zoo.networks.multistep import Plan, Shots, judged, train
-from model_zoo.networks.network import random_network
+from model_zoo.networks.network import Network, random_network
 from model_zoo.networks.trainings import Trainings
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
@@ -152,6 +152,35 @@ class StandardisedModel(ABC):
             judge=judge,
         )
         return learned, judge(learned)
+
+    def network(self, parameters: Single) -> Network:
+        """Return ``parameters`` (M, P) as networks of features of (carry, control), with ``further`` inputs of 1."""
+        known = len(self.centre)
+        learned = self.layers.network(parameters)
+        weights, biases = list(learned.weights), list(learned.biases)
+        biases[0] = biases[0] + weights[0][:, known:].sum(axis=1)
+        weights[0] = weights[0][:, :known]
+        return Network(weights, biases).folded(self.centre, self.scale, self.rates)
+
+    def begin_with(self, network: Network) -> None:
+        """Undo `network`: begin with networks that make no use of ``further`` inputs."""
+        begun = network.unfolded(self.centre, self.scale, self.rates)
+        more = self.layers.sizes[0] - len(self.centre)
+        first = np.pad(begun.weights[0], ((0, 0), (0, more), (0, 0)))
+        flat = self.layers.flat(Network([first, *begun.weights[1:]], begun.biases))
+        self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
+
+    def learn_further(self, dataset: Dataset, plan: Plan, trainings: Trainings) -> Single:
+        """Train all members on the whole of ``dataset`` from where they are; return the parameters (M, P)."""
+        shots = Shots.of(dataset, plan.horizon, self.layout.history)
+        return train(
+            self,
+            [shots] * self.layers.members,
+            plan,
+            state_scale=self.standard.state_scale,
+            change_scale=self.standard.change,
+            trainings=trainings,
+        )
 
     @property
     def _n_seen(self) -> int:

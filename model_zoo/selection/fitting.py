@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -21,8 +22,11 @@ from sysid_evo.registry import make_model, models
 
 WORTH = 10.0
 """Seconds of work for which one more process is worth its start."""
-IDLE = 10
+IDLE = 60
 """Seconds after which processes end that have nothing to do."""
+LARGE = ("numba", "pysindy")
+"""Libraries of candidates that take 60 and 170 MB. A process that loads them after its first task looks to joblib as if
+it leaked (300 MB): it is ended with a warning, and the next one loads them again."""
 PARTS = 10
 """Parts in which a second of work is told."""
 
@@ -145,6 +149,8 @@ def _side_by_side(tasks: Sequence[Task], processes: int) -> Generator[tuple[Task
         batch_size=1,
         max_nbytes=None,
         idle_worker_timeout=IDLE,
+        initializer=load,
+        initargs=(LARGE,),
     )
     outcomes = pool(call(number, task) for number, task in enumerate(tasks))
     try:
@@ -154,6 +160,13 @@ def _side_by_side(tasks: Sequence[Task], processes: int) -> Generator[tuple[Task
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that something is cancelled is what is wanted
             outcomes.close()
+
+
+def load(libraries: Sequence[str]) -> None:
+    """Import those of ``libraries`` that are installed."""
+    for name in libraries:
+        if importlib.util.find_spec(name) is not None:
+            importlib.import_module(name)
 
 
 def _numbered(number: int, task: Task) -> tuple[int, Outcome]:

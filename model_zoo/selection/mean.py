@@ -139,6 +139,15 @@ class MeanOfMembers(DynamicsModel):
             watched=self._earlier_controls,
         )
 
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+        """Return the mean with those members trained further that can be; None if none can."""
+        further = [model.trained_further(dataset, updates, rng=rng) for model in self.members_]
+        if all(model is None for model in further):
+            return None
+        other = self.variant()
+        other.become([new or old for new, old in zip(further, self.members_, strict=True)], self.weights_)
+        return other
+
     def alternatives(self) -> tuple[DynamicsModel, ...]:
         """Return the members."""
         return tuple(self.members_) if len(self.members_) > 1 else ()

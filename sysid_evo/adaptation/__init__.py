@@ -1,6 +1,6 @@
 """A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
 
-from sysid_evo.adaptation.adapting import Adaptation, adaptation
+from sysid_evo.adaptation.adapting import ANEW, REFIT, Adaptation, Learned, adaptation
 from sysid_evo.adaptation.another_condition import adapted, as_of
 from sysid_evo.adaptation.corrected import Corrected
 from sysid_evo.adaptation.gate import NONE, Trial, Verdict
@@ -8,9 +8,12 @@ from sysid_evo.adaptation.recursive import SelfCorrection
 from sysid_evo.adaptation.terms import Terms
 
 __all__ = [
+    "ANEW",
     "NONE",
+    "REFIT",
     "Adaptation",
     "Corrected",
+    "Learned",
     "SelfCorrection",
     "Terms",
     "Trial",

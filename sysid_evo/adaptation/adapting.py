@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
-from sysid_evo.adaptation.gate import NONE, Block, Held, Trial, Verdict, blocks_of, decided, judged
+from sysid_evo.adaptation.gate import Block, Held, Trial, Verdict, blocks_of, decided, judged
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.terms import Terms
@@ -24,16 +25,29 @@ RIDGES = (3.0, 0.3, 0.03, 0.003)
 ANEW = "fit anew"
 REFIT = "refit"
 """What a fit of the family to the new seconds alone is called, and one to the training data as well."""
+FURTHER = {f"trained further, {updates} updates": updates for updates in (50, 200, 800)}
+"""More training of a model that learns in updates, on the new seconds from where it had ended."""
+Way: TypeAlias = Callable[[Dataset], DynamicsModel | None]
+"""How a model of new seconds is made, other than by a correction; None where that cannot be."""
 
 
 @dataclass(frozen=True)
-class Adaptation:
-    """What was learned: the model to correct (a refitted one, if that was chosen), the correction, and why."""
+class Learned:
+    """A model, and a correction (size, nx) of it; ``held`` is what neither learned from, if there is any."""
 
     model: DynamicsModel
     terms: Terms
     coefficients: Array
+    held: Dataset | None = None
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """What was ``learned`` of everything, why, and ``apart``, without each block of time in turn; empty for none."""
+
+    learned: Learned
     verdict: Verdict
+    apart: tuple[Learned, ...] = ()
 
 
 def adaptation(
@@ -46,7 +60,7 @@ def adaptation(
 ) -> Adaptation:
     """Learn what ``model`` lacks in ``dataset``; with the ``training`` data, a refit with both is tried as well.
 
-    A fit of its family to ``dataset`` alone is tried too, unless that is one that fits others.
+    More training is tried too, of families that can, and a fit to ``dataset`` alone, unless the family fits others.
 
     Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
     several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
@@ -55,33 +69,38 @@ def adaptation(
     """
     pieces, seconds = Pieces.of(model, dataset, model.envelope), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
-    fits: dict[str, Dataset | None] = {} if model.uses() else {ANEW: None}
-    fits |= {} if training is None else {REFIT: training}
-    counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(fits)))
+    ways = _ways(model, training, rng)
+    counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(ways)))
     held = [pieces[block.held(pieces.first)] for block in blocks]
-    plain = [_run(model, Terms.of(dataset), None, part) for part in held]
-    trials: list[Trial] = []
+    nothing = _uncorrected(model, dataset)
+    plain = [_run(nothing, part) for part in held]
+    trials, apart = list[Trial](), dict[str, list[Learned]]()
     for kind in KINDS if blocks else ():
-        errors: dict[float, list[Held]] = {ridge: [] for ridge in RIDGES}
+        errors: dict[str, list[Held]] = {_name(kind, ridge): [] for ridge in RIDGES}
         for block, part in zip(blocks, held, strict=True):
             terms = _terms(kind, model, block.rest(dataset))
-            learned = pieces[block.learned(pieces.first)]
-            share = len(learned) / len(pieces)
-            found = corrections(model, terms, learned, RIDGES, share * seconds)
-            for ridge, coefficients in zip(RIDGES, found, strict=True):
-                errors[ridge].append(_run(model, terms, coefficients, part))
+            inside = pieces[block.learned(pieces.first)]
+            share = len(inside) / len(pieces)
+            found = corrections(model, terms, inside, RIDGES, share * seconds)
+            for name, coefficients in zip(errors, found, strict=True):
+                learned = Learned(model, terms, coefficients, block.part(dataset))
+                errors[name].append(_run(learned, part))
+                apart.setdefault(name, []).append(learned)
                 counter.advance()
-        trials += [judged(_name(kind, ridge), plain, each) for ridge, each in errors.items()]
-    for name, old in fits.items() if blocks else ():
-        shown = _refits(model, old, dataset, blocks, rng, counter.advance)
+        trials += [judged(name, plain, each) for name, each in errors.items()]
+    for name, way in ways.items() if blocks else ():
+        shown = _made(way, dataset, blocks, counter.advance)
         if shown is not None:
-            trials.append(judged(name, plain, shown))
+            trials.append(judged(name, plain, [errors for _, errors in shown], further=name in FURTHER))
+            apart[name] = [learned for learned, _ in shown]
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
-    if verdict.chosen in fits:
-        again, terms = refitted(model, fits[verdict.chosen], dataset, rng), Terms.of(dataset)
-        return Adaptation(again, terms, np.zeros(terms.shape), verdict)
-    return _learned(model, dataset, pieces, verdict)
+    if verdict.chosen in ways:
+        again = ways[verdict.chosen](dataset)
+        learned = nothing if again is None else replace(nothing, model=again)
+    else:
+        learned = _corrected(model, dataset, pieces, verdict)
+    return Adaptation(learned, verdict, tuple(apart.get(verdict.chosen, ())))
 
 
 def moving_seconds(dataset: Dataset) -> float:
@@ -101,43 +120,63 @@ def refitted(model: DynamicsModel, training: Dataset | None, new: Dataset, rng: 
     return model.unfitted().fit(training.with_episodes([*training, *again]), rng=rng)
 
 
-def _learned(model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict) -> Adaptation:
+def _ways(model: DynamicsModel, training: Dataset | None, rng: np.random.Generator) -> dict[str, Way]:
+    """Return how a model is made for new seconds without a correction, what changes the least first."""
+    (own,) = rng.spawn(1)
+
+    def further(updates: int) -> Way:
+        return lambda data: model.trained_further(data, updates, rng=own)
+
+    def again(old: Dataset | None) -> Way:
+        return lambda data: refitted(model, old, data, rng)
+
+    ways = {name: further(updates) for name, updates in FURTHER.items()}
+    ways |= {} if model.uses() else {ANEW: again(None)}
+    return ways | ({} if training is None else {REFIT: again(training)})
+
+
+def _corrected(model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict) -> Learned:
     """Return the correction that ``verdict`` chose, learned from everything."""
-    terms = Terms.of(dataset)
     for kind in KINDS:
         for number, ridge in enumerate(RIDGES):
             if verdict.chosen == _name(kind, ridge):
                 terms = _terms(kind, model, dataset)
                 path = corrections(model, terms, pieces, RIDGES[: number + 1], verdict.seconds)
-                return Adaptation(model, terms, list(path)[-1], verdict)
-    return Adaptation(model, terms, np.zeros(terms.shape), replace(verdict, chosen=NONE))
+                return Learned(model, terms, list(path)[-1])
+    return _uncorrected(model, dataset)
 
 
-def _refits(
-    model: DynamicsModel,
-    training: Dataset | None,
-    dataset: Dataset,
-    blocks: Sequence[Block],
-    rng: np.random.Generator,
-    told: Callable[[], None],
-) -> list[Held] | None:
-    """Return what each block shows of a refit with the rest, whose lags may be others; None if that is too short."""
-    errors = []
+def _uncorrected(model: DynamicsModel, dataset: Dataset) -> Learned:
+    terms = Terms.of(dataset)
+    return Learned(model, terms, np.zeros(terms.shape))
+
+
+def _made(
+    way: Way, dataset: Dataset, blocks: Sequence[Block], told: Callable[[], None]
+) -> list[tuple[Learned, Held]] | None:
+    """Return what is made of the rest of each block and its errors there; None if that is too short, or cannot be.
+
+    Its lags may be others than those of the model that is adapted.
+    """
+    found = []
     for block in blocks:
         try:
-            again = refitted(model, training, block.rest(dataset), rng)
+            again = way(block.rest(dataset))
+            if again is None:
+                return None
             pieces = Pieces.of(again, dataset, again.envelope, stride=1)
         except (SysidEvoError, ValueError):
             return None
-        errors.append(_run(again, Terms.of(dataset), None, pieces[block.held(pieces.first)]))
+        learned = replace(_uncorrected(again, dataset), held=block.part(dataset))
+        found.append((learned, _run(learned, pieces[block.held(pieces.first)])))
         told()
-    return errors
+    return found
 
 
-def _run(model: DynamicsModel, terms: Terms, coefficients: Array | None, pieces: Pieces) -> Held:
+def _run(learned: Learned, pieces: Pieces) -> Held:
     """Return the errors of the free runs over ``pieces``."""
-    candidate = np.zeros(terms.shape) if coefficients is None else coefficients
-    errors = off(terms, free_runs(model, terms, candidate[None], pieces), pieces)[0]
+    terms = learned.terms
+    errors = off(terms, free_runs(learned.model, terms, learned.coefficients[None], pieces), pieces)[0]
     return Held(errors, (pieces.first * terms.system.dt).astype(np.int64))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -43,13 +43,15 @@ class Held:
 class Trial:
     """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
 
-    ``sure`` says whether it is better than none beyond what chance would do to so short a recording.
+    ``sure`` says whether it is better than none beyond what chance would do to so short a recording, ``further``
+    whether it is more training of the model that there was.
     """
 
     name: str
     error: float
     each: tuple[float, ...]
     sure: bool
+    further: bool = False
 
     @property
     def good(self) -> bool:
@@ -111,12 +113,21 @@ class Block:
     def rest(self, dataset: Dataset) -> Dataset:
         """Return ``dataset`` without these samples."""
         kept: list[Trajectory] = []
+        for episode, low, high in self._edges(dataset):
+            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+        return dataset.with_episodes(kept)
+
+    def part(self, dataset: Dataset) -> Dataset:
+        """Return these samples of ``dataset``."""
+        return dataset.with_episodes([episode[low:high] for episode, low, high in self._edges(dataset) if high > low])
+
+    def _edges(self, dataset: Dataset) -> Iterator[tuple[Trajectory, int, int]]:
+        """Yield every episode and where the block begins and ends in it."""
         begin = 0
         for episode in dataset:
             low, high = (int(np.clip(edge - begin, 0, len(episode))) for edge in (self.low, self.high))
-            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+            yield episode, low, high
             begin += len(episode)
-        return dataset.with_episodes(kept)
 
 
 def blocks_of(first: IntArray, horizon: int) -> list[Block]:
@@ -130,7 +141,7 @@ def blocks_of(first: IntArray, horizon: int) -> list[Block]:
     return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []
 
 
-def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held]) -> Trial:
+def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, further: bool = False) -> Trial:
     """Return a trial from what each block shows without and with a correction."""
     pairs = list(zip(plain, corrected, strict=True))
     each = tuple(error_of(after.errors) / max(error_of(before.errors), 1e-12) for before, after in pairs)
@@ -140,7 +151,7 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held]) -> Trial
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)))
+    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)), further)
 
 
 def surely_positive(gains: Array) -> bool:
@@ -154,8 +165,12 @@ def surely_positive(gains: Array) -> bool:
 def decided(trials: Sequence[Trial]) -> str:
     """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
 
-    "none" if none is good.
+    "none" if none is good. More training is no simpler and no less simple than a correction: it is taken if it is
+    better than what is found without it.
     """
     good = [trial for trial in trials if trial.good]
-    least = min((trial.error for trial in good), default=0.0)
-    return next((trial.name for trial in good if trial.error <= (1.0 + AS_GOOD) * least), NONE)
+    others = [trial for trial in good if not trial.further]
+    least = min((trial.error for trial in others), default=0.0)
+    simplest = [trial for trial in others if trial.error <= (1.0 + AS_GOOD) * least][:1]
+    left = simplest + [trial for trial in good if trial.further]
+    return min(left, key=lambda trial: trial.error).name if left else NONE

@@ -24,6 +24,7 @@ from sysid_evo.cli import (
     reporting,
     robots,
     runs,
+    studying,
     transferring,
     tuning,
 )
@@ -45,6 +46,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("compare")(comparing.compare)
+app.command("study")(studying.study)
 app.command("import")(recordings.import_)
 app.command("inspect")(recordings.inspect)
 app.command("record")(recordings.record)

@@ -41,8 +41,11 @@ def family_card(name: str) -> dict[str, Any]:
     }
 
 
-def model_card(path: Path) -> dict[str, Any]:
-    """Return the card of a stored model: its family, size, lags, training, and its measured speed."""
+def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
+    """Return the card of a stored model: its family, size, lags, training, and, if ``measured``, its speed.
+
+    Measuring compiles the model, and with it every member of one that is a mean of others.
+    """
     from sysid_evo.store import load_model
     from sysid_evo.store.manifest import read_artefact
 
@@ -66,7 +69,8 @@ def model_card(path: Path) -> dict[str, Any]:
         "equations": list(model.equations()) if hasattr(model, "equations") else [],
         "candidates": model.standing() if hasattr(model, "standing") else [],
         **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
-        "timings": {**manifest.timings, **speed(model)},
+        "timings": {**manifest.timings, **(speed(model) if measured else {})},
+        **({} if measured else {"speed": "not measured, --speed does"}),
     }
 
 

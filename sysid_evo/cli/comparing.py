@@ -27,6 +27,7 @@ from sysid_evo.cli.options import (
     Recipe,
     Runs,
     Schedule,
+    Scheduler,
     Seed,
     Strategy,
     Task,
@@ -96,6 +97,7 @@ def compare(
         Path | None, typer.Option(help="experiment.toml, or a run folder with one; other options win over it.")
     ] = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     dry_run: DryRun = False,
     json: Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
@@ -145,11 +147,18 @@ def compare(
         experiment = Experiment.of(settings)
     except InvalidArgument as error:
         raise InvalidArgument(f"{'' if config is None else f'{config}, or an option: '}{error}") from error
-    run_experiment(experiment, folder, jobs=jobs, dry_run=dry_run, json=json, verbose=verbose)
+    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=json, verbose=verbose)
 
 
 def run_experiment(
-    experiment: Any, folder: Path | None, *, jobs: int | None, dry_run: bool, json: bool, verbose: bool
+    experiment: Any,
+    folder: Path | None,
+    *,
+    jobs: int | None,
+    scheduler: str | None,
+    dry_run: bool,
+    json: bool,
+    verbose: bool,
 ) -> None:
     """Plan an experiment, run what is not done yet, and print what it found."""
     from evaluation.comparison import check_experiment, check_run_folder, finished, plan_comparison
@@ -173,8 +182,8 @@ def run_experiment(
         return
     session.run = path
     store_experiment(comparison, path)
-    with Bars(f"--out {path}") as bars:
-        outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs)
+    with Bars(f"--out {path}", elsewhere=scheduler is not None) as bars:
+        outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error
     if isinstance(stopped, ConnectionError):  # no robot, no data, no report

@@ -14,8 +14,10 @@ from sysid_evo.cli.columns import (
     dynamics_of,
     find_column,
     has_dynamics,
+    is_file,
     is_model_of_a_run,
     other_models,
+    record_of_file,
     split_members,
 )
 from sysid_evo.cli.console import out, tell
@@ -35,6 +37,7 @@ from sysid_evo.cli.options import (
     Recipe,
     Runs,
     Schedule,
+    Scheduler,
     Seed,
     Strategy,
     Task,
@@ -77,6 +80,7 @@ def evolve(
     seed: Seed = None,
     plugin: Plugins = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     dry_run: DryRun = False,
     json: Json = False,
 ) -> None:
@@ -90,7 +94,7 @@ def evolve(
     from evaluation.comparison import Experiment, check_run_folder
     from sysid_evo.cli.expecting import forecast_from, forecast_sentence
     from sysid_evo.cli.unrecorded import print_regions, regions_of
-    from sysid_evo.plan import Again, Store
+    from sysid_evo.plan import Store
 
     load_plugins(plugin)
     settings = given(
@@ -119,8 +123,8 @@ def evolve(
     for doubt in check_evolution(store, columns, evolution):
         tell(doubt, label="note: ", style="dim")
     champion, claims, elsewhere = cells_of(experiment, store, columns)
-    plan = plan_of(champion, claims, elsewhere, again=Again(AGAIN, {"settings": settings, "members": members}))
-    outcomes = carry_out(plan, store, dry_run=dry_run, json=json, jobs=jobs)
+    plan = plan_of(champion, claims, elsewhere, again=again_of(store, settings, members))
+    outcomes = carry_out(plan, store, dry_run=dry_run, json=json, jobs=jobs, scheduler=scheduler)
     if outcomes is None:
         return
     failed = [cell for cell in plan if outcomes[cell.digest].failed]
@@ -196,6 +200,28 @@ def chosen_from(champion: ChampionCell, store: Store) -> int:
     if not isinstance(choice, ChooseCell):
         return 0
     return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
+
+
+def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
+    """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
+    from evaluation.comparison.model_cells import files_of
+    from sysid_evo.plan import Again
+    from sysid_evo.store import stored_file
+
+    records = {record.digest: record for record in store.records() if record.status == "done"}
+    fits = [record for record in records.values() if record.kind == "fit"]
+    data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
+    texts = (*settings.get("plugins", ()), *members)
+    files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
+    names = []
+    for member in members:
+        manifest = stored_file(member, "model") if is_file(member) else None
+        own = None if manifest is None else record_of_file(store, manifest)
+        if manifest is not None and own is None:
+            files[member] = tuple(map(str, files_of(manifest)))
+        names.append(member if own is None else Path(own.artefact).name)
+    after = (*data, *(record.digest for record in fits))
+    return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
 
 
 def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:

@@ -15,7 +15,7 @@ INTERRUPTED = 130
 
 EXIT_CODES = (
     "Exit codes: 0 done; 2 wrong usage or input; 3 some parts failed (the rest is done, reasons are told); "
-    "4 robot or link; 130 interrupted."
+    "4 robot, link or scheduler; 130 interrupted."
 )
 
 

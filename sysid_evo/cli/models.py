@@ -17,6 +17,7 @@ from sysid_evo.cli.options import (
     Out,
     Plugins,
     Preset,
+    Scheduler,
     Seed,
     Test,
     given,
@@ -68,16 +69,20 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
 def show_model(
     name: Annotated[str, typer.Argument(help="A family, or the file of a fitted model.")],
     plugin: Plugins = None,
+    speed: Annotated[
+        bool,
+        typer.Option("--speed", help="Measure how fast a fitted model steps; compiling it may take half a minute."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Show the card of a model family, or of a fitted model with its size, lags, training time and speed."""
+    """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
     from sysid_evo.cli.cards import card_table, family_card, model_card
     from sysid_evo.registry import models
     from sysid_evo.store import is_stored
 
     load_plugins(plugin)
     stored = name not in models.names() and is_stored(name, "model")
-    card = model_card(Path(name)) if stored else family_card(name)
+    card = model_card(Path(name), measured=speed) if stored else family_card(name)
     if as_json:
         out.print_json(json.dumps(card))
         return
@@ -101,6 +106,7 @@ def fit(
     columns: Columns = None,
     plugin: Plugins = None,
     jobs: Jobs = None,
+    scheduler: Scheduler = None,
     dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
@@ -118,4 +124,4 @@ def fit(
         plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
     )
     experiment = Experiment.of({**settings, "only": "fit"})
-    run_experiment(experiment, folder, jobs=jobs, dry_run=dry_run, json=as_json, verbose=False)
+    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=as_json, verbose=False)

@@ -23,6 +23,12 @@ Out: TypeAlias = Annotated[Path | None, typer.Option("--out", help="Run folder (
 Jobs: TypeAlias = Annotated[
     int | None, typer.Option(min=1, help="Cells computed side by side (default: one a processor).")
 ]
+Scheduler: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Compute the cells on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, or the scheduler's .json file."
+    ),
+]
 Task: TypeAlias = Annotated[str | None, typer.Option(help="What to achieve, NAME(parameter=value, ...).")]
 Controller: TypeAlias = Annotated[str | None, typer.Option(help="What is evolved, NAME(parameter=value, ...).")]
 Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved, NAME(parameter=value, ...).")]

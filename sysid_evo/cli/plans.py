@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def carry_out(
-    plan: Plan, store: Store, *, dry_run: bool, json: bool, jobs: int | None = None
+    plan: Plan, store: Store, *, dry_run: bool, json: bool, jobs: int | None = None, scheduler: str | None = None
 ) -> Mapping[str, Outcome] | None:
     """Compute what is missing of ``plan`` and return the outcome of every cell by its digest.
 
@@ -26,8 +26,8 @@ def carry_out(
         print_plan(plan, store, json=json)
         return None
     session.run = store.path
-    with Bars(f"--run {store.path}") as bars:
-        return execute(plan, store, observer=bars, jobs=jobs)
+    with Bars(f"--run {store.path}", elsewhere=scheduler is not None) as bars:
+        return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 
 def print_plan(plan: Plan, store: Store, *, json: bool) -> None:

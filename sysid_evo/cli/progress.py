@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -19,16 +19,23 @@ if TYPE_CHECKING:
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 SHORTEST = 20  # characters of a title
+SHOWN = 10
+"""Cells that have a bar of their own at the same time: a cluster may run hundreds."""
+NAMED = 4
+"""Cells that an interruption names."""
 
 
 class Bars:
     """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
-    ``go_on`` are the options with which an interrupted command goes on, if it can.
+    ``go_on`` are the options with which an interrupted command goes on, if it can. ``where`` tells cells of one title
+    apart: it stands in front of it. ``elsewhere`` says that cells are computed where nothing unfinished is kept.
     """
 
-    def __init__(self, go_on: str | None = None) -> None:
-        self._go_on = go_on
+    def __init__(
+        self, go_on: str | None = None, *, where: Callable[[Cell], str] | None = None, elsewhere: bool = False
+    ) -> None:
+        self._go_on, self._where, self._elsewhere = go_on, where, elsewhere
         self._bars = _Bars(
             TextColumn("{task.description}"),
             BarColumn(bar_width=12),
@@ -40,7 +47,7 @@ class Bars:
         )
         self._all: TaskID | None = None
         self._current: dict[str, _Current] = {}
-        self._cells = self._ended = 0
+        self._cells = self._ended = self._failed = 0
         self._expected: dict[str, float] = {}
         self._left = self._foreseen = 0.0
         self._began = time.monotonic()
@@ -54,9 +61,11 @@ class Bars:
     ) -> None:
         self._bars.stop()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
-            what = ", ".join(self._current) or "between two cells"
+            titles = [one.title for one in self._current.values()]
+            further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
+            what = ", ".join(titles[:NAMED]) + further or "between two cells"
             kept = "Nothing unfinished is kept"
-            resumable = [one for one in self._current.values() if one.resumable and one.done]
+            resumable = [one for one in self._current.values() if one.resumable and one.done and not self._elsewhere]
             if len(self._current) > 1 and resumable:
                 kept = f"What is done of {', '.join(one.title for one in resumable)} is kept"
             elif resumable:
@@ -71,16 +80,22 @@ class Bars:
         self._all = self._bars.add_task("all", total=cells, completed=0, note="")
 
     def start(self, cell: Cell) -> None:
-        self.begin(cell.title, resumable=cell.resumable)
-        self._expected[cell.title] = cell.seconds()
+        self._begin(cell.digest, self._title(cell), resumable=cell.resumable)
+        self._expected[cell.digest] = cell.seconds()
+        self._tell_all()
 
-    def begin(self, title: str, *, resumable: bool = False) -> None:
+    def begin(self, title: str) -> None:
         """A piece of work that is no cell of a plan begins."""
-        self._current[title] = _Current(title, self._bars.add_task(_short(title), total=None, note=""), resumable)
+        self._begin(title, title, resumable=False)
+
+    def _begin(self, key: str, title: str, *, resumable: bool) -> None:
+        self._remove(key)  # it was begun elsewhere
+        bar = self._bars.add_task(_short(title), total=None, note="", visible=len(self._current) < SHOWN)
+        self._current[key] = _Current(title, bar, resumable)
 
     def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        if cell.title in self._current:
-            self._advance(self._current[cell.title], done, total, note)
+        if cell.digest in self._current:
+            self._advance(self._current[cell.digest], done, total, note)
 
     def advance(self, done: int, total: int, note: str = "") -> None:
         """The one present piece of work has done so many of its steps; ``note`` is what else there is to say."""
@@ -90,43 +105,64 @@ class Bars:
     def _advance(self, current: _Current, done: int, total: int, note: str) -> None:
         current.advance(done, total)
         pace = current.pace()
-        self._bars.remarks[current.title] = note
+        self._bars.remarks[current.bar] = current.title, note
         self._bars.update(current.bar, completed=done, total=total, note=pace)
         now = time.monotonic()
         if not err.is_terminal and now - current.told > REPORT_EVERY:
             current.told = now
             told = ", ".join(filter(None, (f"{done}/{total}", pace)))
-            tell("; ".join(filter(None, (f"{self._where()}{current.title}: {told}", note))))
+            tell("; ".join(filter(None, (f"{self._count()}{current.title}: {told}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
-        if cell.title in self._expected:
-            expected = self._expected.pop(cell.title)
+        self._failed += reason is not None
+        if cell.digest in self._expected:
+            expected = self._expected.pop(cell.digest)
             self._foreseen += expected
             self._left = max(0.0, self._left - expected)
         if not cached or reason is not None:
-            self.end(cell.title, reason)
-        if self._all is not None:
-            pace = (time.monotonic() - self._began) / self._foreseen if self._foreseen else 1.0
-            note = f"{self._ended} of {self._cells}, {_duration(self._left * pace)} left"
-            self._bars.update(self._all, completed=self._ended, note=note)
+            self._end(cell.digest, self._title(cell), reason)
+        self._tell_all()
+
+    def _tell_all(self) -> None:
+        """Say in the bar for all how many cells are done, run and failed, and when the last will be done."""
+        if self._all is None:
+            return
+        pace = (time.monotonic() - self._began) / self._foreseen if self._foreseen else 1.0
+        running = f", {len(self._current)} running" if len(self._current) > 1 else ""
+        failed = f", {self._failed} failed" if self._failed else ""
+        note = f"{self._ended} of {self._cells}, {_duration(self._left * pace)} left"
+        self._bars.update(self._all, description=f"all{running}{failed}", completed=self._ended, note=note)
 
     def end(self, title: str, reason: str | None) -> None:
-        """A piece of work is done, or failed for ``reason``."""
-        current = self._current.pop(title, None)
-        seconds = 0.0 if current is None else time.monotonic() - current.began
-        if current is not None:
-            self._bars.remove_task(current.bar)
-            self._bars.remarks.pop(title, None)
+        """A piece of work that is no cell is done, or failed for ``reason``."""
+        self._end(title, title, reason)
+
+    def _remove(self, key: str) -> float:
+        """Take away the bar of a piece of work, show one that had no place; return how long it took."""
+        current = self._current.pop(key, None)
+        if current is None:
+            return 0.0
+        self._bars.remove_task(current.bar)
+        self._bars.remarks.pop(current.bar, None)
+        for other in list(self._current.values())[:SHOWN]:
+            self._bars.update(other.bar, visible=True)
+        return time.monotonic() - current.began
+
+    def _end(self, key: str, title: str, reason: str | None) -> None:
+        seconds = self._remove(key)
         if reason is not None:
             err.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
         elif not err.is_terminal:
-            tell(f"{self._where()}{title}, {seconds:.1f} s", label="done ", style="green")
+            tell(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
         tell(sentence, label="note: ", style="dim")
 
-    def _where(self) -> str:
+    def _title(self, cell: Cell) -> str:
+        return cell.title if self._where is None else f"{self._where(cell)}{cell.title}"
+
+    def _count(self) -> str:
         return f"{self._ended} of {self._cells}: " if self._cells else ""
 
 
@@ -134,17 +170,17 @@ class _Bars(Progress):
     """Bars, and below them ``remarks`` on the present pieces of work: all of one, the first part of several."""
 
     def __init__(self, *columns: ProgressColumn, console: Console, transient: bool, disable: bool) -> None:
-        self.remarks: dict[str, str] = {}
+        self.remarks: dict[TaskID, tuple[str, str]] = {}
         super().__init__(*columns, console=console, transient=transient, disable=disable)
 
     def get_renderables(self) -> Iterable[RenderableType]:
         yield from super().get_renderables()
-        told = {title: remark for title, remark in self.remarks.items() if remark}
+        told = [pair for pair in self.remarks.values() if pair[1]][:SHOWN]
         if not told:
             return
         width = self.console.width - 2
-        lines = [f"  {_short(title)}: {remark.partition('; ')[0]}"[:width] for title, remark in told.items()]
-        for remark in told.values() if len(told) == 1 else ():
+        lines = [f"  {_short(title)}: {remark.partition('; ')[0]}"[:width] for title, remark in told]
+        for _, remark in told if len(told) == 1 else ():
             lines = packed(remark, width)
         yield Text("\n".join(lines), style="dim")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,14 +32,14 @@ def report(
     from sysid_evo.cli.comparing import print_report
     from sysid_evo.errors import InvalidArgument
 
-    if len(runs) > 2 or (len(runs) == 2 and formats):
-        raise InvalidArgument("report: expected one run folder, or two and no --format")
+    if len(runs) > 2:
+        raise InvalidArgument(f"report: expected one run folder, or two, got {len(runs)}")
     for name in formats or ():
         if name not in FORMATS:
             raise InvalidArgument(f"--format: expected one of {', '.join(FORMATS)}, got {name!r}")
 
     if len(runs) == 2:
-        _side_by_side(runs[0], runs[1], json=json)
+        _side_by_side(runs[0], runs[1], json=json, formats=formats or ())
         return
     run = runs[0]
     made = report_again(run)
@@ -46,16 +47,24 @@ def report(
         raise _nothing_yet(run)
     print_report(made, run, json=json, verbose=verbose)
     for name in formats or ():
-        first = write_format(made, name, run)[0]
-        tell(str(first.parent if name == "svg" else first), label=f"{name}: ", style="dim")
+        _written(name, write_format(made, name, run))
 
 
-def _side_by_side(first: Path, second: Path, *, json: bool) -> None:
-    """Print in what two runs differ, and write the page into the second one."""
-    from evaluation.report.two_runs import differences, save_comparison, terminal, to_json
+def _written(name: str, files: Sequence[Path]) -> None:
+    """Say where a form of a report stands; one without figures has none as svg."""
+    if files:
+        tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
+
+
+def _side_by_side(first: Path, second: Path, *, json: bool, formats: Sequence[str]) -> None:
+    """Print in what two runs differ, and write the page and other forms into the second one."""
+    from evaluation.report.formats import write_format
+    from evaluation.report.two_runs import differences, save_comparison, stem, terminal, to_json, two_stories
 
     found = differences(report_of(first), report_of(second), names_of(first, second))
     page = save_comparison(found, second)
+    for name in formats:
+        _written(name, write_format(two_stories(found), name, second, stem=stem(found)))
     if json:
         out.print_json(json_format.dumps(to_json(found)))
         return

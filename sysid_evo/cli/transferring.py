@@ -39,10 +39,10 @@ def transfer(
     A run folder stands for all its controllers, behind --on for all its models. Nothing is evolved, fitted or stored.
     """
     from evaluation.behaviour import manners
+    from evaluation.forecast import summary_of
     from evaluation.report.document import transfer_to_json
     from evaluation.report.tables import manner_sheet, standing_sheet, transfer_sheet
     from evaluation.report.terminal import to_rich
-    from evaluation.transfer import summarise
     from sysid_evo.cli.contenders import check_fit, contenders, places
 
     load_plugins(plugin)
@@ -54,7 +54,7 @@ def transfer(
     if json:
         out.print_json(json_format.dumps(transfer_to_json(matrix)))
     else:
-        sheets = [transfer_sheet(matrix), standing_sheet(matrix, summarise(matrix))]
+        sheets = [transfer_sheet(matrix), standing_sheet(matrix, summary_of(matrix))]
         for sheet in (*sheets, manner_sheet(manners(matrix), matrix.robot)):
             for part in [] if sheet is None else to_rich(sheet):
                 out.print(part)

@@ -235,6 +235,10 @@ class DynamicsModel(Dynamics, Estimator):
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
 
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+        """Return this fitted model after so many more ``updates`` on ``dataset``; None if it does not learn in such."""
+        return None
+
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
         """Return minus the simulation error, so that more is better, as scikit-learn wants it.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +18,12 @@ class Aggregate(ABC):
     The result is in the unit of the fitness, so that it can be compared with what is achieved
     elsewhere: where a candidate scores the same everywhere, that is its fitness. What evolution climbs
     may differ from it, see `in_population` and `models`; what a candidate claims may not.
+
+    One that gives ``mean_of_one`` model makes of it the mean over its trials, to the last bit: what is evolved in one
+    model is then the same under all such rules, and is computed once.
     """
+
+    mean_of_one: ClassVar[bool] = False
 
     @abstractmethod
     def __call__(self, fitness: Array) -> Array:
@@ -45,6 +51,8 @@ class Aggregate(ABC):
 class Lowest(Aggregate):
     """The lowest of the models' means over the trials: the paper's rule."""
 
+    mean_of_one = True
+
     def __call__(self, fitness: Array) -> Array:
         return np.min(fitness.mean(axis=2), axis=0)
 
@@ -56,6 +64,8 @@ class Lowest(Aggregate):
 class Mean(Aggregate):
     """The mean of the models' means over the trials."""
 
+    mean_of_one = True
+
     def __call__(self, fitness: Array) -> Array:
         return np.mean(fitness.mean(axis=2), axis=0)
 
@@ -63,6 +73,8 @@ class Mean(Aggregate):
 @register_aggregate("median")
 class Median(Aggregate):
     """The median of the models' means over the trials."""
+
+    mean_of_one = True
 
     def __call__(self, fitness: Array) -> Array:
         return np.median(fitness.mean(axis=2), axis=0)

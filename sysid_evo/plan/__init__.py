@@ -6,6 +6,7 @@ from sysid_evo.plan.execution import execute
 from sysid_evo.plan.jobs import number_of_jobs
 from sysid_evo.plan.ledger import Observer, Silent
 from sysid_evo.plan.plan import Plan
+from sysid_evo.plan.scheduler import Scheduler
 from sysid_evo.plan.seeds import cell_seed
 from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, StoredCell, blocked_by
 
@@ -18,6 +19,7 @@ __all__ = [
     "Outcome",
     "Plan",
     "Record",
+    "Scheduler",
     "Silent",
     "Store",
     "StoredCell",

@@ -62,6 +62,11 @@ class Cell(ABC):
         return False
 
     @property
+    def at_home(self) -> bool:
+        """Whether it must be computed where the run folder is, as its work or its result names files there."""
+        return False
+
+    @property
     def needs(self) -> tuple[Cell, ...]:
         """The cells whose results it takes."""
         return ()

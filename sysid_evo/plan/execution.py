@@ -6,13 +6,17 @@ import time
 import traceback
 from collections.abc import Collection, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
+from sysid_evo.extras import check_installed
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.ledger import Ledger, Observer
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store
+
+if TYPE_CHECKING:
+    from sysid_evo.plan.scheduler import Scheduler
 
 PATIENCE = 0.1  # s between two looks at cells that another process computes
 
@@ -24,6 +28,7 @@ def execute(
     observer: Observer | None = None,
     only: Collection[Cell] | None = None,
     jobs: int | None = 1,
+    scheduler: Scheduler | None = None,
 ) -> dict[str, Outcome]:
     """Compute every cell of ``plan`` that ``store`` does not have; return how each ended, by digest.
 
@@ -33,12 +38,22 @@ def execute(
 
     Up to ``jobs`` cells that do not depend on each other are computed side by side, each in a process of its own; 1
     computes them here, one after the other; None as many as there are processors, where there is work for them, see
-    `number_of_jobs`. Results do not depend on it. Raises OSError if a result cannot be written.
+    `number_of_jobs`. With a ``scheduler`` the workers of that Dask cluster compute them instead: its address, its
+    file, or a client. Results do not depend on it. Raises OSError if a result cannot be written, `SchedulerLost`
+    if the scheduler does not answer.
     """
     from sysid_evo.plan.jobs import number_of_jobs
 
+    if scheduler is not None and jobs not in (None, 1):
+        raise InvalidArgument(f"{jobs} jobs in processes here and a scheduler: expected one of both; leave one out")
     ledger = Ledger(plan, store, observer, only)
     left = ledger.open()
+    if scheduler is not None and plan.again is not None and left:
+        check_installed("a scheduler", ["distributed"])
+        from sysid_evo.plan.cluster import Cluster
+
+        Cluster(ledger, plan.again, scheduler).to_the_end(left)
+        return ledger.ended
     count, sentence = number_of_jobs(jobs, left)
     if sentence:
         ledger.tell(sentence)

@@ -14,7 +14,7 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.execution import PATIENCE, Here
 from sysid_evo.plan.ledger import Ledger
 from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.worker import Inbox, Worker
+from sysid_evo.plan.worker import Inbox, Worker, said_of
 from sysid_evo.processors import usable_processors
 
 TRIES = 2
@@ -53,9 +53,13 @@ class SideBySide:
                 self.here.to_the_end(cells)
             for worker in self.coming:
                 worker.say(folder=str(self.ledger.store.path))
-            while left := self.ledger.left(cells):
+            left = self.ledger.left(cells)
+            while left:
+                ended = len(self.ledger.ended)
                 self._hand_out(left)
                 self._hear()
+                if len(self.ledger.ended) != ended:  # a plan may have ten thousand cells: not after every word
+                    left = self.ledger.left(left)
         finally:
             self._dismiss_all()
 
@@ -73,6 +77,8 @@ class SideBySide:
 
     def _hand_out(self, left: Sequence[Cell]) -> None:
         """Give every idle process a cell that waits for nothing; compute one here if only this process can."""
+        if self.at and all(self.at.values()) and self.known >= self.cells.keys():
+            return
         now = time.monotonic()
         busy = set(self.at.values())
         ready = [
@@ -153,7 +159,7 @@ class SideBySide:
         self.coming.discard(worker)
         worker.dismiss()
         code = worker.wait()
-        why = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        why = said_of(code)
         if worker not in self.at:
             if code != 0:
                 self.ledger.tell(f"a process that was to compute cells ended before it began ({why})")

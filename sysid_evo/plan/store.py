@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from sysid_evo.errors import ArtefactError, SysidEvoError
 from sysid_evo.files import write_atomically
 from sysid_evo.plan.cell import Cell, Work
+from sysid_evo.plan.parcels import Parcel, is_inside, packed, unpack
 from sysid_evo.store.manifest import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
@@ -25,6 +26,8 @@ CHECKPOINT = ".checkpoint"
 SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
 MAX_BYTES = 2**22
 NAME_LENGTH = 60
+IN_MEMORY = 512
+"""Values that a store keeps in memory; those not used for longest go first."""
 WAITING = "not computed yet"
 
 
@@ -80,7 +83,7 @@ class Outcome:
 class Store:
     """The results in the run folder ``path``; several processes may use one folder at the same time.
 
-    Values that were computed or loaded are kept in memory. ``remarks`` say what was damaged.
+    The last values that were computed or loaded are kept in memory. ``remarks`` say what was damaged.
     """
 
     path: Path
@@ -121,10 +124,16 @@ class Store:
             if record is None or record.status != "done":
                 raise ArtefactError(f"{self.path}: {cell.title}: {WAITING}")
             try:
-                self._values[cell.digest] = cell.load(self.path / record.artefact)
+                self._remember(cell, cell.load(self.path / record.artefact))
             except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
                 raise ArtefactError(f"{self.path / record.artefact}: cannot be read: {error}") from error
+        self._values[cell.digest] = self._values.pop(cell.digest)
         return cell.named(self._values[cell.digest])
+
+    def _remember(self, cell: Cell, value: Any) -> None:
+        self._values[cell.digest] = value
+        if len(self._values) > IN_MEMORY:
+            del self._values[next(iter(self._values))]
 
     def outcome(self, cell: Cell) -> Outcome:
         """Return what is known of ``cell``: its value, or why there is none."""
@@ -178,7 +187,32 @@ class Store:
             without=sorted(needed.digest for needed in without),
         )
         self._write(record)
-        self._values[cell.digest] = value
+        self._remember(cell, value)
+        return record
+
+    def parcel(self, digest: str) -> Parcel:
+        """Return record and result of a finished cell, to be sent elsewhere. Raises `ArtefactError`."""
+        record = self.find(digest)
+        if record is None or record.status != "done":
+            raise ArtefactError(f"{self.path}: the cell {digest}: {WAITING}")
+        return packed(self.path, (self._name(digest), *record.files))
+
+    def take(self, cell: Cell, parcel: Parcel) -> Record:
+        """Put down the result of ``cell`` that was computed elsewhere, as it is.
+
+        Raises `ArtefactError` if that is no result of this cell or not whole, OSError if the disk is full.
+        """
+        (named, _, text), *files = parcel or ((self._name(cell.digest), 0, b""),)
+        try:
+            record = Record.model_validate_json(text)
+        except ValidationError as error:
+            raise ArtefactError(f"{cell.title}: what came has no readable record: {error}") from error
+        digests = {name: hashlib.sha256(content).hexdigest() for name, _, content in files}
+        ours = named == self._name(record.digest) and record.digest == cell.digest and is_inside(record.artefact)
+        if not ours or record.status != "done" or record.files != digests:
+            raise ArtefactError(f"{cell.title}: what came is not the whole result of this cell")
+        unpack(tuple(files), self.path)
+        self._write(record)
         return record
 
     def fail(self, cell: Cell, *, reason: str, traceback: str, seconds: float) -> Record:
@@ -236,8 +270,11 @@ class Store:
             **fields,
         )
 
+    def _name(self, digest: str) -> str:
+        return f"{CELLS}/{digest}.json"
+
     def _record(self, digest: str) -> Path:
-        return self.path / CELLS / f"{digest}.json"
+        return self.path / self._name(digest)
 
     def _read(self, file: Path) -> Record | None:
         try:
@@ -246,7 +283,7 @@ class Store:
             record = Record.model_validate_json(file.read_bytes())
             if record.digest != file.stem:
                 raise ValueError("it is the record of another cell")
-            outside = [name for name in (*record.files, record.artefact) if not _inside(name)]
+            outside = [name for name in (*record.files, record.artefact) if not is_inside(name)]
             if outside:
                 raise ValueError(f"{outside[0]} lies outside the run folder")
         except FileNotFoundError:
@@ -310,11 +347,6 @@ class StoredCell(Cell):
 def blocked_by(needed: Cell) -> str:
     """Return the reason of a cell that is not computed because ``needed`` failed."""
     return f"needs {needed.title}, which failed"
-
-
-def _inside(name: str) -> bool:
-    path = Path(name)
-    return not path.is_absolute() and ".." not in path.parts
 
 
 def _digest(file: Path) -> str | None:

@@ -67,6 +67,11 @@ class Worker:
         self._inbox.put((self, None))
 
 
+def said_of(code: int) -> str:
+    """Return the exit ``code`` of a process as people say it."""
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Let processes that are started inside be deaf to Ctrl-C: this one hears it, and ends them in good order."""

@@ -144,6 +144,7 @@ def serve(master: Master) -> None:
     master.say(knows=list(known))
     while (order := master.next()) is not None:
         cell = known[order["compute"]]
+        ledger.only = (cell,) if order.get("alone") else None
         _open(ledger, cell, set(order["failed"]))
         try:
             ended = Here(ledger).attempt(cell)

@@ -8,6 +8,7 @@ import inspect
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
@@ -156,9 +157,9 @@ class Registry(Generic[T]):
             factory = self.get(name)
         except MissingExtra as error:
             return error
-        points = self._points(name)
         for module in getattr(factory, "requires", ()):
             if importlib.util.find_spec(module) is None:
+                points = self._points(name)
                 distribution = _distribution(points[0]) if points else DISTRIBUTION
                 return missing_extra(f"{self.kind} {name!r}", module, distribution)
         return None
@@ -203,6 +204,7 @@ class Registry(Generic[T]):
 _VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
+@cache
 def _signature(factory: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(factory).parameters
 

@@ -103,6 +103,17 @@ def the_generation_decides_the_models(aggregate: Aggregate) -> None:
             expect(run == aggregate.models(count, generation).tolist(), "asked again it chooses other models")
 
 
+def what_it_says_of_one_model_holds(aggregate: Aggregate) -> None:
+    """Where it says so, one model alone gives the mean over its trials, to the last bit"""
+    if not aggregate.mean_of_one:
+        return
+    fitness = _fitness()[:1] - 5.0
+    mean = fitness.mean(axis=2)[0]
+    for given in (aggregate(fitness), aggregate.in_population(fitness)):
+        expect(np.array_equal(given, mean), f"expected the means over the trials, {mean}, got {given}")
+    expect(aggregate.models(1, 3).tolist() == [0], "the one model is not run in every generation")
+
+
 def a_part_bounds_the_whole(aggregate: Aggregate) -> None:
     """at_most, from some of the models, is never below what becomes of a candidate once all are run"""
     for seed in range(20):
@@ -130,6 +141,7 @@ CHECKS: tuple[Check[Aggregate], ...] = (
     bad_luck_everywhere_counts,
     a_population_is_ranked_fairly,
     the_generation_decides_the_models,
+    what_it_says_of_one_model_holds,
     a_part_bounds_the_whole,
 )
 

@@ -1,10 +1,13 @@
 """How often 90 % intervals hold the truth after 1, 10, 20 and 60 steps, on recordings that no fit has seen.
 
     python -m tests.benchmarks.coverage [FAMILY ...] [--preset quick] [--seeds 1] [--logs slippery_20hz emulated_car]
+    python -m tests.benchmarks.coverage [FAMILY ...] --conditions cars emulated
 
 Every family is fitted with ``stochastic``; the share of the test set's moving targets inside the central 90 % of 100
 samples is printed for each horizon, over all channels and of each, with N of the run without noise and what fitting
-took. By default the families that give a spread and fit in seconds.
+took. By default the families that give a spread and fit in seconds. With ``--conditions``, groups of
+`tests.benchmarks.shift`, each is fitted in one condition and tested in that and in others, before and after it was
+adapted to 30 s there.
 """
 
 from __future__ import annotations
@@ -12,14 +15,21 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from model_zoo.validation.spread import SHARE
 from sysid_evo.arrays import Array
 
+if TYPE_CHECKING:
+    from evaluation.prediction import MeasuredCases
+    from sysid_evo.dynamics import DynamicsModel
+
 FAMILIES = ("mlp_ensemble", "gaussian_process", "linear", "sindy", "sindy_bagged", "sindy_discrete", "narx")
 FAMILIES += ("k_neighbours", "parametrised", "neural_ode")
+ADAPTED = 30.0  # s
 
 
 def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
@@ -28,41 +38,87 @@ def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
     return ((truth >= low) & (truth <= high)).mean(axis=0)
 
 
+def uncertain(name: str, preset: str) -> DynamicsModel:
+    """Return a family with its preset that is to learn its spread."""
+    from sysid_evo.registry import make_model, models
+
+    family = models.get(name)
+    return make_model(name, **dict(family.presets.get(preset, {})), stochastic=True)  # type: ignore[attr-defined]  # a class
+
+
+def line(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
+    """Return the shares inside at each horizon, over all channels and of each, and N."""
+    from evaluation.prediction import score_model
+
+    scores = score_model(label, model, cases, family=label)
+    figures = "  ".join(
+        f"{100 * np.mean(held.inside):3.0f} ({', '.join(f'{100 * one:.0f}' for one in held.inside)})"
+        for held in scores.coverage
+    )
+    return f"  {label:20s} {figures}  N {' '.join(f'{score.n:.3f}' for score in scores.at)}"
+
+
+def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> None:
+    """Write how often the intervals hold on the test part of each log."""
+    from evaluation.prediction import PredictionProtocol, measured_cases
+    from sysid_evo.errors import IncompatibleSystem
+    from tests.benchmarks.prediction import recording
+
+    for log in logs:
+        training, test = recording(log)
+        cases = measured_cases(training, test, PredictionProtocol())
+        sys.stdout.write(f"\n{log}: share inside 90 % intervals (each channel), N after {cases.horizons} steps\n")
+        for name in families:
+            for seed in range(seeds):
+                model, began = uncertain(name, preset), time.process_time()
+                try:
+                    model.fit(training, rng=seed)
+                except IncompatibleSystem as error:
+                    sys.stdout.write(f"  {name:20s} {error}\n")
+                    continue
+                sys.stdout.write(f"{line(name, model, cases)}  fit {time.process_time() - began:.1f} s\n")
+                sys.stdout.flush()
+
+
+def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> None:
+    """Write how often the intervals hold in the condition of the fit and in others, before and after adaptation."""
+    from evaluation.prediction import PredictionProtocol, measured_cases
+    from tests.benchmarks.shift.recordings import cases
+
+    for name in families:
+        fitted: dict[tuple[int, str], DynamicsModel] = {}
+        for case in (case for group in groups for case in cases(group)):
+            measured = measured_cases(case.training, case.test, PredictionProtocol())
+            sys.stdout.write(f"\n{case.name}, {name}: share inside 90 % intervals after {measured.horizons} steps\n")
+            for seed in range(seeds):
+                key = seed, case.training.fingerprint
+                if key not in fitted:
+                    fitted[key] = uncertain(name, preset).fit(case.training, rng=seed)
+                there = fitted[key].adapt(case.first(ADAPTED), rng=seed)
+                sys.stdout.write(f"{line('as it was', fitted[key], measured)}\n")
+                if there.fit_note.startswith("took no correction"):
+                    sys.stdout.write("  nothing was learned there\n")
+                else:
+                    sys.stdout.write(f"{line('adapted', there, measured)}\n    {there.fit_note}\n")
+                sys.stdout.flush()
+
+
 def main() -> None:
     """Run the benchmark."""
-    from evaluation.prediction import PredictionProtocol, measured_cases, score_model
-    from sysid_evo.errors import IncompatibleSystem
-    from sysid_evo.registry import make_model, models
-    from tests.benchmarks.prediction import EMULATED, TEST_EPISODE, recording
+    from tests.benchmarks.prediction import EMULATED, TEST_EPISODE
+    from tests.benchmarks.shift.recordings import GROUPS
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("families", nargs="*", default=list(FAMILIES))
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--logs", nargs="+", default=[*TEST_EPISODE, EMULATED], choices=[*TEST_EPISODE, EMULATED])
+    parser.add_argument("--conditions", nargs="+", default=[], choices=GROUPS)
     arguments = parser.parse_args()
-    for log in arguments.logs:
-        training, test = recording(log)
-        cases = measured_cases(training, test, PredictionProtocol())
-        sys.stdout.write(f"\n{log}: share inside 90 % intervals (each channel), N after {cases.horizons} steps\n")
-        for name in arguments.families:
-            options = dict(models.get(name).presets.get(arguments.preset, {}))  # type: ignore[attr-defined]  # a class
-            for seed in range(arguments.seeds):
-                model, began = make_model(name, **options, stochastic=True), time.process_time()
-                try:
-                    model.fit(training, rng=seed)
-                except IncompatibleSystem as error:
-                    sys.stdout.write(f"  {name:20s} {error}\n")
-                    continue
-                took = time.process_time() - began
-                scores = score_model(name, model, cases, family=name)
-                figures = "  ".join(
-                    f"{100 * np.mean(held.inside):3.0f} ({', '.join(f'{100 * one:.0f}' for one in held.inside)})"
-                    for held in scores.coverage
-                )
-                errors = " ".join(f"{score.n:.3f}" for score in scores.at)
-                sys.stdout.write(f"  {name:20s} {figures}  N {errors}  fit {took:.1f} s\n")
-                sys.stdout.flush()
+    if arguments.conditions:
+        across_conditions(arguments.families, arguments.preset, arguments.seeds, arguments.conditions)
+    else:
+        on_logs(arguments.families, arguments.preset, arguments.seeds, arguments.logs)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
-"""A comparison with one job and with several: ``python -m tests.benchmarks.jobs [--preset quick] [--jobs 1 2]``.
+"""A comparison with one job, with several, and on Dask: ``python -m tests.benchmarks.jobs [--preset quick]``.
 
 Wall time and processor time of the whole command, of all its processes, from its start to the report, ``--repeats``
-times in turn, each in a fresh folder; the least of each counts. ``--before FOLDER`` is a checkout of an earlier state
-that is measured beside it, with the options it has. Other work on the machine lengthens the wall time, and the
-processor time a little. ``report.json`` must be the same for any number of jobs, apart from ``timings``: exits 1 if
-it is not. Further options, behind ``--``, are handed to ``compare``.
+times in turn, each in a fresh folder; the least of each counts. ``--jobs 1 2`` are the processes, ``--workers 2``
+those of a local Dask cluster, which is there before. ``again`` is the same command once more in that folder.
+``--before FOLDER`` is a checkout of an earlier state that is measured beside it, with the options it has. Other work
+on the machine lengthens the wall time, and the processor time a little. ``report.json`` must be the same for any number
+of jobs, apart from ``timings``: exits 1 if it is not. Further options, behind ``--``, are handed to ``compare``.
+
+Below stands what a cost model needs: seconds and bytes of each kind of cell, what is sent to the workers in all, and
+what handing out a cell costs, measured on ``--cells`` cells that do nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +21,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +30,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from sysid_evo.plan import Store, execute
 from sysid_evo.processors import usable_processors
+from tests.sysid_evo.plan.dask_processes import Processes
+from tests.sysid_evo.plan.deeds import planned
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,23 +45,91 @@ class Row:
     name: str
     checkout: Path
     options: tuple[str, ...]
+    workers: int = 0
     wall: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
+    again: list[float] = field(default_factory=list)
     report: dict[str, Any] | None = None
+    kinds: dict[str, Kind] = field(default_factory=dict)
+    sent: int = 0
 
     def run(self) -> None:
-        """Run the command once in a fresh folder. Raises `subprocess.CalledProcessError`."""
-        with tempfile.TemporaryDirectory(prefix="sysid-evo-jobs-") as folder:
-            command = [sys.executable, "-m", "sysid_evo", "--quiet", "compare", "--out", folder, *self.options]
-            environment = {**os.environ, "PYTHONPATH": str(self.checkout)}
-            began, before = time.perf_counter(), _processor()
-            subprocess.run(
-                command, cwd=self.checkout, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=sys.stderr
-            )
-            self.wall.append(time.perf_counter() - began)
-            self.processor.append(_processor() - before)
+        """Run the command in a fresh folder, and again. Raises `subprocess.CalledProcessError`."""
+        with tempfile.TemporaryDirectory(prefix="sysid-evo-jobs-") as folder, dask(self.workers) as cluster:
+            where = () if cluster is None else ("--scheduler", str(cluster.file))
+            command = [sys.executable, "-m", "sysid_evo", "--quiet", "compare", "--out", folder, *self.options, *where]
+            there = 0.0 if cluster is None else cluster.processor()
+            wall, processor = self._timed(command)
+            self.wall.append(wall)
+            self.processor.append(processor + (0.0 if cluster is None else cluster.processor() - there))
+            self.again.append(self._timed(command)[0])
             self.report = json.loads((Path(folder) / "report.json").read_text(encoding="utf-8"))
             del self.report["timings"]
+            self.kinds, self.sent = sizes(Store(Path(folder)))
+
+    def _timed(self, command: list[str]) -> tuple[float, float]:
+        """Return wall time and processor time of a command, without those of a cluster."""
+        environment = {**os.environ, "PYTHONPATH": str(self.checkout)}
+        began, before = time.perf_counter(), _processor()
+        subprocess.run(
+            command, cwd=self.checkout, env=environment, check=True, stdout=subprocess.DEVNULL, stderr=sys.stderr
+        )
+        return time.perf_counter() - began, _processor() - before
+
+
+@dataclass
+class Kind:
+    """Cells of one kind: how many, their seconds in all and at most, the bytes of their results."""
+
+    cells: int = 0
+    seconds: float = 0.0
+    longest: float = 0.0
+    bytes: int = 0
+
+    def add(self, seconds: float, size: int) -> None:
+        """Count one more cell."""
+        self.cells, self.seconds, self.bytes = self.cells + 1, self.seconds + seconds, self.bytes + size
+        self.longest = max(self.longest, seconds)
+
+
+@contextmanager
+def dask(workers: int) -> Iterator[Processes | None]:
+    """Have a local cluster of so many workers; none for 0."""
+    if not workers:
+        yield None
+        return
+    with tempfile.TemporaryDirectory(prefix="sysid-evo-dask-") as folder:
+        cluster = Processes(Path(folder))
+        cluster.start(workers)
+        try:
+            cluster.wait()
+            yield cluster
+        finally:
+            cluster.stop()
+
+
+def sizes(store: Store) -> tuple[dict[str, Kind], int]:
+    """Return the finished cells of a run by their kind, and the bytes of all results that another cell needs."""
+    kinds: dict[str, Kind] = {}
+    records = {record.digest: record for record in store.records() if record.status == "done"}
+    size = {digest: sum(len(content) for _, _, content in store.parcel(digest)) for digest in records}
+    for digest, record in records.items():
+        kinds.setdefault(record.kind, Kind()).add(record.seconds, size[digest])
+    needed = {digest for record in records.values() for digest in record.needs}
+    return kinds, sum(size[digest] for digest in needed & set(records))
+
+
+def overhead(workers: int, cells: int) -> float:
+    """Return the seconds that a cluster of ``workers`` takes for a cell that does nothing, when all is warm."""
+    with tempfile.TemporaryDirectory(prefix="sysid-evo-cells-") as folder, dask(workers) as cluster:
+        assert cluster is not None
+        plan = planned(Path(folder) / "diary", *((str(i), "", []) for i in range(cells)))
+        taken = []
+        for name in ("cold", "warm"):
+            began = time.perf_counter()
+            execute(plan, Store(Path(folder) / name), scheduler=cluster.file)
+            taken.append((time.perf_counter() - began) / cells)
+    return taken[-1]
 
 
 def _processor() -> float:
@@ -62,9 +138,12 @@ def _processor() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def measured(options: Sequence[str], jobs: Sequence[int], before: Path | None, repeats: int) -> list[Row]:
+def measured(
+    options: Sequence[str], jobs: Sequence[int], workers: Sequence[int], before: Path | None, repeats: int
+) -> list[Row]:
     """Return the rows, the earlier state first, each run ``repeats`` times in turn."""
     rows = [Row(f"{count} jobs" if count > 1 else "1 job", ROOT, (*options, "--jobs", str(count))) for count in jobs]
+    rows += [Row(f"Dask, {count} worker{'s' if count > 1 else ''}", ROOT, tuple(options), count) for count in workers]
     if before is not None:
         rows.insert(0, Row("before", before.resolve(), tuple(options)))
     for _ in range(repeats):
@@ -74,29 +153,53 @@ def measured(options: Sequence[str], jobs: Sequence[int], before: Path | None, r
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print a table, and return the exit code."""
+    """Measure, print tables, and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.jobs", description=__doc__)
     parser.add_argument("--preset", default="quick", help="of the comparison (quick)")
-    parser.add_argument("--jobs", type=int, nargs="+", default=[1, usable_processors()])
+    parser.add_argument("--jobs", type=int, nargs="*", default=[1, usable_processors()])
+    parser.add_argument("--workers", type=int, nargs="*", default=[2], help="of local Dask clusters (2)")
+    parser.add_argument("--cells", type=int, default=200, help="that do nothing (200); 0 leaves them out")
     parser.add_argument("--before", type=Path, help="checkout of an earlier state")
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("further", nargs="*", help="options of compare")
     given = parser.parse_args(arguments)
-    rows = measured(["--preset", given.preset, *given.further], given.jobs, given.before, given.repeats)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("", "wall s", "processor s", "wall, first / this", "processor, first / this"):
-        table.add_column(heading, justify="right" if heading else "left")
-    first = rows[0]
-    for row in rows:
-        ratios = (min(first.wall) / min(row.wall), min(first.processor) / min(row.processor))
-        table.add_row(row.name, f"{min(row.wall):.1f}", f"{min(row.processor):.1f}", *(f"{r:.2f}" for r in ratios))
+    rows = measured(["--preset", given.preset, *given.further], given.jobs, given.workers, given.before, given.repeats)
     out = Console(highlight=False)
-    out.print(table)
+    out.print(times(rows))
     ours = [row for row in rows if row.checkout == ROOT]
+    out.print(costs(ours[-1]))
+    out.print(f"Results that other cells need, each sent to the workers once: {ours[-1].sent / 1e6:.2f} MB.")
+    if given.cells and given.workers:
+        seconds = overhead(given.workers[-1], given.cells)
+        out.print(f"A cell that does nothing takes {1e3 * seconds:.1f} ms on {given.workers[-1]} workers.")
     same = all(row.report == ours[0].report for row in ours)
     out.print(f"report.json is {'the same' if same else 'NOT the same'} for any number of jobs, apart from timings.")
     out.print(f"Load average {os.getloadavg()[0]:.1f} on {usable_processors()} processors.")
     return 0 if same else 1
+
+
+def times(rows: Sequence[Row]) -> Table:
+    """Return the times of all rows."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("", "wall s", "processor s", "wall, first / this", "processor, first / this", "again, s"):
+        table.add_column(heading, justify="right" if heading else "left")
+    first = rows[0]
+    for row in rows:
+        ratios = (min(first.wall) / min(row.wall), min(first.processor) / min(row.processor))
+        least = (f"{min(row.wall):.1f}", f"{min(row.processor):.1f}")
+        table.add_row(row.name, *least, *(f"{ratio:.2f}" for ratio in ratios), f"{min(row.again):.1f}")
+    return table
+
+
+def costs(row: Row) -> Table:
+    """Return what each kind of cell took and how large its results are."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in (f"cells, {row.name}", "number", "s in all", "s each", "s at most", "kB each"):
+        table.add_column(heading, justify="left" if heading.startswith("cells") else "right")
+    for name, kind in sorted(row.kinds.items(), key=lambda item: -item[1].seconds):
+        each = (f"{kind.seconds / kind.cells:.2f}", f"{kind.longest:.2f}", f"{kind.bytes / kind.cells / 1e3:.1f}")
+        table.add_row(name, str(kind.cells), f"{kind.seconds:.1f}", *each)
+    return table
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a fresh folder at
 ``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
+Then a local Dask cluster of two workers computes it, of which one is killed at each moment, another taking its place;
+then the scheduler is, and the command goes on with another one. No finished cell may be computed twice.
 A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
 controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
 and exits 1 if anything differs.
@@ -25,8 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from sysid_evo.cli.exits import ROBOT as LOST
 from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import COMMAND
+from tests.sysid_evo.plan.dask_processes import Processes
 
 MODELS = "linear,nearest_neighbour,near2=nearest_neighbour(state_lags=2)"
 EXPERIMENT = (
@@ -73,10 +77,10 @@ class Job(ABC):
         """Return a run folder in which nothing is done yet."""
         return self.folder / f"{type(self).__name__}-{name}"
 
-    def start(self, out: Path) -> subprocess.Popen[bytes]:
+    def start(self, out: Path, *options: str) -> subprocess.Popen[bytes]:
         """Start the command in the run folder ``out``."""
-        command = [*COMMAND, *self.arguments(out), "--quiet"]
-        environment = {**os.environ, "TERM": "dumb"}
+        command = [*COMMAND, *self.arguments(out), "--quiet", *options]
+        environment = {**os.environ, "TERM": "dumb", "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
         return subprocess.Popen(command, cwd=self.folder, env=environment, stdout=subprocess.DEVNULL)
 
 
@@ -159,6 +163,9 @@ def rows(folder: Path, times: int, seed: int) -> list[Row]:
         expected = job.result(whole)
         found.append(Row(f"{job.what} at once", 0, 0, seconds, expected == job.result(warm)))
         found.extend(killed(job, together, times, rng, seconds, expected) for together in several)
+        if isinstance(job, Comparison):
+            victims = ("worker", "scheduler")
+            found.extend(on_cluster(job, victim, times, rng, seconds, expected) for victim in victims)
     return found
 
 
@@ -177,6 +184,54 @@ def killed(job: Job, together: int, times: int, rng: np.random.Generator, whole:
             out = job.fresh(f"{together}-{ends}")
     finish([job.start(out) for _ in range(together)])
     return Row(what, kills, kept, time.perf_counter() - began, same and job.result(out) == expected)
+
+
+def on_cluster(job: Job, victim: str, times: int, rng: np.random.Generator, whole: float, expected: object) -> Row:
+    """Kill a worker or the scheduler of a cluster ``times`` while it computes; what dies is replaced."""
+    with tempfile.TemporaryDirectory() as folder:
+        cluster = Processes(Path(folder))
+        try:
+            return _on_cluster(job, cluster, victim, times, rng, whole, expected)
+        finally:
+            cluster.stop()
+
+
+def _on_cluster(
+    job: Job, cluster: Processes, victim: str, times: int, rng: np.random.Generator, whole: float, expected: object
+) -> Row:
+    kills, kept, ends, same, began = 0, 0, 0, True, time.perf_counter()
+    out, process = job.fresh(f"{victim}-{ends}"), None
+    while kills < times or process is not None:
+        if cluster.scheduler is None:
+            cluster.start(2)
+            cluster.wait()
+        process = process or job.start(out, "--scheduler", str(cluster.file))
+        try:
+            code = process.wait(float(rng.uniform(0.2, 1.0)) * whole if kills < times else LIMIT)
+        except subprocess.TimeoutExpired:
+            kills, kept = kills + 1, kept + len(list(out.glob(job.kept)))
+            if victim == "worker":
+                cluster.workers.pop(0).kill()
+                cluster.hire()
+            else:
+                cluster.stop()
+                assert process.wait(LIMIT) in (0, LOST), "the command is to end with the scheduler"
+                process = None if process.returncode == LOST else process
+            continue
+        if code != 0:
+            raise RuntimeError(f"the command ended with {code}")
+        same, process = same and job.result(out) == expected and computed_once(out), None
+        if kills < times:
+            ends += 1
+            out = job.fresh(f"{victim}-{ends}")
+    return Row(f"{job.what}, {victim} killed", kills, kept, time.perf_counter() - began, same)
+
+
+def computed_once(out: Path) -> bool:
+    """Whether the log of a run has no cell that was done twice."""
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    done = [line["digest"] for line in lines if line.get("status") == "done"]
+    return len(done) == len(set(done))
 
 
 def main() -> int:

@@ -4,8 +4,11 @@
 
 Fitness is made up: of a controller on a model the sum of a mean, of what the evolution seed does everywhere and on this
 model, of what the trial does everywhere and on this model, and of noise. What seeds do is normal, skewed, or one of two
-(``basins``: a search that ends forwards or backwards). For each figure the share of repetitions is printed in which the
-interval of `Nested` holds what is true over all seeds and trials, and that of a nested percentile bootstrap.
+(``basins``: a search that ends forwards or backwards); or normal, and how far they differ from controller to controller
+(``unequal``), or three times as far in the first controller as in all others (``odd``). For each figure of the first
+controller the share of repetitions is printed in which its interval holds what is true over all seeds and trials: from
+what all controllers together tell of seeds (`alike`), from its own seeds only, and, where asked for, that of a nested
+percentile bootstrap.
 """
 
 from __future__ import annotations
@@ -16,15 +19,17 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from evaluation.transfer.nested import SHARE, Nested, regrets
+from evaluation.transfer.nested import SHARE, Nested, alike, regrets
 from sysid_evo.arrays import Array
 from sysid_evo.registry import make_aggregate
 
 MEANS = np.array([12.0, 11.0, 9.0, 8.0, 5.0])
 """Of the controller on five systems: where it was evolved, on other models, on a robot last but one."""
 RIVALS = np.array([0.0, 0.5, -1.0, -3.0])
-"""How much better than the controller its rivals are on the robot."""
+"""How much better than the controller its rivals are on every system."""
 RESAMPLES = 200
+
+METHODS = ("alike", "own seeds", "percentile")
 
 KINDS: Mapping[str, Callable[[np.random.Generator, tuple[int, ...]], Array]] = {
     "normal": lambda rng, shape: rng.normal(size=shape),
@@ -32,55 +37,58 @@ KINDS: Mapping[str, Callable[[np.random.Generator, tuple[int, ...]], Array]] = {
     "basins": lambda rng, shape: rng.choice([-1.0, 1.0], size=shape),
     "no": lambda rng, shape: np.zeros(shape),
 }
+SCALES: Mapping[str, Callable[[np.random.Generator, int], Array]] = {
+    "unequal": lambda rng, count: np.exp(0.7 * rng.normal(size=count)),
+    "odd": lambda rng, count: np.where(np.arange(count) == 0, 3.0, 1.0),
+}
+"""How far normal seeds differ in each of several controllers."""
 
 
-def made_up(kind: str, seeds: int, trials: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the fitness of the controller on the systems (5, seeds, trials), and of its rivals on the robot."""
-    models, rivals = len(MEANS), len(RIVALS)
-    of_trial = 0.8 * rng.normal(size=trials)
-    on_model = 0.5 * rng.normal(size=(models, 1, trials))
-
-    def drawn(means: Array, here: Array, own: Array) -> Array:
-        count = len(means)
-        there = 0.5 * KINDS[kind](rng, (count, seeds, 1))
-        noise = rng.normal(size=(count, seeds, trials))
-        found: Array = means[:, None, None] + own + there + of_trial + here + noise
-        return found
-
-    everywhere = KINDS[kind](rng, (1, seeds, 1))
-    controller = drawn(MEANS, on_model, everywhere)
-    others = drawn(MEANS[3] + RIVALS, on_model[[3]], KINDS[kind](rng, (rivals, seeds, 1)))
-    return controller, others
+def made_up(kind: str, seeds: int, trials: int, rng: np.random.Generator) -> Array:
+    """Return the fitness of the controller and its rivals on the systems, (controllers, systems, seeds, trials)."""
+    controllers, systems = 1 + len(RIVALS), len(MEANS)
+    effect = KINDS.get(kind, KINDS["normal"])
+    scale = SCALES[kind](rng, controllers) if kind in SCALES else np.ones(controllers)
+    means = MEANS + np.concatenate([[0.0], RIVALS])[:, None]
+    of_trial = 0.8 * rng.normal(size=trials) + 0.5 * rng.normal(size=(systems, 1, trials))
+    of_seed = effect(rng, (controllers, 1, seeds)) + 0.5 * effect(rng, (controllers, systems, seeds))
+    noise = rng.normal(size=(controllers, systems, seeds, trials))
+    found: Array = means[:, :, None, None] + (scale[:, None, None] * of_seed)[..., None] + of_trial + noise
+    return found
 
 
-def figures(controller: Array, others: Array) -> dict[str, Nested]:
-    """Return every figure of the transfer matrix by its name."""
-    achieved = Nested.of("c", controller[[3]])
-    claimed = Nested.of("c", controller[[0, 1]], make_aggregate("min"))
-    rivals = {f"rival {i}": Nested.of(f"rival {i}", one[None]) for i, one in enumerate(others)}
-    systems = [Nested.of("c", controller[[i]]) for i in range(2, 5)]
+def figures(fitness: Array, *, together: bool = True) -> dict[str, Nested]:
+    """Return every figure of the first controller by its name; ``together`` with what the others tell of seeds."""
+    names = [f"controller {number}" for number in range(len(fitness))]
+    tell = alike if together else dict[str, Nested]
+    claimed = {
+        name: Nested.of(name, one[[0, 1]], make_aggregate("min")) for name, one in zip(names, fitness, strict=True)
+    }
+    on = [tell({name: Nested.of(name, one[[i]]) for name, one in zip(names, fitness, strict=True)}) for i in range(5)]
+    gaps = tell({name: claimed[name] - on[3][name] for name in names})
+    shares = tell({name: on[3][name].over(claimed[name]) for name in names})
     return {
-        "achieved": achieved,
-        "claimed": claimed,
-        "gap": claimed - achieved,
-        "kept": achieved.over(claimed),
-        "worst": min(systems, key=lambda one: one.value),
-        "regret": regrets({"c": achieved, **rivals})["c"],
+        "achieved": on[3][names[0]],
+        "claimed": tell(claimed)[names[0]],
+        "gap": gaps[names[0]],
+        "kept": shares[names[0]],
+        "worst": min((one[names[0]] for one in on[2:]), key=lambda one: one.value),
+        "regret": regrets(on[3])[names[0]],
     }
 
 
 TRUTH = {"achieved": 8.0, "claimed": 11.0, "gap": 3.0, "kept": 8.0 / 11.0, "worst": 5.0, "regret": 0.5}
 
 
-def resampled(controller: Array, others: Array, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
+def resampled(fitness: Array, rng: np.random.Generator) -> dict[str, tuple[float, float]]:
     """Return the percentile intervals of a nested bootstrap: seeds are drawn, then trials, the same for all."""
-    _, seeds, trials = controller.shape
+    controllers, _, seeds, trials = fitness.shape
     drawn: dict[str, list[float]] = {name: [] for name in TRUTH}
     for _ in range(RESAMPLES):
         when = rng.integers(0, trials, trials)
-        who = rng.integers(0, seeds, (1 + len(others), seeds))
-        own = controller[:, who[0]][:, :, when].mean(axis=2)
-        best = max(other[one][:, when].mean() for other, one in zip(others, who[1:], strict=True))
+        who = rng.integers(0, seeds, (controllers, seeds))
+        own = fitness[0][:, who[0]][:, :, when].mean(axis=2)
+        best = max(other[3, one][:, when].mean() for other, one in zip(fitness[1:], who[1:], strict=True))
         claimed, achieved = own[:2].min(axis=0).mean(), own[3].mean()
         values = (
             achieved,
@@ -96,16 +104,16 @@ def resampled(controller: Array, others: Array, rng: np.random.Generator) -> dic
     return {name: tuple(np.quantile(values, ends)) for name, values in drawn.items()}
 
 
-def coverage(kind: str, seeds: int, trials: int, repeats: int, *, bootstrap: bool = False) -> dict[str, float]:
-    """Return for each figure how often its interval holds the truth."""
+def coverage(kind: str, seeds: int, trials: int, repeats: int, *, method: str = METHODS[0]) -> dict[str, float]:
+    """Return for each figure how often its interval holds the truth; ``method`` is one of `METHODS`."""
     held = dict.fromkeys(TRUTH, 0)
     for repeat in range(repeats):
         rng = np.random.default_rng((repeat, seeds, trials))
-        controller, others = made_up(kind, seeds, trials, rng)
+        fitness = made_up(kind, seeds, trials, rng)
         found = (
-            resampled(controller, others, rng)
-            if bootstrap
-            else {name: one.interval() for name, one in figures(controller, others).items()}
+            resampled(fitness, rng)
+            if method == "percentile"
+            else {name: one.interval() for name, one in figures(fitness, together=method == "alike").items()}
         )
         for name, (low, high) in found.items():
             held[name] += low <= TRUTH[name] <= high
@@ -118,16 +126,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--repeats", type=int, default=1000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[3, 5, 10])
     parser.add_argument("--trials", type=int, nargs="+", default=[10, 100])
-    parser.add_argument("--no-bootstrap", action="store_true", help="leave the nested percentile bootstrap out")
+    parser.add_argument("--methods", choices=METHODS, nargs="+", default=METHODS[:2])
     given = parser.parse_args(arguments)
-    for kind in KINDS:
+    for kind in (*KINDS, *SCALES):
         for seeds in given.seeds:
             for trials in given.trials:
-                for bootstrap in (False,) if given.no_bootstrap else (False, True):
-                    repeats = given.repeats // 4 if bootstrap else given.repeats
-                    shares = coverage(kind, seeds, trials, repeats, bootstrap=bootstrap)
+                for method in given.methods:
+                    shares = coverage(kind, seeds, trials, given.repeats, method=method)
                     told = "  ".join(f"{name} {100 * share:3.0f}" for name, share in shares.items())
-                    method = "percentile" if bootstrap else "nested"
                     sys.stdout.write(f"{kind:7s} {seeds:3d} seeds {trials:4d} trials  {method:10s}  {told}\n")
                     sys.stdout.flush()
     return 0

@@ -22,7 +22,7 @@ from sysid_evo.plugin_template import PLUGINS, write_plugin
 from sysid_evo.registry import KINDS, Registry
 from sysid_evo.testing import example_dataset
 
-from .blocks import PAGES, blocks, commands
+from .blocks import PAGES, ROOT, blocks, commands
 
 OWN_TEST = {
     "data.md": "tests/data/test_data_page.py",
@@ -43,7 +43,8 @@ EXAMPLES = {
     "motion": ("motions.md", "rail"),
 }
 """The page of each kind, and what its example is called."""
-LANGUAGES = {"", "python", "toml", "sh"}
+LANGUAGES = {"", "python", "toml", "sh", "py", "matlab"}
+"""``py`` and ``matlab`` are other programs' and are not run: what is ours is ``python``."""
 OTHER_PROGRAMS = {"make", "pip", "cd", "python3"}
 
 
@@ -171,3 +172,14 @@ def test_every_kind_has_a_page() -> None:
 def test_a_page_links_only_to_what_is_there(page: str) -> None:
     links = re.findall(r"\]\(([^)#:]+)\)", PAGES[page].read_text())
     assert [link for link in links if not (PAGES[page].parent / link).exists()] == []
+
+
+FAMILIES_TOLD = {"README.md": r"(\d+) behind one contract", "CHANGELOG.md": r"(\d+) model families"}
+
+
+@pytest.mark.parametrize("page", FAMILIES_TOLD)
+def test_as_many_families_are_told_of_as_there_are(page: str) -> None:
+    told = re.search(FAMILIES_TOLD[page], (ROOT / page).read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert told is not None
+    assert int(told[1]) == len(project["entry-points"]["sysid_evo.models"])

@@ -185,3 +185,14 @@ def test_without_a_script_lines_and_tables_are_there_and_no_button(browser: Chro
     tab.wait_for("document.readyState === 'complete' && document.querySelector('.unplayed') !== null")
     assert shown(tab, "[data-series]") > 10
     assert tab.evaluate("document.querySelectorAll('main button:not(.deck button)').length") == 0
+
+
+def test_heads_of_tables_are_printed_again_on_the_next_page(browser: Chromium, page: Path) -> None:
+    """A button in a head that is printed again is left out, so that heads are text in print."""
+    tab = opened(browser, page)
+    tab.call("Emulation.setEmulatedMedia", media="print")
+    style = "getComputedStyle(document.querySelector('{}')).{}"
+    assert tab.evaluate(style.format("thead", "breakInside")) == "avoid"
+    assert tab.evaluate(style.format("thead th", "position")) == "static"
+    assert tab.evaluate("document.querySelector('thead th button') !== null")
+    assert tab.evaluate(style.format("thead th button", "display")) == "contents"

@@ -53,15 +53,15 @@ def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named() 
 def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that_drives_it() -> None:
     taken = answers(made())["Which controller to take?"]
     assert taken.answer == "a"
-    assert taken.sentence.startswith("Claims 10.0 ± 0.1 waypoints, forecast ")
-    assert taken.sentence.endswith("), achieves 4.0 ± 0.1 on the robot.")
+    assert taken.sentence.startswith("Claims 10.0 (9.9 to 10.1) waypoints, forecast ")
+    assert taken.sentence.endswith("), achieves 4.0 (3.9 to 4.1) on the robot. b does better there: 8.1 (8.0 to 8.2).")
     assert taken.command == "sysid-evo drive --controller controllers/a.json --robot car"
     assert taken.tone == "bad"
 
 
 def test_without_a_robot_the_answers_say_what_they_rest_on() -> None:
     taken = answers(made(None))["Which controller to take?"]
-    assert taken.sentence.endswith("reaches 9.0 ± 0.1 on the other models. Nothing was run on the robot.")
+    assert taken.sentence.endswith("reaches 9.0 (8.9 to 9.1) on the other models. Nothing was run on the robot.")
     assert " --robot ROBOT" in taken.command
 
 

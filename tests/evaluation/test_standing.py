@@ -156,13 +156,13 @@ def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in() 
     assert consensus is not None
     assert consensus.value == 4.0
     sheet = transfer_sheet(matrix)
-    assert sheet.columns[-1] == "(other\nfamilies)"
+    assert sheet.columns[-1] == "other\nfamilies"
     assert sheet.rows[0][-1] == "4.0 ±0.0"
 
 
 def test_the_consensus_stands_between_models_and_robots() -> None:
     sheet = transfer_sheet(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
-    assert [column.split("\n")[0] for column in sheet.columns] == ["controller", "a", "b", "c", "(other", "car"]
+    assert [column.split("\n")[0] for column in sheet.columns] == ["controller", "a", "b", "c", "other", "car"]
     assert sheet.heat is not None
     assert sheet.heat.divided == 4
     assert sheet.heat.shades[0][3] == pytest.approx(6.5 / 12.5)

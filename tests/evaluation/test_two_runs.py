@@ -11,8 +11,19 @@ import pytest
 
 from evaluation.report import Report
 from evaluation.report.contents import ModelSummary
-from evaluation.report.two_runs import Change, Differences, differences, save_comparison, terminal, to_json, two_stories
+from evaluation.report.formats import write_format
+from evaluation.report.two_runs import (
+    Change,
+    Differences,
+    differences,
+    save_comparison,
+    stem,
+    terminal,
+    to_json,
+    two_stories,
+)
 from evaluation.report.two_runs.differences import _between
+from sysid_evo.system import Channel, System
 from tests.evaluation.made_up import SECOND, matrix, prediction, report
 from tests.evaluation.test_brief import printed
 
@@ -104,8 +115,52 @@ def test_another_robot_or_other_models_are_not_compared_with_each_other() -> Non
     assert only.others is None
     assert only.achieved is None
     sentences = " ".join(sentence for section in two_stories(found).sections for sentence in section.absent)
-    assert "no robot in common" in sentences
+    assert "the runs were driven on different robots, first on car and second on van" in sentences
     assert "different models" in sentences
+
+
+def test_runs_of_other_systems_compare_settings_alone_and_say_so() -> None:
+    first = run(BEFORE, (4.0, 8.0))
+    system = System((Channel("angle", "rad"),), (Channel("torque"),), dt=0.05)
+    found = differences(first, replace(first, data=replace(first.data, system=system)), ("car", "pendulum"))
+    assert found.errors == {}
+    assert found.controllers == ()
+    story = two_stories(found)
+    for said in (story.headlines[0].sentence, *(section.absent[0] for section in story.sections[1:])):
+        assert said.startswith(
+            "The runs are of different systems, so neither errors nor fitness are compared: car has "
+        )
+        assert said.endswith("pendulum has angle, torque.")
+
+
+def test_fitness_of_other_tasks_is_not_compared_but_that_of_other_parameters_is() -> None:
+    first = run(BEFORE, (4.0, 8.0))
+    other = differences(first, run(BEFORE, (4.0, 8.0), task="walled_track"))
+    assert other.errors
+    assert other.controllers == ()
+    assert two_stories(other).sections[2].absent == [
+        "The tasks differ, point_to_point and walled_track, so fitness is not compared."
+    ]
+    assert differences(first, run(BEFORE, (4.0, 8.0), task="point_to_point(arena_radius=1.0)")).controllers
+
+
+def test_runs_without_a_controller_in_common_say_which_ones_they_have() -> None:
+    first = run(BEFORE, (4.0, 8.0))
+    renamed = replace(first, matrix=matrix({"c": {"a": 12.0, "car": 4.0}}, robot="car", against={"c": ("a",)}))
+    (why,) = two_stories(differences(first, renamed)).sections[2].absent
+    assert why == "The runs have no controller of the same name in common: first has a, b; second has c."
+    (none,) = two_stories(differences(first, replace(first, matrix=None))).sections[2].absent
+    assert none == "second holds no controller, so there is nothing to compare."
+
+
+def test_two_runs_have_the_forms_of_one(found: Differences, tmp_path: Path) -> None:
+    story = two_stories(found)
+    text, *figures = write_format(story, "markdown", tmp_path, stem=stem(found))
+    assert text.name == "against-before.md"
+    assert {figure.parent.name for figure in figures} == {"against-before-figures"}
+    assert "no significant<br>difference" in text.read_text()
+    (tables,) = write_format(story, "latex", tmp_path, stem=stem(found))
+    assert tables.read_text().count(r"\begin{table}") == len(story.sheets)
 
 
 def test_the_answers_count_what_is_better_and_what_is_chance(found: Differences) -> None:

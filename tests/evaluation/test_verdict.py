@@ -99,7 +99,7 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         lambda: report(transfer=matrix({"a": {"a": 9.0, "car": float("nan")}}, robot="car")),
         driven,
     ),
-    "Most on the robot: a, 9.5 ± 0.1 waypoints (two standard errors).": (driven, lambda: driven(robot_trials=1)),
+    "Most on the robot: a, 9.5 (9.4 to 9.6) waypoints.": (driven, lambda: driven(robot_trials=1)),
     "Most on the robot: a, 9.5 waypoints.": (lambda: driven(robot_trials=1), driven),
     "At least nine tenths of their claim is kept on the robot by a.": (
         driven,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
@@ -15,6 +17,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_model
 from sysid_evo.store import load_model, save_model
 from sysid_evo.system import System
+from tests.benchmarks.coverage import coverage
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
@@ -124,3 +127,52 @@ def test_data_of_another_robot_are_refused_and_of_other_limits_taken(base: Dynam
     slow = System(system.states, system.controls, 0.1, system.motion)
     with pytest.raises(IncompatibleSystem, match="the data are of another system: 20 Hz against 10 Hz"):
         base.adapt(Dataset(slow, tuple(replace(e, dt=0.1) for e in there)))
+
+
+NETWORKS = {
+    "mlp_ensemble": {"members": 2, "hidden": [8], "state_lags": 0, "control_lags": 1, "one_step_updates": 200},
+    "neural_ode": {"hidden": [8], "one_step_updates": 200},
+    "hybrid_ode": {"hidden": [8], "state_lags": 0, "control_lags": 1, "one_step_updates": 200},
+}
+
+
+@pytest.mark.parametrize("family", NETWORKS)
+def test_a_network_goes_on_learning_where_it_ended(family: str, training: Dataset) -> None:
+    model = make_model(family, **NETWORKS[family], updates=20, horizon=10).fit(training, rng=0)
+    there, rng = drive(OTHER, seconds=20.0, seed=3), np.random.default_rng(0)
+    hardly, further = (model.trained_further(there, updates, rng=rng) for updates in (1, 100))
+    assert hardly is not None
+    assert further is not None
+    assert hardly.score(there) == pytest.approx(model.score(there), rel=0.02)
+    test = drive(OTHER, seconds=20.0, seed=4)
+    assert further.score(test) > 0.7 * model.score(test)
+
+
+def test_a_family_without_updates_is_not_trained_further(base: DynamicsModel, training: Dataset) -> None:
+    assert base.trained_further(training, 10, rng=np.random.default_rng(0)) is None
+
+
+def test_of_a_mean_those_members_are_trained_further_that_can_be(training: Dataset) -> None:
+    network: Any = make_model("mlp_ensemble", **NETWORKS["mlp_ensemble"], updates=5).fit(training, rng=0)
+    linear: Any = make_model("auto", candidates=["linear"], folds=2).fit(training, rng=0)
+    mean = linear.of([linear.members_[0], network], np.array([0.5, 0.5]))
+    further = mean.trained_further(drive(OTHER, seconds=10.0, seed=3), 5, rng=np.random.default_rng(0))
+    assert further.members_[0] is linear.members_[0]
+    assert (further.members_[1].weights_[0] != network.weights_[0]).any()
+    assert linear.trained_further(training, 5, rng=np.random.default_rng(0)) is None
+
+
+def test_the_spread_of_an_adapted_model_is_that_of_the_new_condition(training: Dataset) -> None:
+    model = make_model("linear", stochastic=True).fit(training, rng=0)
+    there = drive(OTHER, seconds=30.0, seed=3, noise=0.05)
+    adapted = model.adapt(there, rng=0)
+    assert adapted.corrects  # type: ignore[attr-defined]  # of the family adapted
+    test = drive(OTHER, seconds=60.0, seed=4, noise=0.05)
+    windows = test.windows(60, stride=9, history=model.n_lags)
+
+    def held(judged: DynamicsModel) -> Array:
+        drawn = judged.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=3)
+        return np.array([coverage(drawn[:, :, h - 1], windows.states[:, h - 1]).mean() for h in (1, 10, 20, 60)])
+
+    assert (np.abs(held(adapted) - 0.9) < 0.08).all(), held(adapted)
+    assert (held(model) < 0.7).all(), held(model)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
+import sys
 from functools import cache
 from typing import Any
 
@@ -11,15 +14,17 @@ import pytest
 from model_zoo.auto import Auto
 from model_zoo.selection.candidates import SHIPPED, Candidate, offered, structure_of
 from model_zoo.selection.choosing import UNTRIED, Choosing
-from model_zoo.selection.fitting import Task, Work, fitted
+from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import balanced, folds_of
+from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import Spec, make_model, models, register_model
+from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
@@ -149,6 +154,13 @@ def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:
         make_model("auto", candidates=["narx(state_lags=500, control_lags=0)"]).fit(example_dataset(), rng=0)
 
 
+def test_if_no_candidate_can_describe_the_system_the_reasons_are_told() -> None:
+    turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
+    data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
+    with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it is not periodic, and angle comes round"):
+        make_model("auto", candidates=["linear"]).fit(data, rng=0)
+
+
 def test_auto_is_no_candidate_of_itself() -> None:
     with pytest.raises(InvalidArgument, match="would try itself"):
         make_model("auto", candidates=["linear", "auto"]).fit(example_dataset(), rng=0)
@@ -275,6 +287,13 @@ def test_what_progress_raises_is_no_failure_of_a_candidate() -> None:
 
     with pytest.raises(Enough):
         make_model("auto", candidates=["sindy(lag_search=few)", *FEW]).fit(example_dataset(), rng=0, progress=progress)
+
+
+def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest() -> None:
+    load(["json", "no_such_library"])
+    here = "import sys; from model_zoo.selection.fitting import LARGE, load; load(LARGE); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", here], capture_output=True, text=True, check=True).stdout.split()
+    assert {name for name in LARGE if importlib.util.find_spec(name)} <= set(loaded)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "delay_embedding": {"family": "linear"},
     "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 100},
     "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
+    "latent_ode": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
     "subnet": {"order": 3, "hidden": 4, "updates": 15, "horizon": 5, "past": 4, "batch": 16},
     "gaussian_process": {"inducing": 40},
     "evolved3": {"generations": 30},
@@ -39,8 +40,8 @@ TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "to
 SLOWEST = ("adapted", "hybrid_ode", "torch_ode")
 """Those that are tried on a car with --slow alone."""
 OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
-SLOW_TO_LEARN = [name for name in (*TRAINED, "auto") if name != "neural_ode"]
-"""Families that learn as the one left out does; how well they do is asked with --slow."""
+SLOW_TO_LEARN = [name for name in (*TRAINED, "auto", "latent_ode") if name != "neural_ode"]
+"""Families that learn as `neural_ode` and `nonlinear_state_space` do; how well they do is asked with --slow."""
 ONE_OF_A_KIND = [
     pytest.param(name, marks=pytest.mark.slow) if name in SLOW_TO_LEARN else name for name in models.names()
 ]

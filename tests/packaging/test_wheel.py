@@ -17,9 +17,28 @@ from tests.packaging.conftest import ROOT, Environment, build
 pytestmark = pytest.mark.slow
 
 PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
-OPTIONAL = ("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax")
+OPTIONAL = (
+    *("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax"),
+    "distributed",
+)
 LEFT_OUT = {"sindy": "sindy"}
 """Families of a comparison with no options that cannot run without extras, and the extra of each."""
+STUDY = """
+[experiment]
+models = ["linear"]
+minutes = 0.5
+generations = 2
+trials = 2
+polish = 1
+transfer_trials = 5
+traces = 0
+yardstick = false
+task = "point_to_point(horizon=100)"
+
+[grid]
+robot = ["emulated_car", "emulated_car(seed=1)"]
+seed = "0..1"
+"""
 
 
 def of_the_tree(*folders: str) -> set[str]:
@@ -101,6 +120,34 @@ def test_compare_runs_without_extras_and_names_what_installs_the_rest(bare: Envi
     families = {model["family"] for model in report["models"]}
     assert families == {"backprop27", "evolved3", "mlp_ensemble", "narx", "nearest_neighbour", "parametrised"}
     assert report["failures"] == []
+
+
+def test_a_study_runs_without_extras_and_its_tables_can_be_read(bare: Environment) -> None:
+    (bare.work / "two.toml").write_text(STUDY, encoding="utf-8")
+    done = bare.python("-m", "sysid_evo", "study", "two.toml", "--out", "study")
+    assert done.returncode == 0, done.stderr
+    held = {file.name for file in (bare.work / "study").iterdir()}
+    assert {"study.html", "study.md", "study.toml"} <= held
+    tables = [name for name in held if name.endswith(".parquet")]
+    read = f"import pandas as pd; print(sum(len(pd.read_parquet('study/' + n)) for n in {sorted(tables)}))"
+    assert int(bare.python("-c", read).stdout) > 0
+    again = bare.python("-m", "sysid_evo", "study", "two.toml", "--out", "study", "--render", "--json")
+    assert again.returncode == 0, again.stderr
+    json.loads(again.stdout)
+
+
+def test_a_plugin_that_is_installed_beside_the_wheel_is_found_by_its_entry_point(bare: Environment) -> None:
+    written = bare.python("-m", "sysid_evo", "plugin", "new", "visitor")
+    assert written.returncode == 0, written.stderr
+    bare.install("--no-deps", bare.work / "visitor")
+    listed = bare.python("-m", "sysid_evo", "models", "list")
+    assert re.search(r"\bvisitor\b", listed.stdout), listed.stderr
+    compared = bare.python(
+        "-m", "sysid_evo", "compare", "--models", "visitor", "--only", "prediction", "--minutes", "0.5", "--out", "seen"
+    )
+    assert compared.returncode == 0, compared.stderr
+    report = json.loads((bare.work / "seen" / "report.json").read_text(encoding="utf-8"))
+    assert [model["family"] for model in report["models"]] == ["visitor"]
 
 
 def test_a_family_asked_for_by_name_is_refused_before_any_work(bare: Environment) -> None:

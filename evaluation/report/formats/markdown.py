@@ -17,7 +17,12 @@ SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
 
 def to_markdown(report: Report, *, figures: str = "") -> str:
     """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
-    return "\n\n".join(_parts(Story.of(report), figures)) + "\n"
+    return story_to_markdown(Story.of(report), figures=figures)
+
+
+def story_to_markdown(story: Story, *, figures: str = "") -> str:
+    """Return a story as Markdown, see `to_markdown`."""
+    return "\n\n".join(_parts(story, figures)) + "\n"
 
 
 def sheet_to_markdown(sheet: Sheet) -> str:

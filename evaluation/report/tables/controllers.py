@@ -7,7 +7,7 @@ import numpy as np
 from evaluation.exploitability import ModelExploitability
 from evaluation.labels import folded, percent
 from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
-from evaluation.report.transferring import ONE_SEED
+from evaluation.report.transferring import seeds_unknown
 from evaluation.transfer import (
     NOT_RUN,
     Cell,
@@ -19,7 +19,7 @@ from evaluation.transfer import (
 )
 from sysid_evo.evolution import Finalist, worth
 
-CONSENSUS = "(other\nfamilies)"
+CONSENSUS = "other\nfamilies"
 """The heading of what models of other families say together."""
 FAINTEST = 1e-3
 """The share from which on a cell is painted."""
@@ -80,7 +80,7 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
     seeds = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
     spread = f"below a claim: its range over {max(seeds)} evolution seeds. " if max(seeds, default=0) > 1 else ""
-    unknown = f" {ONE_SEED}" if min(seeds, default=2) < 2 else ""
+    unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
     return Sheet(
         title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
         columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),

@@ -6,6 +6,7 @@ import numpy as np
 
 from evaluation.labels import folded
 from evaluation.report.sheets import Sheet, lines, within
+from evaluation.report.transferring import seeds_unknown
 from evaluation.transfer import Estimate, Standing, TransferMatrix, TransferSummary
 
 
@@ -40,6 +41,7 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
                 if several
                 else " of this one controller, not over evolution seeds."
             )
+            + (f" {seeds_unknown(summary)}" if several and seeds_unknown(summary) else "")
         ),
     )
 

@@ -12,6 +12,7 @@ from evaluation.prediction import Interval, MeasuredCases, Prediction
 from evaluation.report.contents import Report
 from evaluation.transfer import TransferMatrix, fitness_on
 from sysid_evo.arrays import Array
+from sysid_evo.system import System
 
 CONFIDENCE = 0.95
 
@@ -79,6 +80,28 @@ class Differences:
         return tuple(model.name for model in here if model.name not in there)
 
     @property
+    def incomparable(self) -> str | None:
+        """Why nothing but settings can be compared: the systems differ; None where they are the same."""
+        first, second = (report.data.system for report in self.reports)
+        if _channels(first) == _channels(second):
+            return None
+        here, there = (", ".join((*one.state_names, *one.control_names)) for one in (first, second))
+        if here == there:
+            here, there = (f"{one.dt:g} s a step, or other units" for one in (first, second))
+        return (
+            f"The runs are of different systems, so neither errors nor fitness are compared: {self.names[0]} has "
+            f"{here}; {self.names[1]} has {there}."
+        )
+
+    @property
+    def other_tasks(self) -> str | None:
+        """Why fitness is not compared: the tasks differ; None where it is the same one, whatever its parameters."""
+        if _same_task(*self.reports):
+            return None
+        first, second = (report.settings.get("task") for report in self.reports)
+        return f"The tasks differ, {first} and {second}, so fitness is not compared."
+
+    @property
     def unit(self) -> str:
         """The unit of fitness."""
         return next((report.matrix.unit for report in self.reports if report.matrix is not None), "")
@@ -99,6 +122,7 @@ class Differences:
 def differences(first: Report, second: Report, names: tuple[str, str] = ("first", "second")) -> Differences:
     """Compare two reports; a figure is paired where both runs met the same test data, or the same trials."""
     settings = _changed(_flat(first.settings), _flat(second.settings))
+    same_system = _channels(first.data.system) == _channels(second.data.system)
     same_test = _same_cases(first.prediction, second.prediction)
     same_trials = not {"seed", "task", "transfer_trials"} & {name.partition(".")[0] for name in settings}
     return Differences(
@@ -106,12 +130,25 @@ def differences(first: Report, second: Report, names: tuple[str, str] = ("first"
         reports=(first, second),
         settings=settings,
         parameters=_parameters(first, second),
-        errors=_errors(first.prediction, second.prediction, same_test),
-        controllers=_controllers(first.matrix, second.matrix, same_trials),
+        errors=_errors(first.prediction, second.prediction, same_test) if same_system else {},
+        controllers=(
+            _controllers(first.matrix, second.matrix, same_trials) if same_system and _same_task(first, second) else ()
+        ),
         same_training=first.data.fingerprint == second.data.fingerprint,
         same_test=same_test,
         same_trials=same_trials,
     )
+
+
+def _channels(system: System) -> tuple[Any, ...]:
+    """Return what makes errors and fitness of a system comparable: names and units of its channels, and its step."""
+    named = ((channel.name, channel.unit) for channel in (*system.states, *system.controls))
+    return (*named, system.dt)
+
+
+def _same_task(first: Report, second: Report) -> bool:
+    here, there = (str(report.settings.get("task", "")).partition("(")[0] for report in (first, second))
+    return here == there
 
 
 def _parameters(first: Report, second: Report) -> dict[str, tuple[Any, Any]]:

@@ -35,7 +35,8 @@ def changed(found: Differences) -> Section:
 def predicting(found: Differences) -> Section:
     """Compare errors, paired where both runs met the same test data."""
     if not found.errors:
-        return Section("Prediction", absent=["The runs have no model with errors at the same horizons in common."])
+        why = found.incomparable or "The runs have no model with errors at the same horizons in common."
+        return Section("Prediction", absent=[why])
     sheets = [error_sheet(found, horizon) for horizon in found.errors]
     prediction = found.reports[0].prediction
     assert prediction is not None
@@ -51,18 +52,41 @@ def transferring(found: Differences) -> Section:
     """Compare claims and what is achieved, paired where both runs met the same trials."""
     sheets = [controller_sheet(found, figure, title) for figure, title in FIGURES]
     if not any(sheets):
-        return Section("Transfer", absent=["The runs have no controller of the same name in common."])
+        why = found.incomparable or found.other_tasks or _no_controller(found)
+        return Section("Transfer", absent=[why])
     changes = {title: _drawn(_of(found.controllers, figure)) for figure, title in FIGURES}
     shown = {title: drawn for title, drawn in changes.items() if drawn}
     unit = f" ({found.unit})" if found.unit else ""
     label = f"second minus first{unit}"
     absent = []
     if not any(c.achieved is not None for c in found.controllers):
-        absent.append("The runs have no robot in common, so what is achieved there is not compared.")
+        absent.append(f"What is achieved on the robot is not compared: {_robots(found)}.")
     if not any(c.others is not None for c in found.controllers):
-        absent.append("The runs hold different models, so fitness on the other models is not compared.")
+        absent.append(
+            "The runs hold different models, so fitness on the other models, a mean over all of them, is not compared."
+        )
     picture = _picture("fitness", "Change of fitness", shown, label, len(found.controllers))
     return Section("Transfer", present(picture, *sheets), absent=absent)
+
+
+def _no_controller(found: Differences) -> str:
+    rows = [() if report.matrix is None else report.matrix.rows for report in found.reports]
+    for name, here in zip(found.names, rows, strict=True):
+        if not here:
+            return f"{name} holds no controller, so there is nothing to compare."
+    told = "; ".join(f"{name} has {', '.join(here)}" for name, here in zip(found.names, rows, strict=True))
+    return f"The runs have no controller of the same name in common: {told}."
+
+
+def _robots(found: Differences) -> str:
+    """Say on which robot each run was driven."""
+    robots = [None if report.matrix is None else report.matrix.robot for report in found.reports]
+    if robots[0] == robots[1] and robots[0] is not None:
+        return f"no controller ran on {robots[0]} in both"
+    told = [
+        f"{name} on {robot}" if robot else f"{name} on none" for name, robot in zip(found.names, robots, strict=True)
+    ]
+    return "the runs were driven on different robots, " + " and ".join(told) if any(robots) else "neither was driven"
 
 
 def _of(controllers: Sequence[ControllerChange], figure: str) -> dict[str, Change]:

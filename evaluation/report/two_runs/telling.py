@@ -31,8 +31,13 @@ def two_stories(found: Differences) -> Story:
 
 def save_comparison(found: Differences, folder: str | Path) -> Path:
     """Write the page of two runs into ``folder`` and return its path, named after the first of them."""
-    page, name = page_of(two_stories(found)), re.sub(r"[^\w.-]+", "-", found.names[0])
-    return write_atomically(Path(folder) / f"against-{name}.html", lambda file: file.write_text(page, encoding="utf-8"))
+    page = page_of(two_stories(found))
+    return write_atomically(Path(folder) / f"{stem(found)}.html", lambda file: file.write_text(page, encoding="utf-8"))
+
+
+def stem(found: Differences) -> str:
+    """Return what the files of two runs are called, without suffix."""
+    return "against-" + re.sub(r"[^\w.-]+", "-", found.names[0])
 
 
 def terminal(found: Differences) -> list[RenderableType]:
@@ -104,7 +109,7 @@ def _counted(
     lower_is_better: bool,
 ) -> Headline:
     if not changes:
-        return Headline(question, "Not known", "The runs have none in common.", "open")
+        return Headline(question, "Not known", found.incomparable or "The runs have none in common.", "open")
     sure = {name: change for name, change in changes.items() if change.significant}
     sign = -1.0 if lower_is_better else 1.0
     up = [name for name, change in sure.items() if sign * change.difference > 0]
@@ -140,6 +145,8 @@ def _what_changed(found: Differences) -> str:
 
 
 def _data_words(found: Differences) -> str:
+    if (why := found.incomparable) is not None:
+        return why
     training = "The same training data" if found.same_training else "Other training data"
     test = "the same test" if found.same_test else "another test, so that errors are not paired"
     trials = "the same trials" if found.same_trials else "other trials, so that fitness is not paired"

@@ -1,10 +1,15 @@
 """How well forecasts tell what controllers achieve on the robot: ``python -m tests.benchmarks.forecast RUN ...``.
 
-Every RUN is the folder of a comparison of an emulated car, such as ``python -m tests.benchmarks.transfer`` makes. All
-finalists in it, good and bad, are run on all its models and, in other trials, on the car; what is seen is kept in
-``--out``. Prints, within a run, the rank correlation with what is achieved (means over runs, 95 % intervals over
-cars), the error, and what is lost by choosing the best of ten; the share of 90 % intervals that hold, each car's
-calibrated on the others; whether a further term does better; and the constants of `evaluation.forecast.RULE`.
+    python -m tests.benchmarks.forecast RUN ... --out FOLDER
+    python -m tests.benchmarks.forecast --study STUDY.toml --store FOLDER --out FOLDER
+
+Every RUN is the folder of a comparison of an emulated car, such as ``sysid-evo compare --seed 2`` makes; a
+study (``sysid-evo study``) has many of them in one store, of which the complete points are taken. All finalists, good
+and bad, are run on all models of their run and, in other trials, on the car; what is seen is kept in ``--out``. Further
+terms are looked at in single runs alone, where they take most of the time. Prints, within a run, the rank correlation
+with what is achieved (means over runs, 95 % intervals over cars), the error, and what is lost by choosing the best of
+ten; the share of 90 % intervals that hold, each car's calibrated on the others; whether a further term does better; and
+the constants of `evaluation.forecast.RULE`.
 """
 
 from __future__ import annotations
@@ -12,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.forecast import RULE
+from evaluation.study import Study
 from tests.benchmarks.forecast.judging import (
     Seen,
     best_of_ten,
@@ -32,6 +39,7 @@ from tests.benchmarks.forecast.judging import (
     with_term,
 )
 from tests.benchmarks.forecast.looking import look
+from tests.benchmarks.forecast.points import complete_points, look_at
 
 FIGURES: Mapping[str, Callable[[Seen], float]] = {
     "forecast": lambda one: one.forecast,
@@ -85,31 +93,67 @@ def cover_table(runs: Runs) -> Table:
     everyone = [one for found in runs.values() for one in found]
     holds = np.array(held(everyone, RULE.share))
     cars = np.array([one.car for one in everyone])
-    made = Table("car", "controllers", "intervals that hold")
+    in_code = np.array(
+        [one.forecast + RULE.low * one.unit <= one.achieved <= one.forecast + RULE.high * one.unit for one in everyone]
+    )
+    made = Table("car", "controllers", "intervals that hold", "those of the code")
     for car in np.unique(cars):
-        made.add_row(str(car), str((cars == car).sum()), f"{100 * holds[cars == car].mean():.0f} %")
+        own = cars == car
+        made.add_row(str(car), str(own.sum()), f"{100 * holds[own].mean():.0f} %", f"{100 * in_code[own].mean():.0f} %")
     keys = [key for key, found in runs.items() for _ in found]
     shares = {key: float(holds[[own == key for own in keys]].mean()) for key in runs}
-    made.add_row("all", str(len(cars)), f"{100 * holds.mean():.1f} %; mean over runs {interval(over_cars(shares))}")
+    told = f"{100 * holds.mean():.1f} %; mean over runs {interval(over_cars(shares))}"
+    made.add_row("all", str(len(cars)), told, f"{100 * in_code.mean():.1f} %")
     return made
+
+
+def missed_table(runs: Runs) -> Table:
+    """Return a line for each kind of controller: how many intervals hold, and by how much forecasts miss."""
+    everyone = [one for found in runs.values() for one in found]
+    holds = np.array(held(everyone, RULE.share))
+    made = Table("controller, or its search", "finalists", "intervals that hold", "achieved less forecast", "by car")
+    for name in dict.fromkeys(one.name for one in everyone):
+        own = np.array([one.name == name for one in everyone])
+        missed = np.array([one.achieved - one.forecast for one in everyone])
+        cars = sorted({one.car for one in everyone if one.name == name})
+        by_car = [holds[own & np.array([one.car == car for one in everyone])].mean() for car in cars]
+        shares = " ".join(f"{100 * share:.0f}" for share in by_car)
+        made.add_row(name, str(own.sum()), f"{100 * holds[own].mean():.0f} %", f"{missed[own].mean():+.2f}", shares)
+    return made
+
+
+def number_of(robot: str) -> int:
+    """Return the number of an emulated car, 0 for the usual one."""
+    return int("".join(letter for letter in robot if letter.isdigit()) or 0)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Look at what is missing and print the tables."""
     parser = argparse.ArgumentParser(prog="tests.benchmarks.forecast", description=__doc__)
-    parser.add_argument("runs", nargs="+", type=Path, help="run folders of comparisons of emulated cars")
+    parser.add_argument("runs", nargs="*", type=Path, help="run folders of comparisons of emulated cars")
+    parser.add_argument("--study", type=Path, help="file of a study of emulated cars")
+    parser.add_argument("--store", type=Path, help="folder that holds the cells of the study")
     parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was seen")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     console, runs = Console(width=120), {}
+    if (given.study is None) != (given.store is None):
+        parser.error("--study needs --store, and the other way round")
+    if given.study is not None:
+        for point, comparison in complete_points(Study.read(given.study), given.store):
+            car = number_of(comparison.experiment.robot or "")
+            records = look_at(point, comparison, given.store, given.out)
+            runs[car, point.name] = [seen(record, car, point.name, RULE) for record in records]
+            console.print(f"{point.name}: {len(records)} controllers, {time.process_time():.0f} s", highlight=False)
     for run in given.runs:
         robot = json.loads((run / "report.json").read_text(encoding="utf-8"))["settings"]["robot"]
-        car = int("".join(letter for letter in robot if letter.isdigit()) or 0)
+        car = number_of(robot)
         key = (car, str(run))
         runs[key] = [seen(record, car, str(run), RULE) for record in look(run, given.out)]
     everyone = [one for found in runs.values() for one in found]
     console.print(f"{len(everyone)} controllers in {len(runs)} runs of {len({car for car, _ in runs})} cars")
-    for table in (figure_table(runs), cover_table(runs), term_table(runs)):
+    terms = (term_table(runs),) if all(one.terms for one in everyone) else ()
+    for table in (figure_table(runs), cover_table(runs), missed_table(runs), *terms):
         console.print(table)
     low, high = calibrated(everyone, RULE.share)
     console.print(f"of all cars: low={low:.1f}, high={high:.1f}; in the code: low={RULE.low}, high={RULE.high}")

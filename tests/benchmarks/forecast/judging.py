@@ -21,7 +21,8 @@ RIDGE = 0.1
 class Seen:
     """One controller: what was achieved, its forecast without a calibrated interval, and what else could be told.
 
-    ``unit`` is that of the interval, see `Rule`. ``terms`` are in units of the fitness.
+    ``unit`` is that of the interval, see `Rule`. ``terms`` are in units of the fitness, none where they were not
+    looked at.
     """
 
     car: int
@@ -33,6 +34,7 @@ class Seen:
     others: float
     error: float
     terms: Mapping[str, float] = field(default_factory=dict)
+    name: str = ""
 
 
 def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
@@ -59,7 +61,10 @@ def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
         claimed=claimed,
         others=others,
         error=float(np.mean([columns[label]["error"] for label in against])) if against else np.nan,
-        terms={
+        name=record.get("name", ""),
+        terms={}
+        if "optimism" not in record
+        else {
             "nothing else": 0.0,
             "claimed less forecast": claimed - value,
             "other families less forecast": others - value,

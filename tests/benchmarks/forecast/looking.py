@@ -36,14 +36,17 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Material:
-    """The models of a run, and what is known about them without the car."""
+    """The models of a run, and what is known about them without the car.
+
+    Without ``support`` of the data neither what is outside them nor probes and optimism are looked at.
+    """
 
     models: dict[str, DynamicsModel]
     families: dict[str, str]
     errors: dict[str, float | None]
-    support: Support
-    limits: Sequence[ProbeLimit]
     seed: int
+    support: Support | None = None
+    limits: Sequence[ProbeLimit] = ()
 
     @classmethod
     def of(cls, run: Path, report: Mapping[str, Any]) -> Material:
@@ -76,20 +79,20 @@ def look(run: Path, out: Path) -> list[Record]:
     for name, file in report["controller_files"].items():
         champion = load_champion((run / file).with_suffix(""))
         if champion.against and report["transfer"]["robot"] not in champion.against:
-            for record in _records(champion, name, material, car):
+            for record in records_of(champion, name, material, car):
                 records.setdefault(record["digest"], record)
     text = json.dumps(list(records.values()), allow_nan=False)
     write_atomically(kept, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return list(records.values())
 
 
-def _records(champion: Champion, name: str, material: Material, car: Runner) -> list[Record]:
+def records_of(champion: Champion, name: str, material: Material, car: Runner) -> list[Record]:
     """Return what each finalist does, the champion first."""
     others = [f.parameters for f in champion.finalists if not np.array_equal(f.parameters, champion.parameters)]
     everyone = np.stack([champion.parameters, *others])
     columns = {label: _column(champion, everyone, label, material) for label in material.models}
     truth = _run(champion, everyone, car, material.seed + OTHER, TRUTH).fitness
-    own = champion.against[0] if len(champion.against) == 1 else None
+    own = champion.against[0] if len(champion.against) == 1 and material.support is not None else None
     return [
         {
             "name": name,
@@ -97,7 +100,11 @@ def _records(champion: Champion, name: str, material: Material, car: Runner) -> 
             "against": list(champion.against),
             "achieved": float(truth[number].mean()),
             "columns": {label: rows[number] for label, rows in columns.items()},
-            "optimism": _optimism(replace(champion, parameters=parameters), own, material),
+            **(
+                {}
+                if material.support is None
+                else {"optimism": _optimism(replace(champion, parameters=parameters), own, material)}
+            ),
         }
         for number, parameters in enumerate(everyone)
     ]
@@ -107,6 +114,9 @@ def _column(champion: Champion, everyone: Array, label: str, material: Material)
     """Return what everyone does on one model: fitness, how much is outside the data, what trips a probe most."""
     runner, support = DynamicsRunner(material.models[label]), material.support
     fitness = _run(champion, everyone, runner, material.seed, TRIALS).fitness
+    told = {"family": material.families[label], "error": material.errors[label]}
+    if support is None:
+        return [{**told, "fitness": own.tolist()} for own in fitness]
     recorded = _run(champion, everyone, runner, material.seed, RECORDED, record=True)
     whose = np.flatnonzero(recorded.survived.ravel() > 0) // RECORDED
     found = []
@@ -116,8 +126,7 @@ def _column(champion: Champion, everyone: Array, label: str, material: Material)
         shares = [limit.share(steps) or 0.0 for limit in material.limits]
         found.append(
             {
-                "family": material.families[label],
-                "error": material.errors[label],
+                **told,
                 "fitness": fitness[number].tolist(),
                 "outside": support.share_outside(steps) or 0.0,
                 "probed": max(shares, default=0.0),

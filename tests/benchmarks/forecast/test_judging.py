@@ -71,3 +71,9 @@ def test_what_is_seen_is_forecast_by_the_rule_and_nothing_of_the_robot_enters() 
     one, other = (seen({**record, "achieved": achieved}, 0, "0", RULE) for achieved in (5.0, 50.0))
     assert (one.forecast, one.unit, one.claimed, one.others) == (other.forecast, other.unit, 10.0, 8.0)
     assert 8.0 < one.forecast < 9.0
+
+
+def test_terms_that_were_not_looked_at_are_none() -> None:
+    columns = {name: {"family": name, "error": 0.1, "fitness": [9.0, 11.0]} for name in ("a", "b")}
+    found = seen({"name": "c", "achieved": 9.5, "against": ["a"], "columns": columns}, 0, "", RULE)
+    assert (found.name, found.forecast, dict(found.terms)) == ("c", 10.0, {})

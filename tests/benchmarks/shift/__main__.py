@@ -1,14 +1,15 @@
 """What adaptation is worth in another condition: ``python -m tests.benchmarks.shift [FAMILY ...] [--groups cars ...]``.
 
 Every family is fitted in one condition and tested in another: on the other of two real cars and on the same one
-again, along the whole test drive of the same car ("drives"), on each of four floors after the other three, on emulated
-cars with half the grip, a low battery, of another make, and unchanged. N (mean over channels of RMSE / standard
-deviation) after 10, 20 and 60 steps is printed before adaptation, after 10 and 30 s of it, with recursive correction
-along the test drive without and with those 30 s before, of a fit from scratch to the same 30 s, and of a fit in-domain;
-``--ways`` names those that are wanted. The mean is over ``--seeds``; a star marks what differs from "before" at 20
-steps by a paired bootstrap over blocks of three seconds (95 %). What was decided after 30 s stands below.
-``--driving`` lets the predictive controller drive the emulated cars with the model of the nominal one, without and with
-a model that corrects itself, and prints waypoints and the milliseconds of processor time of a decision and of learning.
+again, along the whole test drive of the same car ("drives", "grippy drive" for one of them), on each of four floors
+after the other three, on emulated cars with half the grip, a low battery, of another make, and unchanged. N (mean over
+channels of RMSE / standard deviation) after 10, 20 and 60 steps is printed before adaptation, after 10 and 30 s of it,
+with recursive correction along the test drive without and with those 30 s before, of a fit from scratch to the same
+30 s, and of a fit in-domain; ``--ways`` names those that are wanted. The mean is over ``--seeds``; a star marks what
+differs from "before" at 20 steps by a paired bootstrap over blocks of three seconds (95 %). What was decided after 30 s
+stands below. With ``--keep`` fitted models are kept in a folder, and are not fitted again. ``--driving`` lets the
+predictive controller drive the emulated cars with the model of the nominal one, without and with a model that corrects
+itself, and prints waypoints and the milliseconds of processor time of a decision and of learning.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -30,8 +33,9 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
 from sysid_evo.registry import make_model, models
+from sysid_evo.store import load_model, save_model
 from tests.benchmarks.shift.driving import drive_changed_cars
-from tests.benchmarks.shift.recordings import Case, cases
+from tests.benchmarks.shift.recordings import GROUPS, Case, cases
 
 HORIZONS = (10, 20, 60)
 MARKED = 20
@@ -85,11 +89,35 @@ def recursive(model: DynamicsModel, test: Dataset, measured: MeasuredCases) -> A
 WAYS = ("10 s", "30 s", "recursive", "30 s, then recursive", "scratch", "in-domain")
 
 
-def measure(
-    case: Case, base: DynamicsModel, fresh: Callable[[], DynamicsModel], seed: int, wanted: Sequence[str]
-) -> tuple[dict[str, dict[int, Array]], str]:
+@dataclass(frozen=True)
+class Fits:
+    """A family fitted with its preset, once to each data set with each seed; kept in a folder, if there is one."""
+
+    name: str
+    preset: str
+    folder: Path | None
+    known: dict[tuple[int, str], DynamicsModel] = field(default_factory=dict)
+
+    def fitted(self, data: Dataset, seed: int) -> DynamicsModel:
+        """Return the model of ``data``."""
+        key = seed, data.fingerprint
+        if key not in self.known:
+            self.known[key] = self._fitted(data, seed)
+        return self.known[key]
+
+    def _fitted(self, data: Dataset, seed: int) -> DynamicsModel:
+        if self.folder is None:
+            return new_model(self.name, self.preset).fit(data, rng=seed)
+        file = self.folder / f"{self.name}-{self.preset}-{seed}-{data.fingerprint[:16]}"
+        stored = file.with_name(f"{file.name}.json")
+        if not stored.is_file():
+            save_model(new_model(self.name, self.preset).fit(data, rng=seed), file, seed=seed)
+        return load_model(stored)
+
+
+def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[dict[str, dict[int, Array]], str]:
     """Return N of every way to meet the other condition, and what was decided after 30 s."""
-    protocol = PredictionProtocol()
+    protocol, base = PredictionProtocol(), fits.fitted(case.training, seed)
     measured = measured_cases(case.training, case.test, protocol)
     found = {"before": resampled(measured, simulated(base, measured))}
 
@@ -102,8 +130,8 @@ def measure(
         "30 s": lambda: simulated(there(), measured),
         "recursive": lambda: recursive(base, case.test, measured),
         "30 s, then recursive": lambda: recursive(there(), case.test, measured),
-        "scratch": lambda: simulated(fresh().fit(case.first(30.0), rng=seed), measured),
-        "in-domain": lambda: simulated(fresh().fit(case.own, rng=seed), measured),
+        "scratch": lambda: simulated(fits.fitted(case.first(30.0), seed), measured),
+        "in-domain": lambda: simulated(fits.fitted(case.own, seed), measured),
     }
     for way, run in ((way, run) for way, run in ways.items() if way in wanted):
         try:
@@ -132,27 +160,26 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("families", nargs="*", default=["sindy", "neural_ode", "mlp_ensemble", "parametrised"])
-    parser.add_argument("--groups", nargs="+", default=["cars", "emulated", "floors"])
+    parser.add_argument("--groups", nargs="+", default=["cars", "emulated", "floors"], choices=GROUPS)
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--ways", nargs="+", default=WAYS, choices=WAYS)
+    parser.add_argument("--keep", type=Path)
     parser.add_argument("--driving", action="store_true")
     options = parser.parse_args(arguments)
+    if options.keep is not None:
+        options.keep.mkdir(parents=True, exist_ok=True)
     write = sys.stdout.write
     if options.driving:
         drive_changed_cars(new_model(options.families[0], options.preset), write)
         return 0
     for name in options.families:
-        fitted: dict[tuple[int, str], DynamicsModel] = {}
-        fresh = partial(new_model, name, options.preset)
+        fits = Fits(name, options.preset, options.keep)
         for case in (case for group in options.groups for case in cases(group)):
             began, runs, notes = time.process_time(), list[dict[str, dict[int, Array]]](), list[str]()
             try:
                 for seed in range(options.seeds):
-                    key = seed, case.training.fingerprint
-                    if key not in fitted:
-                        fitted[key] = fresh().fit(case.training, rng=seed)
-                    run, note = measure(case, fitted[key], fresh, seed, options.ways)
+                    run, note = measure(case, fits, seed, options.ways)
                     runs.append(run)
                     notes.append(note)
             except InvalidData as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,8 +39,8 @@ class Case:
 
 
 def cases(wanted: str) -> Iterator[Case]:
-    """Yield the cases whose group, "cars", "drives", "floors" or "emulated", is ``wanted``."""
-    yield from {"cars": real_cars, "drives": whole_drives, "floors": floors, "emulated": emulated}[wanted]()
+    """Yield the cases of the group ``wanted``, one of `GROUPS`."""
+    yield from GROUPS[wanted]()
 
 
 def real_cars() -> Iterator[Case]:
@@ -54,9 +54,19 @@ def real_cars() -> Iterator[Case]:
 
 def whole_drives() -> Iterator[Case]:
     """Each of the two cars after itself, along the whole test drive: what the recursive form makes of it."""
-    for name in ("slippery_20hz", "free_20hz"):
-        training, drive = recording(name)
-        yield Case(f"{name}, whole drive", False, training, cut(drive)[0], training, drive)
+    yield whole_drive("slippery_20hz")
+    yield whole_drive("free_20hz")
+
+
+def grippy_drive() -> Iterator[Case]:
+    """The car that grips along its whole test drive, whose peers are known."""
+    yield whole_drive("free_20hz")
+
+
+def whole_drive(name: str) -> Case:
+    """Return one of the two cars after itself, along the whole test drive."""
+    training, drive = recording(name)
+    return Case(f"{name}, whole drive", False, training, cut(drive)[0], training, drive)
 
 
 def floors() -> Iterator[Case]:
@@ -100,3 +110,12 @@ def cut(drive: Dataset) -> tuple[Dataset, Dataset]:
     begin = int(np.argmax(drive.moving[0]))
     end = begin + round(LONGEST / drive.system.dt)
     return drive.with_episodes([episode[begin:end]]), drive.with_episodes([episode[end:]])
+
+
+GROUPS: dict[str, Callable[[], Iterator[Case]]] = {
+    "cars": real_cars,
+    "drives": whole_drives,
+    "grippy drive": grippy_drive,
+    "floors": floors,
+    "emulated": emulated,
+}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.forecast import Rule, forecast_of, forecasts, model_forecasts, worth_by
+from evaluation.forecast import Rule, forecast_of, forecasts, model_forecasts, summary_of, worth_by
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from tests.evaluation.made_up import evolved, matrix
 
@@ -120,3 +120,11 @@ def test_finalists_are_ranked_by_the_same_number() -> None:
     by_model = np.array([[6.0, 9.0], [7.0, 8.0], [20.0, 4.0]])
     ranked = worth(evolved("poor", ("poor",)), ("good", "fair", "poor"), by_model)
     assert ranked[0] == pytest.approx(forecasts(matrix(CLAIMS), ERRORS)["poor"].value)
+
+
+def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast() -> None:
+    rows = {"good": CLAIMS["good"], "hand": {"good": 30.0, "fair": 30.0, "poor": 30.0}}
+    made = matrix(rows, against={"hand": ()})
+    found = forecasts(made, ERRORS)
+    assert found["hand"].value > found["good"].value
+    assert summary_of(made, ERRORS).pick == "good"

@@ -9,6 +9,7 @@ from model_zoo.hidden.learning import Lesson, radius, stabilised
 from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
 from model_zoo.hidden.shooting import FAR, Spaces, train
+from model_zoo.hidden.subspace import flowing
 from model_zoo.hidden.units import UNITS
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.single_step import kernel_step
@@ -16,10 +17,13 @@ from sysid_evo.registry import make_model
 from tests.model_zoo.hidden.small import recording
 
 
-def spaces() -> Spaces:
+def spaces(*, flow: bool = False) -> Spaces:
     rng, kinds = np.random.default_rng(0), [[kind, UNITS.index("gate"), UNITS.index("smooth")] for kind in range(4)]
     outer, inner = 0.3 * rng.standard_normal((4, 2, 7)), rng.standard_normal((4, 3, 4))
-    return Spaces(outer, inner, np.array([0.3, 0.2]), np.array(kinds))
+    return Spaces(outer, inner, np.array([0.3, 0.2]), np.array(kinds), flow)
+
+
+FORMS = pytest.mark.parametrize("flow", [False, True], ids=["step by step", "differential equation"])
 
 
 def linear_growth(rate: float) -> Spaces:
@@ -27,9 +31,10 @@ def linear_growth(rate: float) -> Spaces:
     return Spaces.linear(np.array([[[rate, 0.1, 0.0]]]), np.ones(1))
 
 
-def test_derivatives_are_those_of_finite_differences() -> None:
+@FORMS
+def test_derivatives_are_those_of_finite_differences(flow: bool) -> None:
     """By every parameter and every initial state, of each kind of unit."""
-    many, rng = spaces(), np.random.default_rng(1)
+    many, rng = spaces(flow=flow), np.random.default_rng(1)
     segments = Segments(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
     starts = rng.standard_normal((2, 2))
     flat, step = many.flat, 1e-6
@@ -57,8 +62,9 @@ def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not() ->
     assert growing.run(np.array([[[10.0]]]), segments.controls).max() == FAR
 
 
-def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference() -> None:
-    many, rng = spaces(), np.random.default_rng(1)
+@FORMS
+def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference(flow: bool) -> None:
+    many, rng = spaces(flow=flow), np.random.default_rng(1)
     starts, controls = rng.standard_normal((4, 3, 2)), rng.standard_normal((3, 5, 1))
     states, chained = starts, [starts]
     for k in range(5):
@@ -81,6 +87,29 @@ def test_training_finds_the_space_that_made_the_data() -> None:
     starts[..., 0] = segments.outputs[:, 0, 0]
     trained = train(off, segments, starts, 40)
     assert trained.error[0] < 1e-8
+
+
+def test_a_differential_equation_steps_as_the_linear_space_it_was_made_of() -> None:
+    """To the error of the Runge-Kutta method, which is small for what changes little in a sample."""
+    rates = np.array([[-0.02, 0.1, 0.05, 0.01], [-0.1, -0.05, 0.02, 0.0]])
+    steps, flows = Spaces.linear(rates[None], np.ones(2)), Spaces.linear(flowing(rates)[None], np.ones(2), flow=True)
+    rng = np.random.default_rng(0)
+    starts, controls = rng.standard_normal((1, 2, 2)), rng.standard_normal((2, 50, 1))
+    np.testing.assert_allclose(flows.run(starts, controls), steps.run(starts, controls), atol=1e-6)
+    assert radius(flows) == pytest.approx(radius(steps), rel=1e-6)
+
+
+def test_a_mode_that_no_differential_equation_has_becomes_one_that_decays_fast() -> None:
+    flipping = Spaces.linear(flowing(np.array([[-1.8, 0.1, 0.0]]))[None], np.ones(1), flow=True)
+    assert radius(flipping) < 0.6
+    fixed = flipping.run(np.zeros((1, 1, 1)), np.ones((1, 60, 1)))[0, 0, -1, 0]
+    assert fixed == pytest.approx(0.1 / 1.8)
+
+
+def test_a_differential_equation_that_grows_is_brought_back() -> None:
+    growing = Spaces.linear(np.array([[[0.2, 1.0, 0.0, 0.0], [-1.0, 0.2, 0.1, 0.0]]]), np.ones(2), flow=True)
+    assert radius(growing) > 1.15
+    assert radius(stabilised(growing)) == pytest.approx(0.999, abs=0.01)
 
 
 def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
@@ -121,8 +150,9 @@ def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_doe
     assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
 
 
-def test_every_kind_of_unit_is_the_same_compiled() -> None:
-    model = make_model("nonlinear_state_space", order=2, members=1, trial=2, iterations=2, horizon=50)
+@pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
+def test_every_kind_of_unit_is_the_same_compiled(family: str) -> None:
+    model = make_model(family, order=2, members=1, trial=2, iterations=2, horizon=50)
     model.fit(recording(0), rng=0)
     model.inner_ = [4.0 * inner for inner in model.inner_]
     model.outer_ = [outer + 0.1 for outer in model.outer_]

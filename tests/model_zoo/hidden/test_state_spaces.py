@@ -83,31 +83,42 @@ def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_
     assert all(len(units) for units in long.inner_)
 
 
+@pytest.mark.parametrize(
+    "family", ["nonlinear_state_space", "latent_ode", pytest.param("subnet", marks=pytest.mark.slow)]
+)
 def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_better(
-    monkeypatch: pytest.MonkeyPatch,
+    family: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Asked for the impossible, it gives the linear state space in both forms."""
+    """Asked for the impossible, it gives the linear state space in both forms, and networks again when refitted."""
     data = recording(0, 300, bend=0.03)
-    passed, stopped = (make_model("nonlinear_state_space", **FEW) for _ in range(2))
+    own = {"order": 2, "hidden": 6, "updates": 300, "learning_rate": 0.01} if family == "subnet" else FEW
+    passed, stopped = (make_model(family, **own) for _ in range(2))
     assert not passed.fit(data, rng=0).fit_note
-    monkeypatch.setattr("model_zoo.nonlinear_state_space.BETTER", 0.0)
+    monkeypatch.setattr("model_zoo.hidden.gate.BETTER", 0.0)
     assert "linear state space" in stopped.fit(data, rng=0).fit_note
     assert [len(units) for units in stopped.inner_] == [0]
     windows = recording(1).windows(1, stride=20, history=stopped.n_lags)
     carry, control = stopped.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
     compiled = kernel_step(stopped.kernel(), carry, control, precision="float64")
     np.testing.assert_allclose(compiled, stopped.step(carry, control), rtol=1e-9, atol=1e-9)
+    stopped.set_params(gated=False).fit(data, rng=0)
+    assert stopped.flows == (family == "latent_ode")
 
 
 OWN: dict[str, dict[str, Any]] = {
     "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 6, "iterations": 15, "horizon": 300},
+    "latent_ode": {"members": 2, "trial": 5, "hidden": 6, "iterations": 15, "horizon": 300},
     "subnet": {"hidden": 8, "updates": 400, "horizon": 40, "batch": 64, "learning_rate": 0.01},
 }
 
 
 @pytest.mark.parametrize(
     ("family", "steps", "share"),
-    [("nonlinear_state_space", 600, 0.3), pytest.param("subnet", 2000, 0.5, marks=pytest.mark.slow)],
+    [
+        ("nonlinear_state_space", 600, 0.3),
+        ("latent_ode", 600, 0.3),
+        pytest.param("subnet", 2000, 0.5, marks=pytest.mark.slow),
+    ],
 )
 def test_networks_follow_a_spring_that_stiffens_where_a_linear_model_cannot(
     family: str, steps: int, share: float

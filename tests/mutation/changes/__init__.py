@@ -1,10 +1,22 @@
 """The changes, by what they break."""
 
 from tests.mutation.change import Change
-from tests.mutation.changes import controllers, data, evolution, exploits, families, plans, robots, statistics, worlds
+from tests.mutation.changes import (
+    comparing,
+    controllers,
+    data,
+    evolution,
+    exploits,
+    families,
+    plans,
+    robots,
+    statistics,
+    worlds,
+)
 
 ALL: tuple[Change, ...] = (
     *statistics.CHANGES,
+    *comparing.CHANGES,
     *exploits.CHANGES,
     *families.CHANGES,
     *evolution.CHANGES,

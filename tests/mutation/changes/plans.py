@@ -84,7 +84,7 @@ CHANGES = (
     ),
     Change(
         "a record leads out of the run folder",
-        STORE,
+        "sysid_evo/plan/parcels.py",
         'return not path.is_absolute() and ".." not in path.parts',
         "return not path.is_absolute()",
         TEST_EXECUTION,

@@ -52,6 +52,14 @@ def test_of_corrections_about_as_good_the_simplest_is_taken() -> None:
     assert decided([Trial(name, share, (share,) * 3, True) for name, share in shares.items()]) == "weak"
 
 
+def test_more_training_is_taken_if_it_is_better_than_the_simplest_that_is_about_as_good() -> None:
+    shares = {"weak": 0.52, "weaker": 0.5}
+    others = [Trial(name, share, (share,) * 3, True) for name, share in shares.items()]
+    for error, chosen in ((0.51, "further"), (0.53, "weak")):
+        assert decided([*others, Trial("further", error, (error,) * 3, True, further=True)]) == chosen
+    assert decided([Trial("further", 0.5, (0.5,) * 3, True, further=True)]) == "further"
+
+
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure() -> None:
     plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
     trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])

@@ -123,9 +123,13 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(logs: Path
     card = json.loads(run_here("models", "show", stored, "--json", cwd=tmp_path).stdout)
     assert card["family"] == "linear"
     assert card["timings"]["fit_seconds"] >= 0
-    assert card["timings"]["million_steps_per_second"] > 0
-    assert card["timings"]["engine"].startswith("compiled")
+    assert "million_steps_per_second" not in card["timings"]
+    measured = json.loads(run_here("models", "show", stored, "--speed", "--json", cwd=tmp_path).stdout)
+    assert measured["timings"]["million_steps_per_second"] > 0
+    assert measured["timings"]["engine"].startswith("compiled")
     shown = run_here("models", "show", stored, cwd=tmp_path)
+    assert "speed" in shown.stdout
+    assert "not measured, --speed does" in shown.stdout
     assert max(map(len, shown.stdout.splitlines())) <= 80
 
 

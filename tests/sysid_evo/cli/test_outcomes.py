@@ -167,7 +167,8 @@ def test_two_runs_are_shown_side_by_side(compared: Path, there: Caller) -> None:
     assert max(len(line.rstrip()) for line in ended.stdout.splitlines()[:-1]) <= 80
     assert "No setting" in (compared / "copy" / "against-out.html").read_text()
     assert json.loads(there("report", "out", "copy", "--json").stdout)["runs"] == ["out", "copy"]
-    assert there("report", "out", "copy", "--format", "svg").code == 2
+    assert there("report", "out", "copy", "--format", "latex").code == 0
+    assert "\\begin{table}" in (compared / "copy" / "against-out.tex").read_text()
     assert there("report", "out", "copy", "out").code == 2
 
 

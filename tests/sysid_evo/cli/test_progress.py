@@ -67,12 +67,13 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown: 
             bars.progress(cells[0], done, 300, NOTE)
             bars.progress(cells[1], done, 50, "error 0.25; and so on")
             time.sleep(0.01)
-        bars.finish(cells[2], cached=False, reason=None)
+        bars.finish(cells[2], cached=False, reason="too little")
         bars._bars.refresh()
         drawn = written.getvalue()
     last = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn).replace("\r", "\n").rstrip().split("\n")[-5:]
     assert max(map(len, last)) <= 80
-    assert [line.split()[0] for line in last] == ["all", "count", "count", "count", "count"]
+    assert [line.split()[0] for line in last] == ["all,", "count", "count", "count", "count"]
+    assert last[0].startswith("all, 2 running, 1 failed")
     assert "1 of 5" in last[0]
     assert re.search(r"count evolve linear\S*… .* [\d,.]+/s, \d+ (s|min) left", last[1])
     assert re.search(r"count fit .* [\d,.]+/s, \d+ (s|min) left", last[2])
@@ -124,3 +125,53 @@ def test_what_was_done_before_an_interruption_does_not_count_as_fast(
         now[0] = 20.0
         advance(bars, 140)
     assert written.getvalue() == "evolve linear: 140/300, 2.0/s, 80 s left\n"
+
+
+def test_cells_of_one_title_are_told_apart_by_where_they_are(shown: Callable[..., io.StringIO]) -> None:
+    written = shown(terminal=False)
+    cells = [Number(1, label="a"), Number(2, label="a")]
+    with Bars(where=lambda cell: f"car {cells.index(cell) + 1}: ") as bars:
+        bars.plan(2, 0, 2.0)
+        for cell in cells:
+            bars.start(cell)
+        for cell in cells:
+            bars.finish(cell, cached=False, reason=None)
+    assert [line.rpartition(",")[0] for line in written.getvalue().splitlines()] == [
+        "done 1 of 2: car 1: count a", "done 2 of 2: car 2: count a"
+    ]  # fmt: skip
+
+
+def test_many_cells_at_once_have_no_more_bars_than_a_terminal_has_lines(shown: Callable[..., io.StringIO]) -> None:
+    shown(terminal=True)
+    with Bars() as bars:
+        bars.plan(100, 0, 100.0)
+        cells = [Number(i) for i in range(50)]
+        for cell in cells:
+            bars.start(cell)
+        assert sum(task.visible for task in bars._bars.tasks) == progress.SHOWN + 1
+        for cell in cells[:45]:
+            bars.finish(cell, cached=False, reason=None)
+        assert sum(task.visible for task in bars._bars.tasks) == 5 + 1
+
+
+def test_a_cell_that_begins_again_elsewhere_has_one_bar(shown: Callable[..., io.StringIO]) -> None:
+    shown(terminal=True)
+    with Bars() as bars:
+        for _ in range(2):
+            bars.start(Number(1))
+        assert len(bars._bars.tasks) == 1
+
+
+def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(shown: Callable[..., io.StringIO]) -> None:
+    class Resumable(Number):
+        resumable = True
+
+    written = shown(terminal=False)
+    with Bars("--out here", elsewhere=True) as bars:
+        for i in range(6):
+            bars.start(Resumable(i, label=str(i)))
+            bars.progress(Resumable(i, label=str(i)), 3, 9)
+        bars.__exit__(KeyboardInterrupt, None, None)
+    assert written.getvalue().splitlines()[-1] == (
+        "interrupted: count 0, count 1, count 2, count 3 and 2 more. Nothing unfinished is kept; go on with --out here"
+    )

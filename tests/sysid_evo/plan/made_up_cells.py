@@ -84,6 +84,13 @@ class Named(Number):
         return self.label, value
 
 
+@dataclass(frozen=True, eq=False)
+class AtHome(Number):
+    """Must be computed where the run is."""
+
+    at_home = True
+
+
 class Watching(Silent):
     """Keeps which cells were computed, and all remarks."""
 

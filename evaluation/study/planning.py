@@ -1,0 +1,119 @@
+"""From a study to one plan: the cells of all its points, each once."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from evaluation.comparison import Comparison, Experiment, GivenData, plan_comparison
+from evaluation.study.study import Point, Study, name_of
+from sysid_evo.data import Dataset
+from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
+from sysid_evo.plan import Again, Cell, Plan, Store, StoredCell
+from sysid_evo.registry import load_plugin, make_robot, robot_spec
+
+AGAIN = "evaluation.study.planning:plan_again"
+"""What makes the plan of a study again in another process."""
+
+
+@dataclass(frozen=True)
+class PlannedStudy:
+    """A study, the comparison of each of its points, and the one plan of all their cells."""
+
+    study: Study
+    comparisons: tuple[Comparison, ...]
+    plan: Plan
+
+    @property
+    def points(self) -> tuple[tuple[Point, Comparison], ...]:
+        """Every point with its comparison."""
+        return tuple(zip(self.study.points, self.comparisons, strict=True))
+
+    @cached_property
+    def places(self) -> Mapping[str, str]:
+        """The name of what all points that need a cell have in common, by its digest."""
+        shared: dict[str, dict[str, str]] = {}
+        for point, comparison in self.points:
+            for cell in comparison.plan:
+                known = shared.get(cell.digest)
+                labels = dict(point.labels)
+                same = labels if known is None else {a: label for a, label in known.items() if labels[a] == label}
+                shared[cell.digest] = same
+        return {digest: name_of(labels) for digest, labels in shared.items()}
+
+    def where(self, cell: Cell) -> str:
+        """Return what stands before the title of ``cell``, so that it can be told apart: where it belongs."""
+        place = self.places.get(cell.digest, "")
+        return f"{place}: " if place else ""
+
+
+def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store | None = None) -> PlannedStudy:
+    """Return the plan of ``study``; nothing is computed. Raises what is wrong with a point, with its name.
+
+    Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, one for each
+    point or None, they are taken from ``store`` instead.
+    """
+    for plugin in study.experiment.get("plugins", ()):
+        load_plugin(plugin)
+    known: dict[tuple[Any, ...], Dataset] = {}
+    comparisons = []
+    for point, digest in itertools.zip_longest(study.points, digests):
+        try:
+            stored = _stored(store, digest)
+            dataset = None if stored is not None else _dataset(point.experiment, known)
+            _check_robot(point.experiment)
+            comparisons.append(plan_comparison(point.experiment, dataset=dataset, stored=stored))
+        except SysidEvoError as error:
+            raise InvalidArgument(f"point {point.name}: {error}") from error
+    return PlannedStudy(study, tuple(comparisons), _united(study, comparisons))
+
+
+def plan_again(settings: Mapping[str, Any], folder: Path) -> Plan:
+    """Return the plan of the study with these settings; its recordings stand in the store ``folder``."""
+    return plan_study(Study.of(settings["study"]), digests=settings["data"], store=Store(folder)).plan
+
+
+def _united(study: Study, comparisons: list[Comparison]) -> Plan:
+    """Return all cells, each once; cells of several points are found by their digests."""
+    given = [one.data.digest if isinstance(one.data, GivenData) else None for one in comparisons]
+    again = Again(
+        AGAIN,
+        {"study": dict(study.settings), "data": given if any(given) else []},
+        after=tuple(dict.fromkeys(digest for digest in given if digest is not None)),
+        files={text: files for one in comparisons if one.plan.again for text, files in one.plan.again.files.items()},
+    )
+    remarks = dict.fromkeys(remark for comparison in comparisons for remark in comparison.plan.remarks)
+    return Plan.of((cell for comparison in comparisons for cell in comparison.plan), remarks=remarks, again=again)
+
+
+def _dataset(experiment: Experiment, known: dict[tuple[Any, ...], Dataset]) -> Dataset | None:
+    if experiment.data is None:
+        return None
+    key = (experiment.data, experiment.columns)
+    if key not in known:
+        known[key] = Dataset.read(experiment.data, columns=experiment.columns)
+    return known[key]
+
+
+def _stored(store: Store | None, digest: str | None) -> tuple[Cell, Any] | None:
+    """Return the cell of data that stand in the store, and their system."""
+    if store is None or digest is None:
+        return None
+    record = store.find(digest)
+    data = None if record is None else StoredCell(record, GivenData)
+    if data is None or not store.done(data):
+        raise ArtefactError(f"{store.path}: its data are missing or damaged")
+    return data, store.load(data).training.system
+
+
+def _check_robot(experiment: Experiment) -> None:
+    """Raise `InvalidArgument` where a physical robot would be driven for every point."""
+    if experiment.robot is not None and experiment.data is None and make_robot(robot_spec(experiment.robot)).physical:
+        raise InvalidArgument(
+            f"{experiment.robot} is a physical robot, which a study does not drive: record it once with "
+            "sysid-evo record, and name the recordings as data"
+        )

@@ -1,0 +1,240 @@
+"""What a finished run would take on N processes: ``python -m tests.benchmarks.scaling RUN [--processes 1 2 1000]``.
+
+All comes from the records of the run, ``cells/*.json``: what each cell needs, the seconds that it took, its files.
+Cells are dealt out as `sysid_evo.plan` does it, those first on whose results most work waits, to N processes that do
+nothing else: the ideal time of exactly this plan. A measured run takes longer by the start of processes, making the
+plan and the report (``--around`` adds them), and by what processes take from each other's memory and caches.
+
+``--copies 200`` puts as many independent runs like this one beside each other, as the points of a study are.
+``--client 0.001`` lets one process hand out all cells, one after the other, with so many seconds each. ``RUN`` may be a
+store in which several comparisons stand, whose cells then count once where they share them; ``--point 3`` takes the
+third of them alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+
+from sysid_evo.plan.store import Record, Store
+
+END, ASIDE = "advise", "exploit"
+"""The kinds of the last cells of a comparison; of the same one the second needs nothing that the first does not."""
+LONGEST = 8
+"""Titles that are shown of all that have seconds of their own."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A cell as its record tells it: its ``needs`` are digests of others of the run, ``seconds`` of one processor."""
+
+    digest: str
+    kind: str
+    title: str
+    needs: tuple[str, ...]
+    seconds: float
+    size: int
+    files: int
+
+
+def recorded(run: Path) -> list[Recorded]:
+    """Return the cells of a run, each after those it needs. Raises ValueError if there are none."""
+    records = {record.digest: record for record in Store(run).records()}
+    if not records:
+        raise ValueError(f"{run}: expected a run folder with records in {run / 'cells'}, found none")
+    placed: dict[str, Recorded] = {}
+
+    def place(record: Record) -> None:
+        if record.digest in placed:
+            return
+        needs = tuple(dict.fromkeys(digest for digest in record.needs if digest in records))
+        for digest in needs:
+            place(records[digest])
+        sizes = [(run / name).stat().st_size for name in record.files if (run / name).is_file()]
+        placed[record.digest] = Recorded(
+            record.digest, record.kind, record.title, needs, record.seconds, sum(sizes), len(sizes)
+        )
+
+    for record in records.values():
+        place(record)
+    return list(placed.values())
+
+
+def point(cells: Sequence[Recorded], number: int) -> list[Recorded]:
+    """Return the cells of one of several comparisons, the ``number``-th from 1: what its last work needs, and that.
+
+    Raises ValueError if there are fewer.
+    """
+    ends = [cell for cell in cells if cell.kind == END]
+    if not 1 <= number <= len(ends):
+        raise ValueError(f"expected the number of one of {len(ends)} finished comparisons, from 1, got {number}")
+    wanted = {ends[number - 1].digest}
+    for cell in reversed(cells):
+        if cell.digest in wanted:
+            wanted.update(cell.needs)
+    wanted |= {cell.digest for cell in cells if cell.kind == ASIDE and wanted.issuperset(cell.needs)}
+    return [cell for cell in cells if cell.digest in wanted]
+
+
+def copied(cells: Sequence[Recorded], copies: int) -> list[Recorded]:
+    """Return ``copies`` of the cells, which do not depend on each other."""
+    return [
+        Recorded(f"{i}/{c.digest}", c.kind, c.title, tuple(f"{i}/{n}" for n in c.needs), c.seconds, c.size, c.files)
+        for i in range(copies)
+        for c in cells
+    ]
+
+
+def work_ahead(cells: Sequence[Recorded]) -> dict[str, float]:
+    """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
+    by_digest = {cell.digest: cell for cell in cells}
+    ahead = {cell.digest: cell.seconds for cell in cells}
+    for cell in reversed(cells):
+        for needed in cell.needs:
+            ahead[needed] = max(ahead[needed], by_digest[needed].seconds + ahead[cell.digest])
+    return ahead
+
+
+def critical_path(cells: Sequence[Recorded]) -> list[Recorded]:
+    """Return the longest chain of cells each of which waits for the one before: no number of processes is faster."""
+    ahead = work_ahead(cells)
+    path: list[Recorded] = []
+    candidates = list(cells)
+    while candidates:
+        path.append(max(candidates, key=lambda cell: ahead[cell.digest]))
+        candidates = [cell for cell in cells if path[-1].digest in cell.needs]
+    return path
+
+
+def makespan(cells: Sequence[Recorded], processes: int, client: float = 0.0) -> float:
+    """Return the seconds until all cells are done on so many processes.
+
+    An idle process gets the ready cell with most work ahead. The ``client`` needs so many seconds to hand one out, and
+    hands out one at a time.
+    """
+    ahead = work_ahead(cells)
+    by_digest = {cell.digest: cell for cell in cells}
+    waiting = {cell.digest: len(cell.needs) for cell in cells}
+    heirs: dict[str, list[str]] = defaultdict(list)
+    for cell in cells:
+        for needed in cell.needs:
+            heirs[needed].append(cell.digest)
+    ready = [(-ahead[digest], digest) for digest, count in waiting.items() if not count]
+    heapq.heapify(ready)
+    running: list[tuple[float, str]] = []
+    now = free = 0.0
+    while ready or running:
+        while ready and len(running) < processes:
+            _, digest = heapq.heappop(ready)
+            free = max(now, free) + client
+            heapq.heappush(running, (free + by_digest[digest].seconds, digest))
+        now, digest = heapq.heappop(running)
+        for heir in heirs[digest]:
+            waiting[heir] -= 1
+            if not waiting[heir]:
+                heapq.heappush(ready, (-ahead[heir], heir))
+    return now
+
+
+def kinds(cells: Sequence[Recorded]) -> Table:
+    """Return the cells by kind: how many, their seconds, what they read and what they write."""
+    sizes = {cell.digest: cell.size for cell in cells}
+    groups: dict[str, list[Recorded]] = defaultdict(list)
+    for cell in cells:
+        groups[cell.kind].append(cell)
+    total = sum(cell.seconds for cell in cells)
+    table = _table(
+        "kind", "cells", "seconds", "share %", "s a cell", "longest s", "reads kB a cell", "writes kB a cell"
+    )
+    for kind, group in sorted(groups.items(), key=lambda item: -sum(cell.seconds for cell in item[1])):
+        seconds = [cell.seconds for cell in group]
+        read = sum(sizes[needed] for cell in group for needed in cell.needs)
+        table.add_row(
+            kind,
+            str(len(group)),
+            f"{sum(seconds):.1f}",
+            f"{100 * sum(seconds) / total:.1f}",
+            f"{sum(seconds) / len(group):.3f}",
+            f"{max(seconds):.1f}",
+            f"{read / len(group) / 1e3:.0f}",
+            f"{sum(cell.size for cell in group) / len(group) / 1e3:.0f}",
+        )
+    return table
+
+
+def longest(cells: Sequence[Recorded]) -> Table:
+    """Return the median seconds of the work that has most of them, by its title."""
+    groups: dict[str, list[float]] = defaultdict(list)
+    for cell in cells:
+        groups[cell.title].append(cell.seconds)
+    middle = {title: sorted(seconds)[len(seconds) // 2] for title, seconds in groups.items()}
+    table = _table("work", "cells", "median s")
+    for title in sorted(groups, key=lambda title: -middle[title])[:LONGEST]:
+        table.add_row(title, str(len(groups[title])), f"{middle[title]:.1f}")
+    return table
+
+
+def times(cells: Sequence[Recorded], processes: Sequence[int], client: float, around: float) -> Table:
+    """Return the predicted seconds on each number of processes."""
+    total = sum(cell.seconds for cell in cells)
+    table = _table("processes", "predicted s", "times as fast", "share of processors at work %")
+    alone = around + makespan(cells, 1, client)
+    for count in processes:
+        taken = around + makespan(cells, count, client)
+        table.add_row(str(count), f"{taken:.1f}", f"{alone / taken:.2f}", f"{100 * total / (count * taken):.0f}")
+    return table
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=MARKDOWN)
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if i else "left", no_wrap=True)
+    return table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables of a run, and return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.scaling", description=__doc__)
+    parser.add_argument("run", type=Path, help="folder of a finished run, or a store of several")
+    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4, 8, 16])
+    parser.add_argument("--copies", type=int, default=1, help="independent runs like this one (1)")
+    parser.add_argument("--client", type=float, default=0.0, help="seconds to hand out one cell (0)")
+    parser.add_argument("--around", type=float, default=0.0, help="seconds before the first and after the last (0)")
+    parser.add_argument("--point", type=int, help="take one of several comparisons in a store, from 1")
+    given = parser.parse_args(arguments)
+    try:
+        one = recorded(given.run)
+        one = one if given.point is None else point(one, given.point)
+    except ValueError as error:
+        parser.error(str(error))
+    cells = copied(one, given.copies)
+    path = critical_path(one)
+    out = Console(highlight=False, width=120)
+    out.print(kinds(one), longest(one))
+    out.print(times(cells, given.processes, given.client, given.around))
+    out.print(
+        f"{len(cells)} cells, {sum(cell.seconds for cell in cells):.0f} s of one processor, {_bytes(cells)}; "
+        f"the longest chain takes {sum(cell.seconds for cell in path):.1f} s: "
+        + ", ".join(f"{cell.title} {cell.seconds:.1f}" for cell in path)
+        + ".",
+        soft_wrap=True,
+    )
+    return 0
+
+
+def _bytes(cells: Sequence[Recorded]) -> str:
+    files = sum(cell.files + 2 for cell in cells)  # and each has a record and a lock
+    return f"{sum(cell.size for cell in cells) / 1e6:.0f} MB of results in {files} files"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""What the command says of a run that would be spread over processes, against what can be worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sysid_evo.plan import Plan, Store, execute
+from tests.benchmarks.scaling import Recorded, copied, critical_path, main, makespan, point, recorded
+from tests.sysid_evo.plan.made_up_cells import Number
+
+
+def cell(name: str, seconds: float, *needs: str, kind: str = "number") -> Recorded:
+    return Recorded(name, kind, name, needs, seconds, 1000, 2)
+
+
+CHAIN = [cell("a", 1.0), cell("b", 2.0, "a"), cell("c", 3.0, "b")]
+FORK = [cell("data", 1.0), *(cell(f"fit {i}", 2.0, "data") for i in range(4)), cell("end", 0.5, "fit 0", "fit 3")]
+
+
+def test_a_chain_takes_as_long_on_many_processes_as_on_one() -> None:
+    assert makespan(CHAIN, 1) == makespan(CHAIN, 100) == 6.0
+    assert [one.digest for one in critical_path(CHAIN)] == ["a", "b", "c"]
+
+
+def test_independent_work_is_divided_until_the_longest_chain_is_left() -> None:
+    assert makespan(FORK, 1) == 9.5
+    assert makespan(FORK, 2) == 5.5  # 1, then two rounds of two fits; the last rounds leave room for the end
+    assert makespan(FORK, 4) == makespan(FORK, 50) == 3.5
+
+
+def test_work_on_which_most_waits_comes_first() -> None:
+    late = [cell("short", 1.0), cell("first", 1.0), cell("second", 5.0, "first")]
+    assert makespan(late, 1) == 7.0
+    assert makespan([*late, cell("third", 4.0)], 2) == 6.0
+
+
+def test_one_that_hands_out_all_work_in_turn_is_the_limit_of_many_short_cells() -> None:
+    short = copied([cell("run", 0.02)], 100)
+    assert makespan(short, 1000) == pytest.approx(0.02)
+    assert makespan(short, 1000, client=0.01) == pytest.approx(100 * 0.01 + 0.02)
+
+
+def test_copies_do_not_depend_on_each_other() -> None:
+    assert makespan(copied(FORK, 3), 12) == makespan(FORK, 4)
+
+
+def test_a_point_is_one_comparison_of_several_with_what_they_share() -> None:
+    end = [cell(f"advise {i}", 1.0, f"fit {i}", kind="advise") for i in (0, 3)]
+    aside = cell("exploit 3", 1.0, "data", "fit 3", kind="exploit")
+    found = point([*FORK, *end, aside], 2)
+    assert [one.digest for one in found] == ["data", "fit 3", "advise 3", "exploit 3"]
+    with pytest.raises(ValueError, match="one of 2 finished comparisons"):
+        point([*FORK, *end], 3)
+
+
+def test_the_records_of_a_run_are_the_plan_with_the_seconds_it_took(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = Number(label="data")
+    last = Number(3, (first, Number(2, (first,), "fit")), "end")
+    execute(Plan.of([last]), Store(tmp_path))
+    found = recorded(tmp_path)
+    assert [len(one.needs) for one in found] == [0, 1, 2]
+    assert all(one.size > 0 and one.seconds > 0.0 for one in found)
+    assert main([str(tmp_path), "--processes", "1", "2", "--copies", "2", "--client", "0.1"]) == 0
+    shown = capsys.readouterr().out
+    assert "6 cells" in shown
+    assert "count data 0.0, count fit 0.0, count end 0.0" in shown
+
+
+def test_a_folder_without_records_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([str(tmp_path)])
+    assert "expected a run folder with records" in capsys.readouterr().err

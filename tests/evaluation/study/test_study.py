@@ -1,0 +1,98 @@
+"""What stands in STUDY.toml, and what is refused before any work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evaluation.study import Study
+from sysid_evo.errors import InvalidArgument
+
+GRID: dict[str, Any] = {"robot": ["emulated_car"], "seed": [0, 1]}
+
+
+def test_every_combination_of_values_is_a_point_named_by_its_labels() -> None:
+    study = Study.of({"experiment": {"minutes": 1.0}, "grid": {**GRID, "recipe": ["recommended", "plain"]}})
+    assert [point.name for point in study.points] == [
+        "emulated_car, seed 0, recipe recommended",
+        "emulated_car, seed 0, recipe plain",
+        "emulated_car, seed 1, recipe recommended",
+        "emulated_car, seed 1, recipe plain",
+    ]
+    assert study.points[3].experiment.recipe == "plain"
+    assert study.points[3].experiment.minutes == 1.0
+    assert study.points[3].group == ("plain",)
+
+
+def test_ranges_stand_for_all_their_numbers() -> None:
+    study = Study.of({"grid": {"robot": ["emulated_car", "emulated_car(seed=1..2)"], "seed": "3..4"}})
+    robots = dict.fromkeys(point.labels["robot"] for point in study.points)
+    assert list(robots) == ["emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)"]
+    assert [point.experiment.seed for point in study.points] == [3, 4] * 3
+
+
+def test_values_may_have_names_of_their_own() -> None:
+    study = Study.of({"grid": {**GRID, "models": {"few": ["linear"], "two": ["linear", "nearest_neighbour"]}}})
+    assert study.points[1].labels["models"] == "two"
+    assert study.points[1].experiment.models == ("linear", "nearest_neighbour")
+
+
+def test_several_grids_are_united_and_what_both_hold_is_one_point() -> None:
+    first = {"seed": [0, 1], "recipe": ["plain"]}
+    study = Study.of({"grid": [first, {"seed": [1, 2], "recipe": ["plain"]}, {"seed": [0]}]})
+    assert [point.name for point in study.points] == [
+        "seed 0, recipe plain",
+        "seed 1, recipe plain",
+        "seed 2, recipe plain",
+        "seed 0, recipe usual",
+    ]
+
+
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        ({"grids": GRID}, "grids is no part of a study; did you mean grid?"),
+        ({"grid": {}}, "at least one axis"),
+        ({"grid": {"sede": [0]}}, "grid.sede: is no setting of an experiment; did you mean seed?"),
+        ({"grid": {"seed": []}}, "grid.seed: expected at least one value"),
+        ({"grid": {"seed": [0, 0]}}, "'0' stands there twice"),
+        ({"grid": {"seed": "4..0"}}, "from the lower to the higher"),
+        ({"grid": {"seed": 3}}, "expected a list of values"),
+        ({"grid": {"seed": [-1]}}, "grid.seed: expected greater than or equal to 0, got -1"),
+        ({"grid": {"seed": ["a"]}}, "grid.seed"),
+        ({"grid": {"title": ["a"]}}, "cannot be an axis"),
+        ({"grid": {"plugins": [["a.py"]]}}, "name it under [experiment]"),
+        ({"experiment": {"seed": 1}, "grid": GRID}, "seed stands under [experiment] and in the grid"),
+        (
+            {"experiment": {"modles": ["linear"]}, "grid": GRID},
+            "modles is no setting of an experiment; did you mean models?",
+        ),
+        ({"experiment": {"title": "a"}, "grid": GRID}, "above [experiment]"),
+        ({"experiment": [1], "grid": GRID}, "expected a table [experiment]"),
+        ({"grid": GRID, "reference": {"seed": "0"}}, "reference.seed: expected controller, or an axis"),
+        ({"grid": {**GRID, "recipe": ["plain"]}, "reference": {"recipe": "best"}}, "expected one of plain, got 'best'"),
+    ],
+)
+def test_a_study_that_cannot_be_made_is_refused_with_a_sentence(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidArgument) as refused:
+        Study.of(settings)
+    assert said in str(refused.value)
+
+
+def test_a_file_is_named_in_what_is_wrong_with_it(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    for text, said in (("[grid", "expected a study in TOML"), ("[grid]\nseed = []", "at least one value")):
+        file.write_text(text)
+        with pytest.raises(InvalidArgument, match=f"mine.toml: .*{said}"):
+            Study.read(file)
+    with pytest.raises(InvalidArgument, match="found no such file"):
+        Study.read(tmp_path / "yours.toml")
+
+
+def test_a_study_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
+    study = Study.of(
+        {"title": "T", "grid": {"seed": "0..2", "models": {"a": ("linear",)}}, "reference": {"models": "a"}}
+    )
+    assert Study.read(study.write(tmp_path / "study.toml")) == study

@@ -1,0 +1,155 @@
+"""What is said of controllers: figures over seeds and trials, forecasts, manners, studies; and the single step."""
+
+from tests.mutation.change import Change
+
+NESTED = "evaluation/transfer/nested.py"
+OF_SEEDS = ("tests/evaluation/test_nested.py",)
+STANDING = ("tests/evaluation/test_standing.py",)
+FORECASTS = ("tests/evaluation/forecast/test_forecasting.py", "tests/evaluation/forecast/test_credibility.py")
+SHOWN = (*FORECASTS, "tests/evaluation/forecast/test_shown.py")
+MANNERS = ("tests/evaluation/test_manners.py",)
+ONE_STEP = ("tests/sysid_evo/interoperation/test_transition_regressor.py",)
+REPEATS = ("tests/evaluation/study/test_repeats.py",)
+
+CHANGES = (
+    Change(
+        "what seeds owe to the trials that they met is counted twice",
+        NESTED,
+        "found.append((among - owed, among, degrees))",
+        "found.append((among, among, degrees))",
+        OF_SEEDS,
+    ),
+    Change(
+        "a 90 % interval over seeds reaches as far as one of 80 %",
+        NESTED,
+        "stdtrit(self.degrees, 0.5 + share / 2.0)",
+        "stdtrit(self.degrees, share)",
+        OF_SEEDS,
+    ),
+    Change(
+        "seeds that differ much are made to differ less by what others tell",
+        NESTED,
+        "return max(variance, (",
+        "return min(variance, (",
+        OF_SEEDS,
+    ),
+    Change(
+        "a controller tells itself how far its seeds differ",
+        NESTED,
+        "for label, one in own.items() if label != name])",
+        "for label, one in own.items()])",
+        OF_SEEDS,
+    ),
+    Change(
+        "a share is as certain as if its denominator were known",
+        NESTED,
+        "(-share / other.value, other)",
+        "(0.0 * share, other)",
+        OF_SEEDS,
+    ),
+    Change(
+        "regret is what a controller has beyond the worst of the others",
+        NESTED,
+        "max(others, key=lambda other: other.value) - figure",
+        "min(others, key=lambda other: other.value) - figure",
+        (*OF_SEEDS, *STANDING),
+    ),
+    Change(
+        "the best controller is regretted by less than nothing",
+        "evaluation/transfer/standing.py",
+        "regret=_estimate(figures.regret(champion), least=0.0)",
+        "regret=_estimate(figures.regret(champion))",
+        STANDING,
+    ),
+    Change(
+        "whether a forecast holds does not ask how well the achieved fitness was measured",
+        "evaluation/forecast/forecasting.py",
+        "error = achieved.standard_error if np.isfinite(achieved.standard_error) else 0.0",
+        "error = 0.0",
+        FORECASTS,
+    ),
+    Change(
+        "one model alone makes a forecast",
+        "evaluation/forecast/forecasting.py",
+        "if len(cells) < 2 or",
+        "if len(cells) < 1 or",
+        FORECASTS,
+    ),
+    Change(
+        "a model whose error nobody knows is not asked",
+        "evaluation/forecast/credibility.py",
+        "        return 1.0\n",
+        "        return 0.0\n",
+        FORECASTS,
+    ),
+    Change(
+        "a controller that was written by hand is chosen",
+        "evaluation/forecast/choosing.py",
+        "if one.name in found and one.against and not one.on_robot]",
+        "if one.name in found]",
+        SHOWN,
+    ),
+    Change(
+        "a model in which nothing is claimed keeps a share of it",
+        "evaluation/forecast/of_models.py",
+        "if self.claimed <= 0.0:",
+        "if self.claimed == 1e9:",
+        SHOWN,
+    ),
+    Change(
+        "a waypoint that was passed at any distance was missed",
+        "evaluation/behaviour/chase.py",
+        "if radius <= nearest < NEAR * radius:",
+        "if radius <= nearest:",
+        MANNERS,
+    ),
+    Change(
+        "who goes on in the same direction turned back",
+        "evaluation/behaviour/chase.py",
+        "np.sign(moving[-1]) != np.sign(moving[0])",
+        "np.sign(moving[-1]) == np.sign(moving[0])",
+        MANNERS,
+    ),
+    Change(
+        "an angle a turn away from its target is outside the tolerance",
+        "evaluation/behaviour/measures.py",
+        "if target.channel.period is not None:",
+        "if target.channel.period is None and False:",
+        MANNERS,
+    ),
+    Change(
+        "a change of the state is learned as the state",
+        "sysid_evo/interoperation/regression.py",
+        "after = before + after",
+        "after = 1.0 * after",
+        ONE_STEP,
+    ),
+    Change(
+        "lags that were asked for are left out without a word",
+        "sysid_evo/interoperation/regression.py",
+        "        if asked:\n",
+        "        if asked and not lags:\n",
+        ONE_STEP,
+    ),
+    Change(
+        "rows of which one state goes on are one recording",
+        "sysid_evo/interoperation/regression.py",
+        ".all(axis=1)",
+        ".any(axis=1)",
+        ONE_STEP,
+    ),
+    Change(
+        "two robots make an interval",
+        "evaluation/study/repeats.py",
+        "if count < FEWEST:",
+        "if count < 2:",
+        REPEATS,
+    ),
+    Change(
+        "a robot with more seeds counts more",
+        "evaluation/study/repeats.py",
+        "float(np.mean([group.mean() for group in groups]))",
+        "float(values.mean())",
+        REPEATS,
+    ),
+)

@@ -1,0 +1,94 @@
+"""Parcels: what is packed in one folder stands in another as it was, and what is not whole is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sysid_evo.errors import ArtefactError
+from sysid_evo.plan import Again, Plan, Store, execute
+from sysid_evo.plan.parcels import Parcel, digest_of, packed, unpack
+from tests.sysid_evo.plan.made_up_cells import Number
+
+ONE, OTHER = Number(1, label="one"), Number(2, label="other")
+
+
+@pytest.fixture
+def done(tmp_path: Path) -> Store:
+    store = Store(tmp_path / "done")
+    execute(Plan.of([ONE, OTHER]), store)
+    return store
+
+
+def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path: Path) -> None:
+    for name in ("b", "a/c"):
+        (tmp_path / "from" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "from" / name).write_bytes(name.encode())
+    parcel = packed(tmp_path / "from", ["b", "a/c"])
+    assert [file.relative_to(tmp_path / "to").as_posix() for file in unpack(parcel, tmp_path / "to")] == ["b", "a/c"]
+    assert packed(tmp_path / "to", ["b", "a/c"]) == parcel
+    assert digest_of(parcel) == digest_of(packed(tmp_path / "to", ["b", "a/c"]))
+    assert len({digest_of(parcel), digest_of(parcel[:1]), digest_of(parcel[::-1])}) == 3
+
+
+@pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../out"])
+def test_a_file_that_would_stand_outside_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ArtefactError, match="lies outside the folder that it is sent to"):
+        unpack(((name, 0, b"x"),), tmp_path / "in")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path: Path, done: Store) -> None:
+    store = Store(tmp_path / "other")
+    store.take(ONE, done.parcel(ONE.digest))
+    assert store.load(ONE) == 1
+    assert store.parcel(ONE.digest)[0][2] == done.parcel(ONE.digest)[0][2]
+    assert (store.path / "log.jsonl").read_text().count(ONE.digest) == 1
+
+
+def changed(parcel: Parcel, place: int, content: bytes) -> Parcel:
+    return tuple((name, time, content if i == place else old) for i, (name, time, old) in enumerate(parcel))
+
+
+@pytest.mark.parametrize("damage", ["nothing", "no record", "record", "file", "missing file", "further file", "other"])
+def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(
+    tmp_path: Path, done: Store, damage: str
+) -> None:
+    parcel = done.parcel(ONE.digest)
+    damaged: dict[str, Parcel] = {
+        "nothing": (),
+        "no record": parcel[1:],
+        "record": changed(parcel, 0, b"{}"),
+        "file": changed(parcel, 1, b"7"),
+        "missing file": parcel[:1],
+        "further file": (*parcel, ("results/more", 0, b"")),
+        "other": done.parcel(OTHER.digest),
+    }
+    store = Store(tmp_path / "other")
+    with pytest.raises(ArtefactError, match="count one: what came"):
+        store.take(ONE, damaged[damage])
+    assert not store.path.exists()
+
+
+def test_what_is_not_done_has_no_parcel(done: Store) -> None:
+    with pytest.raises(ArtefactError, match="not computed yet"):
+        done.parcel(Number(3).digest)
+
+
+def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_settings() -> None:
+    again = Again("m:f", {"plugins": ["/a/p.py", "q"], "deep": {"robot": "/a/p.py"}, "n": 1}, files={"/a/p.py": ("x",)})
+    moved = again.with_files_at({"/a/p.py": "/b/0/p.py"})
+    assert moved.settings == {"plugins": ["/b/0/p.py", "q"], "deep": {"robot": "/b/0/p.py"}, "n": 1}
+    assert again.settings["plugins"] == ["/a/p.py", "q"]
+
+
+def test_the_values_used_last_are_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sysid_evo.plan.store.IN_MEMORY", 2)
+    store = Store(tmp_path)
+    cells = [Number(i, label=str(i)) for i in range(3)]
+    execute(Plan.of(cells[:2]), store)
+    store.load(cells[0])
+    execute(Plan.of(cells), store)
+    assert set(store._values) == {cells[0].digest, cells[2].digest}
+    assert [store.load(cell) for cell in cells] == [0, 1, 2]
