@@ -14,8 +14,13 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
+from sysid_evo.engine.compiled.inlined import Inlined
+
 FASTMATH = ("contract", "arcp", "nsz")
 """What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
+
+WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": Inlined}
+"""How what an operation becomes is compiled: only kernels call it."""
 
 
 class LanesType(types.Type):
@@ -76,7 +81,7 @@ def _like(typing_context, row, number):
 def _overload_with_numbers(function: Any, operation: Any) -> None:
     """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
 
-    @overload(function)
+    @overload(function, jit_options=WITHIN)
     def with_lanes(a, b):
         if _are_lanes(a, b):
             return lambda a, b: operation(a, b)
@@ -93,7 +98,7 @@ for _function, _instruction in (
     _overload_with_numbers(_function, _instruction)
 
 
-@overload(operator.neg)
+@overload(operator.neg, jit_options=WITHIN)
 def _lanes_neg(a):
     if isinstance(a, LanesType):
         return lambda a: _negative(a)
@@ -108,7 +113,7 @@ def _negative(typing_context, a):
     return a(a), generate
 
 
-@overload(abs)
+@overload(abs, jit_options=WITHIN)
 def _lanes_abs(a):
     if isinstance(a, LanesType):
         return lambda a: _magnitude(a)
