@@ -29,8 +29,8 @@ CHANGES = (
     Change(
         "seeds that differ much are made to differ less by what others tell",
         NESTED,
-        "return max(variance, (",
-        "return min(variance, (",
+        "if variance <= self.variance:",
+        "if variance >= 0.0:",
         OF_SEEDS,
     ),
     Change(
