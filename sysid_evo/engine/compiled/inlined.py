@@ -10,11 +10,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 from numba._dynfunc import make_function
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.typed_passes import NativeLowering
+
+TRIED = ((0, 68),)
+"""Versions of Numba whose passes are known to be what this file takes them for."""
 
 
 class _ToBeInlined(JITCodeLibrary):
@@ -52,7 +56,7 @@ class _Lowering(LoweringPass):
         return True
 
 
-class Inlined(CompilerBase):
+class _WithoutMachineCode(CompilerBase):
     """Numba's compiler, but for the last step."""
 
     def define_pipelines(self) -> list[Any]:
@@ -62,3 +66,12 @@ class Inlined(CompilerBase):
         manager.passes = [(a, why) for a, why in manager.passes if a is not NativeLowering]
         manager.finalize()
         return [manager]
+
+
+def compiler_for(version: tuple[int, int]) -> type[CompilerBase]:
+    """Return how functions within kernels are compiled by a version of Numba."""
+    chosen: type[CompilerBase] = _WithoutMachineCode if version in TRIED else Compiler
+    return chosen
+
+
+Inlined = compiler_for(numba.version_info.short)

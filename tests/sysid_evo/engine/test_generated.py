@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 from filelock import FileLock
+from numba.core.compiler import Compiler
 
 from sysid_evo.engine.compiled.dialect import KernelSource, generate
 from sysid_evo.engine.compiled.generated import imported, name_of
+from sysid_evo.engine.compiled.inlined import TRIED, compiler_for
 from sysid_evo.engine.compiled.signature import REALS, Signature
 from sysid_evo.files import cache_folder
 
@@ -55,3 +57,8 @@ def test_a_function_within_a_kernel_is_not_made_into_machine_code_of_its_own(tmp
         for made in function.overloads.values()
     }
     assert translated == {"entry": True, "double_1": False}
+
+
+def test_a_version_of_numba_that_was_not_tried_compiles_in_its_own_way() -> None:
+    assert compiler_for((0, 61)) is Compiler
+    assert all(compiler_for(version) is not Compiler for version in TRIED)
