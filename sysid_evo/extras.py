@@ -43,7 +43,7 @@ def missing_extra(what: str, module: str | None, distribution: str | Distributio
     """
     top = (module or "?").partition(".")[0]
     extra = extra_of(top, distribution)
-    name = distribution.name if isinstance(distribution, Distribution) else distribution
+    name = distribution if isinstance(distribution, str) else distribution.name
     wanted = PACKAGES.get(top, top) if extra is None else f"{name}[{extra}]"
     return MissingExtra(
         f"{what} needs the package {PACKAGES.get(top, top)!r}, which is not installed. "
@@ -60,7 +60,7 @@ def check_installed(what: str, modules: Iterable[str], distribution: str | Distr
 
 def _requirements(distribution: str | Distribution) -> list[Requirement]:
     try:
-        found = distribution.requires if isinstance(distribution, Distribution) else requires(distribution)
+        found = requires(distribution) if isinstance(distribution, str) else distribution.requires
     except PackageNotFoundError:
         return []
     return [Requirement(text) for text in found or ()]

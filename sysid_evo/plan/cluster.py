@@ -241,6 +241,7 @@ class Cluster:
             self.lost[cell.digest] += 1
             if self.lost[cell.digest] > LOST:
                 self.ledger.fail(cell, f"it, or what it needs, was lost in the cluster {LOST} times", "", seconds)
+            self.post.mistrust({needed.digest for needed in cell.needs})
             self.post.listen()
             return
         error = away.future.exception()

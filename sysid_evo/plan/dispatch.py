@@ -37,7 +37,7 @@ class Dispatch:
         self._address = getattr(client.scheduler, "address", "its address")
         self._sent: dict[str, Future[Any]] = {}
         self._hello: Future[Any] | None = None
-        self._orders = 0
+        self._orders = self._sendings = 0
         names, files = _packed_files(again.files)
         made_of = {FILES: files, **_made_of(again, store)}
         self._made_of: dict[str, Parcel] = {name: parcel for name, parcel in made_of.items() if parcel}
@@ -110,6 +110,11 @@ class Dispatch:
         kept = {name for name in (*needed, *self._made_of) if self._is_there(name)}
         self._sent = {name: future for name, future in self._sent.items() if name in kept}
 
+    def mistrust(self, needed: Collection[str]) -> None:
+        """Send the parcels of ``needed`` cells, and what the plan is made of, again when they are asked for."""
+        for name in (*needed, *self._made_of):
+            self._sent.pop(name, None)
+
     def take_back(self, futures: Collection[Future[Any]]) -> None:
         """Stop what is under way, and let go of all that was sent."""
         if self.client.status == RUNNING:
@@ -123,7 +128,9 @@ class Dispatch:
         missing = {name: parcel for name, parcel in wanted.items() if not self._is_there(name)}
         parcels = {name: self.store.parcel(name) if parcel is None else parcel for name, parcel in missing.items()}
         if parcels:
-            keys = {name: f"sysid-evo-parcel-{digest_of(parcel)}" for name, parcel in parcels.items()}
+            self._sendings += 1  # with a key of an earlier sending, what is let go of it later would go, too
+            sending = f"{self._topic[-19:]}-{self._sendings}"
+            keys = {name: f"sysid-evo-parcel-{digest_of(parcel)}-{sending}" for name, parcel in parcels.items()}
             came = self.client.scatter({keys[name]: parcel for name, parcel in parcels.items()}, timeout=PATIENT)
             self._sent |= {name: came[key] for name, key in keys.items()}
         return {name: self._sent[name] for name in wanted}

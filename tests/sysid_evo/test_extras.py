@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.metadata import distribution
+from typing import Any
 
 import pytest
 
@@ -49,3 +50,13 @@ def test_the_error_names_the_package_and_the_command_that_installs_it() -> None:
         'Install it with: pip install "sysid-evo[hardware]"'
     )
     assert str(missing_extra("it", "cv2")).endswith('pip install "opencv-python"')
+
+
+def test_a_distribution_of_a_package_that_reads_metadata_in_its_own_way_is_one_too() -> None:
+    class Foreign:  # such as those of importlib_metadata, which takes the place of Python's own once it is imported
+        name = "foreign"
+        requires = ("pyserial; extra == 'link'",)
+
+    foreign: Any = Foreign()
+    assert extra_of("serial", foreign) == "link"
+    assert "foreign[link]" in str(missing_extra("a robot", "serial", foreign))

@@ -23,7 +23,7 @@ import pytest
 from distributed import Client
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
-from sysid_evo.plan import Plan, Scheduler, Store, execute
+from sysid_evo.plan import Cell, Plan, Scheduler, Store, execute
 from tests.sysid_evo.plan.dask_processes import LIMIT, ROOT, Processes
 from tests.sysid_evo.plan.deeds import planned
 from tests.sysid_evo.plan.made_up_cells import AtHome, Number, Watching
@@ -286,6 +286,30 @@ def test_a_client_that_is_there_already_is_used_and_left_open(tmp_path: Path, cl
         assert client.status == "running"
 
 
+def without_parcels(dask_scheduler: Any) -> None:
+    """Let the scheduler forget what was sent to the workers, without a word to those who sent it."""
+    for client, known in list(dask_scheduler.clients.items()):
+        keys = [task.key for task in known.wants_what if "parcel" in str(task.key)]
+        dask_scheduler.client_releases_keys(keys, client)
+
+
+def test_what_the_cluster_does_not_have_although_it_was_sent_is_sent_again(tmp_path: Path, cluster: Processes) -> None:
+    plan = planned(tmp_path / "diary", ("base", "", []), ("one", "", ["base"]), ("two", "", ["base", "one"]))
+    store = Store(tmp_path)
+
+    class Forgetting(Watching):
+        def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
+            super().finish(cell, cached=cached, reason=reason)
+            if cell.name == "one":
+                with Client(cluster.address) as client:
+                    client.run_on_scheduler(without_parcels)
+
+    watching = Forgetting()
+    execute(plan, store, observer=watching, scheduler=cluster.address)
+    assert (watching.failed, watching.computed) == ({}, ["base", "one", "two"])
+    assert set(diary(tmp_path).values()) == {1}
+
+
 def test_nothing_is_asked_of_a_scheduler_when_all_is_done(tmp_path: Path) -> None:
     plan = planned(tmp_path / "diary", *LADDER)
     run(tmp_path, plan, None)
@@ -318,10 +342,12 @@ def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path: Path) -> No
 
 
 PROGRAM = """
+import signal
 import sys
 from pathlib import Path
 from sysid_evo.plan import Store, execute
 from tests.sysid_evo.plan.deeds import planned
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 folder = Path(sys.argv[1])
 cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("queued", "wait 60", ["quick"])]
 try:

@@ -172,10 +172,12 @@ def test_processors_are_shared_by_those_that_work(tmp_path: Path) -> None:
 
 
 PROGRAM = """
+import signal
 import sys
 from pathlib import Path
 from sysid_evo.plan import Store, execute
 from tests.sysid_evo.plan.deeds import planned
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 folder = Path(sys.argv[1])
 cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("longer", "wait 60", ["quick"])]
 try:
