@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import tempfile
 import time
 from collections.abc import Iterable
@@ -67,10 +69,15 @@ def compare(
     return finished(comparison, store)
 
 
-def finished(comparison: Comparison, store: Store) -> Report:
-    """Return the report of what ``store`` holds, and write it into the run folder."""
+def finished(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
+    """Return the report of what ``store`` holds, and write it into the run folder.
+
+    A page that shows just that already is drawn again only if it is wanted ``afresh``.
+    """
     report = Report.of(comparison, store)
-    save_report(report, store.path)
+    results = [(cell.digest, None if record is None else (record.status, record.files))
+               for cell in comparison.plan for record in [store.find(cell.digest)]]  # fmt: skip
+    save_report(report, store.path, of=hashlib.sha256(json.dumps(results).encode()).hexdigest(), afresh=afresh)
     return report
 
 

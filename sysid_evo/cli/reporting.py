@@ -124,7 +124,7 @@ def report_again(run: Path) -> Report | None:
             tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
             if all(needed.digest in tried for needed in assess.needs):
                 execute(Plan.of([assess]), store, only=[assess])
-    return finished(comparison, store)
+    return finished(comparison, store, afresh=True)
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:

@@ -16,7 +16,7 @@ from rich.console import Console, RenderableType
 
 from evaluation.exploitability import assess_exploitability
 from evaluation.prediction import PredictionProtocol, assess_prediction
-from evaluation.report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json, verdict
+from evaluation.report import DataSummary, Failure, ModelSummary, Report, save, save_report, tables, to_json, verdict
 from evaluation.report.page import to_html
 from evaluation.report.tables import transfer_sheet
 from evaluation.report.terminal import to_rich
@@ -228,3 +228,31 @@ def test_clipping_is_shown_beside_the_score() -> None:
     report = make_report({"exploding": fitted(Exploding())}, robot=False)
     assert "clip 9" in _text(report) or "clip 100 %" in _text(report)
     assert np.isfinite(report.prediction.model("exploding").at[0].n)  # type: ignore[union-attr]
+
+
+def test_a_page_is_drawn_again_only_where_it_may_show_something_else(
+    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = [report]
+
+    def drawn(of: str | None, *, afresh: bool = False) -> bool:
+        before = page.stat().st_ino if page.exists() else None
+        save_report(shown[0], tmp_path, of=of, afresh=afresh)
+        return page.stat().st_ino != before
+
+    page = tmp_path / "report.html"
+    assert drawn("these")
+    assert not drawn("these")
+    assert drawn("others")
+    assert drawn("others", afresh=True)
+    assert drawn(None)
+    assert drawn("others")
+    shown[0] = replace(report, title="another text")
+    assert drawn("others")
+    page.write_text(page.read_text()[:-200])
+    assert drawn("others")
+    monkeypatch.setattr(save, "versions", lambda: {"sysid-evo": "another"})
+    assert drawn("others")
+    monkeypatch.setattr(save, "EVALUATION", tmp_path)
+    assert drawn("others")
+    assert not drawn("others")
