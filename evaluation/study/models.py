@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import methodcaller
 
 from evaluation.study.repeats import Spread
 from evaluation.study.results import ModelRow, PointRow, StudyResults
@@ -61,7 +62,7 @@ def prediction_figures(results: StudyResults) -> tuple[PredictionFigures, ...]:
             PredictionFigures(
                 group=group,
                 model=model,
-                n={h: _spread(once, lambda row, h=h: row.n(h)) for h in HORIZONS},  # type: ignore[misc]  # mypy: a default
+                n={h: _spread(once, methodcaller("n", h)) for h in HORIZONS},
                 seconds=_spread(once, lambda row: row.seconds),
                 fits=len(once),
                 failed=sum(bool(row.reason) for row in once.values()),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class SelfCorrection:
     patience: float = 5.0
 
     @classmethod
-    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = True, **settings: float) -> Self:
+    def of(cls, model: Dynamics, *, products: bool = False, gains: bool = True, **settings: Any) -> Self:
         """Make one whose terms cover what a fitted ``model`` learned from. Raises `InvalidArgument` without that."""
         pairs: Array | None = getattr(model, "pairs_", None)
         if pairs is None:
@@ -66,7 +66,7 @@ class SelfCorrection:
             history = np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1)
             pushes = foreseen(model, *history, controls)
         terms = widened(Terms.of_pairs(model.system, states, controls, products=products, pushes=pushes))
-        return cls(model, terms, state_scale(model.system, states), **settings)  # type: ignore[arg-type]  # by name
+        return cls(model, terms, state_scale(model.system, states), **settings)
 
     @cached_property
     def places(self) -> dict[str, slice]:

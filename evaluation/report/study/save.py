@@ -26,10 +26,11 @@ def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
         MARKDOWN: story_to_markdown(_short(story)),
         PAGE: page_of(story),
     }
-    return tuple(
-        write_atomically(Path(folder) / name, lambda file, text=text: file.write_text(text, encoding="utf-8"))  # type: ignore[misc]  # mypy: a default
-        for name, text in texts.items()
-    )
+    return tuple(_written(Path(folder) / name, text) for name, text in texts.items())
+
+
+def _written(path: Path, text: str) -> Path:
+    return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
 def _short(story: Story) -> Story:
