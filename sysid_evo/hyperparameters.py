@@ -133,7 +133,7 @@ def described(expected: Any) -> str:
 
 def _annotations(family: type) -> dict[str, Any]:
     try:
-        return typing.get_type_hints(family.__init__)  # type: ignore[misc]  # only read
+        return typing.get_type_hints(family.__init__)  # type: ignore[misc]  # __init__ of a class is only read
     except NameError:  # a name that only the type checker knows: nothing to check against
         return {}
 

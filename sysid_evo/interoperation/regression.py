@@ -25,7 +25,7 @@ SAME = 1e-9
 """Two rows follow each other if the state after one and that of the next differ by no more than this share of it."""
 
 
-class TransitionRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]  # untyped library
+class TransitionRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """The step of a model family from one sample to the next, with ``fit(X, y)`` and ``predict(X)``.
 
     A row of X is a state and the control held from there, side by side (N, nx + nu); a row of y is the state ``dt``
