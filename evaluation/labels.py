@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,6 +18,12 @@ def folded(text: str, width: int = 12) -> str:
                 lines.append("")
             lines[-1] += part
     return "\n".join(lines)
+
+
+def few(names: Sequence[str], most: int) -> str:
+    """Return ``names`` in a row; of more than ``most`` and one the first ``most``, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + f" and {more} more" if more > 1 else ", ".join(names)
 
 
 def percent(share: float | None) -> str:

@@ -70,7 +70,8 @@ class Comparison:
     @property
     def title(self) -> str:
         """What the report is called."""
-        return self.experiment.title or f"{self.data.name}: {', '.join(self.fits)}"
+        models = ", ".join(self.fits) if len(self.fits) <= 7 else f"{len(self.fits)} models"
+        return self.experiment.title or f"{self.data.name}: {models}"
 
 
 def plan_comparison(

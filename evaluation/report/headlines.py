@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from evaluation.exploitability import ModelExploitability
+from evaluation.labels import few
 from evaluation.report.contents import Report
 from evaluation.report.forecasting import forecast_text
 from evaluation.report.overview import drive_command
@@ -60,7 +60,7 @@ def _predicting(report: Report) -> Headline:
     leaders = [best.name, *equal]
     more = f"; {len(good)} of {len(models)} predict" if len(models) > 1 else ""
     alike = ", no significant difference between them" if len(leaders) > 1 else ""
-    return Headline(question, _few(leaders), f"Best at {where}: {size}{alike}{more}.", "good")
+    return Headline(question, few(leaders, NAMED), f"Best at {where}: {size}{alike}{more}.", "good")
 
 
 def _trusted(report: Report) -> Headline:
@@ -75,12 +75,12 @@ def _trusted(report: Report) -> Headline:
     where = "on the robot" if any(model.achieved is not None for model in judged) else "on the other models"
     told = [f"{m.model} ({_claim(m.claimed, m.elsewhere)})" for m in sorted(lost, key=_loss)]
     if not kept:
-        return Headline(question, "None", f"Every one is exploited, {where}: {_few(told)}.", "bad")
-    exploited = f" Exploited: {_few(told)}." if lost else ""
-    names = "All of them" if not lost and len(kept) > 1 else _few([model.model for model in kept])
+        return Headline(question, "None", f"Every one is exploited, {where}: {few(told, NAMED)}.", "bad")
+    exploited = f" Exploited: {few(told, NAMED)}." if lost else ""
+    names = "All of them" if not lost and len(kept) > 1 else few([model.model for model in kept], NAMED)
     several = [c for c in report.transfer.controllers if c.exploited and len(c.against) > 1]
     together = [f"{c.name} ({_claim(c.claimed, c.elsewhere)})" for c in several]
-    jointly = f" Exploited together: {_few(together)}." if together else ""
+    jointly = f" Exploited together: {few(together, NAMED)}." if together else ""
     return Headline(question, names, f"What is claimed in them holds {where}.{exploited}{jointly}", "good")
 
 
@@ -128,9 +128,3 @@ def _claim(claimed: Estimate | None, achieved: Estimate | None) -> str:
 
 def _loss(model: ModelExploitability) -> float:
     return 0.0 if model.gap is None else -model.gap.value
-
-
-def _few(names: Sequence[str]) -> str:
-    """Return the first names, and how many more there are."""
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

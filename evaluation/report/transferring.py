@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.labels import percent
+from evaluation.labels import few, percent
 from evaluation.report.sheets import number
 from evaluation.transfer import ControllerSummary, Estimate, TransferMatrix, TransferSummary
 
@@ -77,7 +77,7 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]
         answers.append(
-            f"At least nine tenths of their claim is kept on the robot by {', '.join(holding)}."
+            f"At least nine tenths of their claim is kept on the robot by {few(holding, 8)}."
             if holding
             else "No controller keeps nine tenths of its claim on the robot."
         )

@@ -277,6 +277,12 @@ def test_an_ensemble_in_two_orders_is_one() -> None:
     assert len([cell for cell in comparison.plan.of_kind("evolve") if len(cell.members) > 1]) == 1  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(("count", "title"), [(7, "a, b, c, d, e, f, g"), (8, "8 models")])
+def test_a_report_is_called_after_its_models_if_they_are_few(count: int, title: str) -> None:
+    comparison = planned(*(f"{label}=linear" for label in "abcdefgh"[:count]), only="prediction")
+    assert comparison.title.endswith(f": {title}")
+
+
 def test_what_is_the_same_under_two_labels_is_computed_once(tmp_path: Path) -> None:
     watching = Watching()
     run_in(tmp_path, "linear", "again=linear", observer=watching, recipe="plain")

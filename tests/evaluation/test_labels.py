@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from evaluation.labels import folded, percent
+from evaluation.labels import few, folded, percent
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,14 @@ from evaluation.labels import folded, percent
 def test_names_break_after_their_joints(name: str, lines: list[str]) -> None:
     assert folded(name, 12).split("\n") == lines
     assert folded(name, 12).replace("\n", "") == name.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    "number, text",
+    [(0, ""), (2, "a, b"), (3, "a, b, c"), (4, "a, b and 2 more")],
+)
+def test_of_many_names_the_first_stand_there(number: int, text: str) -> None:
+    assert few("abcd"[:number], 2) == text
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from evaluation.labels import few
 from evaluation.prediction import PERSISTENCE
 from evaluation.report.document import plain
 from evaluation.report.headlines import Headline, Tone
@@ -140,8 +141,7 @@ def _what_changed(found: Differences) -> str:
     names = [name for name in found.settings if name != "data_digest"]
     if not names and not found.parameters:
         return "No setting"
-    shown = ", ".join(names[:4])
-    return shown + (f" and {len(names) - 4} more" if len(names) > 4 else "") if names else "Parameters of models"
+    return few(names, 4) if names else "Parameters of models"
 
 
 def _data_words(found: Differences) -> str:
