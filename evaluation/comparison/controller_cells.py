@@ -30,7 +30,7 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
 from sysid_evo.plan import Cell, Outcome, Work
 
-ASSESSMENT = 4
+ASSESSMENT = 5
 """What is found out about models: results of another number are made anew."""
 
 
