@@ -39,7 +39,7 @@ docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "build/site/index.html; its search needs a server: python3 -m http.server -d build/site"
 
-# The pictures of the tutorials, by the commands in their text: some minutes a page.
+# The pictures of the README and of the tutorials, by commands: some minutes a page.
 pictures: setup
 	$(BIN)/python -m tests.docs.pictures
 

@@ -168,7 +168,7 @@ class Spaces:
         size = self.outer[s].size + self.inner[s].size + self.n
         states = np.empty((*segments.counts.shape, self.n))
         derivatives = np.empty((*segments.counts.shape, ny, size))
-        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2))
+        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2 + 2 * size * self.flow))
         compiled = compiled_flow_sensitivities() if self.flow else compiled_sensitivities()
         compiled(
             *self._arguments(s, starts, segments.controls, ny),
@@ -176,7 +176,7 @@ class Spaces:
             np.array([np.inf]),
             states.reshape(-1),
             derivatives.reshape(-1),
-            *np.empty((4 if self.flow else 2, self.n * size)),
+            *np.empty((2, self.n * size)),
             room,
         )
         return states[..., :ny], derivatives

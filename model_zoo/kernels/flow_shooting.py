@@ -1,7 +1,7 @@
 """Free runs of a differential equation and their derivatives by all parameters and the initial state, compiled.
 
-One step of the classical Runge-Kutta method a sample, its derivatives those of the step. Arrays and sizes are those of
-`model_zoo.kernels.shooting`.
+Those of `model_zoo.kernels.shooting` with another step: one of the classical Runge-Kutta method a sample, its
+derivatives those of the step.
 """
 
 from __future__ import annotations
@@ -9,117 +9,77 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from model_zoo.kernels.shooting import look, push
+from model_zoo.kernels.shooting import look, push, run, sensitivities
 from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
+from sysid_evo.engine.compiled.lanes import view
 from sysid_evo.engine.compiled.signature import WHOLES, Signature
 
 
 @functools.cache
 def compiled_flow_run() -> Any:
-    """Return `flow_run`, compiled."""
-    signature = Signature.of(flow_run, sizes=WHOLES, kinds=WHOLES)
-    return compile_kernel(KernelSource(flow_run), signature, "float64", pointer=False)
+    """Return `run` of a differential equation, compiled."""
+    signature = Signature.of(run, sizes=WHOLES, kinds=WHOLES)
+    return compile_kernel(KernelSource(run, {"step": flow_step}), signature, "float64", pointer=False)
 
 
 @functools.cache
 def compiled_flow_sensitivities() -> Any:
-    """Return `flow_sensitivities`, compiled."""
-    signature = Signature.of(flow_sensitivities, sizes=WHOLES, kinds=WHOLES)
-    return compile_kernel(KernelSource(flow_sensitivities), signature, "float64", pointer=False)
+    """Return `sensitivities` of a differential equation, compiled."""
+    signature = Signature.of(sensitivities, sizes=WHOLES, kinds=WHOLES)
+    source = KernelSource(sensitivities, {"pushing_step": pushing_flow_step})
+    return compile_kernel(source, signature, "float64", pointer=False)
 
 
-def flow_run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room):
-    """Write the states of free runs, kept within the limit; room: n + nu + 1 + 3 units, then 2 n."""
-    pieces, steps, n, nu, units = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
+def flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room):
+    """Write the states after those at a place; takes 2 n of the room."""
     width = n + nu + 1 + units
     rates = width + 2 * units
     trial = rates + n
-    far = limit[0]
-    for piece in range(pieces):
-        at = piece * (steps + 1) * n
+    for i in range(n):
+        states[at + n + i] = states[at + i]
+        room[rates + i] = 0.0
+    for stage in range(4):
         for i in range(n):
-            states[at + i] = starts[piece * n + i]
-        for k in range(steps):
-            for i in range(n):
-                states[at + n + i] = states[at + i]
-                room[rates + i] = 0.0
-            for stage in range(4):
-                for i in range(n):
-                    room[trial + i] = states[at + i] + ahead(stage) * room[rates + i]
-                look(room, trial, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
-                rate(outer, pace, n, width, room, rates)
-                for i in range(n):
-                    states[at + n + i] += weight(stage) * room[rates + i]
-            for i in range(n):
-                states[at + n + i] = min(max(states[at + n + i], -far), far)
-            at += n
+            room[trial + i] = states[at + i] + ahead(stage) * room[rates + i]
+        look(room, trial, controls, place, inner, kinds, n, nu, units, room)
+        rate(outer, pace, n, width, room, rates)
+        for i in range(n):
+            states[at + n + i] += weight(stage) * room[rates + i]
+    for i in range(n):
+        states[at + n + i] = min(max(states[at + n + i], -far), far)
 
 
-def flow_sensitivities(
-    sizes,
-    outer,
-    inner,
-    kinds,
-    pace,
-    starts,
-    controls,
-    counts,
-    limit,
-    states,
-    derivatives,
-    now,
-    after,
-    trials,
-    pushed,
-    room,
-):
-    """Write the states of free runs, and of the outputs the derivatives times the counts.
+def pushing_flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, now, after, room):
+    """Write the states after those at a place, and the derivatives after those now.
 
-    room: n + nu + 1 + 3 units, n units, n n, and 2 n; now, after, trials, pushed: n (parameters + n).
+    Takes 2 n and twice n (parameters + n) of the room.
     """
-    pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
     seen = n + nu + 1
     width = seen + units
     size = n * width + units * seen + n
     rates = width + 2 * units + n * units + n * n
     trial = rates + n
-    far = limit[0]
-    for piece in range(pieces):
-        at = piece * (steps + 1) * n
+    trials, pushed = view(room, trial + n), view(room, trial + n + n * size)
+    for i in range(n):
+        states[at + n + i] = states[at + i]
+        room[rates + i] = 0.0
+    for j in range(n * size):
+        after[j] = now[j]
+        pushed[j] = 0.0
+    for stage in range(4):
         for i in range(n):
-            states[at + i] = starts[piece * n + i]
-            for j in range(size):
-                now[i * size + j] = 0.0
-            now[i * size + size - n + i] = 1.0
-        for k in range(steps + 1):
-            row = piece * (steps + 1) + k
-            for i in range(ny):
-                for j in range(size):
-                    derivatives[(row * ny + i) * size + j] = counts[row] * now[i * size + j]
-            if k < steps:
-                for i in range(n):
-                    states[at + n + i] = states[at + i]
-                    room[rates + i] = 0.0
-                for j in range(n * size):
-                    after[j] = now[j]
-                    pushed[j] = 0.0
-                for stage in range(4):
-                    for i in range(n):
-                        room[trial + i] = states[at + i] + ahead(stage) * room[rates + i]
-                    for j in range(n * size):
-                        trials[j] = now[j] + ahead(stage) * pushed[j]
-                    look(room, trial, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
-                    push(outer, inner, kinds, pace, n, seen, units, 0.0, trials, pushed, room)
-                    rate(outer, pace, n, width, room, rates)
-                    for i in range(n):
-                        states[at + n + i] += weight(stage) * room[rates + i]
-                    for j in range(n * size):
-                        after[j] += weight(stage) * pushed[j]
-                for i in range(n):
-                    states[at + n + i] = min(max(states[at + n + i], -far), far)
-                at += n
-                for j in range(n * size):
-                    now[j] = after[j]
+            room[trial + i] = states[at + i] + ahead(stage) * room[rates + i]
+        for j in range(n * size):
+            trials[j] = now[j] + ahead(stage) * pushed[j]
+        look(room, trial, controls, place, inner, kinds, n, nu, units, room)
+        push(outer, inner, kinds, pace, n, seen, units, 0.0, trials, pushed, room)
+        rate(outer, pace, n, width, room, rates)
+        for i in range(n):
+            states[at + n + i] += weight(stage) * room[rates + i]
+        for j in range(n * size):
+            after[j] += weight(stage) * pushed[j]
+    for i in range(n):
+        states[at + n + i] = min(max(states[at + n + i], -far), far)
 
 
 def ahead(stage):

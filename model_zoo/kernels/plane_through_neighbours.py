@@ -210,15 +210,19 @@ def look_through(query, n, near, bucket, count, distance, square, found):
     if lowest(total) < square[count - 1]:
         store(distance, 0, total)
         for i in range(BUCKET):
-            here = distance[i]
-            if here < square[count - 1]:
-                place = count - 1
-                while place > 0 and square[place - 1] > here:
-                    square[place] = square[place - 1]
-                    found[place] = found[place - 1]
-                    place -= 1
-                square[place] = here
-                found[place] = float(bucket * BUCKET + i)
+            put_in(distance[i], float(bucket * BUCKET + i), count, square, found)
+
+
+def put_in(here, number, count, square, found):
+    """Put a point into the list, behind those as near, if it is nearer than its last."""
+    if here < square[count - 1]:
+        place = count - 1
+        while place > 0 and square[place - 1] > here:
+            square[place] = square[place - 1]
+            found[place] = found[place - 1]
+            place -= 1
+        square[place] = here
+        found[place] = number
 
 
 def weigh(nearness, count, work):
@@ -342,9 +346,7 @@ def box_distance(value, sides, bound, groups, side):
 
 def points_nearest_to_one(query, n, boxes, near, groups, count, bound, room, square, found):
     """`nearest_points` for a target of one lane; boxes that are as near are taken in the same order."""
-    for k in range(count):
-        square[k] = UNREACHED
-        found[k] = 0.0
+    forget(square, found, count)
     for bucket in range(groups * BUCKET):
         total = 0.0
         for side in range(n):
@@ -373,11 +375,4 @@ def sort_in(query, n, near, bucket, count, square, found):
         for side in range(n):
             off = points[side * BUCKET + i] - query[side]
             here += off * off
-        if here < square[count - 1]:
-            place = count - 1
-            while place > 0 and square[place - 1] > here:
-                square[place] = square[place - 1]
-                found[place] = found[place - 1]
-                place -= 1
-            square[place] = here
-            found[place] = float(bucket * BUCKET + i)
+        put_in(here, float(bucket * BUCKET + i), count, square, found)

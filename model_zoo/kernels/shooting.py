@@ -1,7 +1,7 @@
 """Free runs of a state space and their derivatives by all parameters and the initial state, compiled, in float64.
 
 The space is that of `model_zoo.hidden.shooting.Spaces`; all arrays are flat. ``sizes`` are the numbers of pieces,
-steps, states, controls, units and outputs.
+steps, states, controls, units and outputs. The step is that of a difference equation, for which another one may stand.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def compiled_sensitivities() -> Any:
 
 
 def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room):
-    """Write the states of free runs, kept within the limit; room: n + nu + 1 + 3 units."""
+    """Write the states of free runs, kept within the limit; room: n + nu + 1 + 3 units, and what `step` takes."""
     pieces, steps, n, nu, units = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     far = limit[0]
     for piece in range(pieces):
@@ -38,8 +38,8 @@ def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room)
         for i in range(n):
             states[at + i] = starts[piece * n + i]
         for k in range(steps):
-            look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
-            advance(states, at, outer, pace, n, n + nu + 1 + units, far, room)
+            place = (piece * steps + k) * nu
+            step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room)
             at += n
 
 
@@ -48,12 +48,11 @@ def sensitivities(
 ):
     """Write the states of free runs, and of the outputs the derivatives times the counts.
 
-    room: n + nu + 1 + 3 units, n units and n n; now and after: n (parameters + n).
+    room: n + nu + 1 + 3 units, n units, n n, and what `pushing_step` takes; now and after: n (parameters + n).
     """
     pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
     seen = n + nu + 1
-    width = seen + units
-    size = n * width + units * seen + n
+    size = n * (seen + units) + units * seen + n
     far = limit[0]
     for piece in range(pieces):
         at = piece * (steps + 1) * n
@@ -68,12 +67,27 @@ def sensitivities(
                 for j in range(size):
                     derivatives[(row * ny + i) * size + j] = counts[row] * now[i * size + j]
             if k < steps:
-                look(states, at, controls, (piece * steps + k) * nu, inner, kinds, n, nu, units, room)
-                push(outer, inner, kinds, pace, n, seen, units, 1.0, now, after, room)
-                advance(states, at, outer, pace, n, width, far, room)
+                place = (piece * steps + k) * nu
+                pushing_step(
+                    states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, now, after, room
+                )
                 at += n
                 for j in range(n * size):
                     now[j] = after[j]
+
+
+def step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room):
+    """Write the states after those at a place."""
+    look(states, at, controls, place, inner, kinds, n, nu, units, room)
+    advance(states, at, outer, pace, n, n + nu + 1 + units, far, room)
+
+
+def pushing_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, now, after, room):
+    """Write the states after those at a place, and the derivatives after those now."""
+    seen = n + nu + 1
+    look(states, at, controls, place, inner, kinds, n, nu, units, room)
+    push(outer, inner, kinds, pace, n, seen, units, 1.0, now, after, room)
+    advance(states, at, outer, pace, n, seen + units, far, room)
 
 
 def push(outer, inner, kinds, pace, n, seen, units, kept, now, after, room):
@@ -146,7 +160,7 @@ def look(states, at, controls, place, inner, kinds, n, nu, units, room):
 
 
 def advance(states, at, outer, pace, n, width, far, room):
-    """Write the states after those at a place."""
+    """Write the states after those where `look` looked."""
     for i in range(n):
         total = 0.0
         for j in range(width):

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -74,6 +75,22 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder
         assert [row.controller for row in own if row.chosen] == [point.chosen]
         best = max(own, key=lambda row: row.forecast or 0.0)
         assert best.chosen
+
+
+def test_errors_of_models_are_those_that_were_measured(folder: Path, planned: PlannedStudy) -> None:
+    results, store, (point, comparison) = gather(planned, folder), Store(folder), planned.points[1]
+    rows = {row.model: row for row in results.models if row.point == point.name}
+    for name in rows:
+        found = store.load(comparison.predictions[name]).at
+        measured = [(one.horizon, one.n, one.interval.low, one.interval.high) for one in found]
+        assert [(error.horizon, error.n, error.low, error.high) for error in rows[name].errors] == measured
+        assert rows[name].seconds
+    own = {row.controller: row for row in results.controllers if row.point == point.name}
+    both = [name for name, row in own.items() if set(row.members) == set(rows)]
+    means = np.mean([rows[name].n(20) for name in rows])
+    assert [own[name].error for name in both] == pytest.approx([means] * len(both))
+    assert {name: row.aggregate for name, row in own.items() if len(row.members) == 1} == dict.fromkeys(rows, "")
+    assert {own[name].aggregate for name in both} == {"min"}
 
 
 def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(folder: Path, planned: PlannedStudy) -> None:
@@ -151,6 +168,10 @@ def test_failing_cells_are_rows_with_reasons(tmp_path: Path) -> None:
     assert [row.model for row in failed] == ["bad", "bad"]
     assert {one.cell for one in results.failures} == {"fit bad"}
     assert "1 failed" not in failed[0].reason
+    assert [row.seconds for row in failed] == [None, None]
+    assert all(row.seconds for row in results.models if not row.reason)
+    assert [one.failed for one in results.times if one.kind == "fit"] == [False, True] * 2
+    assert [(point.missing, point.failed, point.finished) for point in results.points] == [(0, 2, True)] * 2
     assert "Failures" in (tmp_path / "failing" / "study.html").read_text()
 
 

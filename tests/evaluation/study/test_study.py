@@ -31,6 +31,11 @@ def test_ranges_stand_for_all_their_numbers() -> None:
     robots = dict.fromkeys(point.labels["robot"] for point in study.points)
     assert list(robots) == ["emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)"]
     assert [point.experiment.seed for point in study.points] == [3, 4] * 3
+    assert [point.experiment.seed for point in Study.of({"grid": {"seed": ["7..7"]}}).points] == [7]
+    assert (
+        Study.of({"grid": {"task": ["point_to_point(horizon=1..2)"]}}).points[0].name
+        == "task point_to_point(horizon=1..2)"
+    )
 
 
 def test_values_may_have_names_of_their_own() -> None:
@@ -71,7 +76,14 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point() -> None:
         ),
         ({"experiment": {"title": "a"}, "grid": GRID}, "above [experiment]"),
         ({"experiment": [1], "grid": GRID}, "expected a table [experiment]"),
+        ({"title": 3, "grid": GRID}, "title: expected a text, got 3"),
+        ({"grid": {"models": [["linear"], "linear"]}}, "two values are called 'linear'; name them"),
+        (
+            {"grid": [{"seed": [0], "models": {"a": [name]}} for name in ("linear", "narx")]},
+            "two points are called 'seed 0, models a'",
+        ),
         ({"grid": GRID, "reference": {"seed": "0"}}, "reference.seed: expected controller, or an axis"),
+        ({"grid": GRID, "reference": {"recipe": "plain"}}, "reference.recipe: expected controller, or an axis"),
         ({"grid": {**GRID, "recipe": ["plain"]}, "reference": {"recipe": "best"}}, "expected one of plain, got 'best'"),
     ],
 )
@@ -89,6 +101,18 @@ def test_a_file_is_named_in_what_is_wrong_with_it(tmp_path: Path) -> None:
             Study.read(file)
     with pytest.raises(InvalidArgument, match="found no such file"):
         Study.read(tmp_path / "yours.toml")
+
+
+def test_a_study_without_a_title_has_the_name_of_its_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("[grid]\nseed = [0]")
+    assert Study.read(tmp_path / "mine.toml").title == "mine"
+
+
+def test_a_place_is_the_robot_or_the_recordings_of_a_point() -> None:
+    study = Study.of({"grid": {"seed": [0], "data": {"dry": ["dry.csv"], "wet": ["wet.csv"]}}})
+    assert [point.where for point in study.points] == ["dry", "wet"]
+    assert [point.name for point in study.points] == ["dry, seed 0", "wet, seed 0"]
+    assert Study.of({"grid": {"seed": [0]}}).points[0].where == "emulated_car"
 
 
 def test_a_study_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
 from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.system import Channel, System
+from tests.hardware.emulation.delayed import Delayed
 
 Step = Callable[[Array, Array, Array], Array]
 
@@ -95,20 +95,8 @@ def test_rounding_does_not_add_up_in_float32(rng: np.random.Generator) -> None:
     assert abs((carry - other)[:, 0].mean()) < 1e-6
 
 
-class Delayed(Dynamics):
-    """x_{t+1} = 0.9 x_t + u_{t-3} + w_t: another fine dynamics, with a scalar step of its own."""
-
-    n_carry, n_lags, n_noise = 4, 3, 1
-
-    def __init__(self) -> None:
-        self.system = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.01)
-
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return np.concatenate([states[:, -1], controls[:, -3:, 0]], axis=1)
-
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        shaken = 0.0 if noise is None else noise
-        return np.concatenate([0.9 * carry[:, :1] + carry[:, 1:2] + shaken, carry[:, 2:], control], axis=1)
+class Compiled(Delayed):
+    """It, with a scalar step of its own."""
 
     def kernel(self) -> DynamicsKernel:
         return DynamicsKernel(Lifted(delayed, n_carry=4, nu=1, n_noise=1), np.array([0.9]))  # type: ignore[arg-type]
@@ -119,18 +107,14 @@ def delayed(x, u, w, p):  # type: ignore[no-untyped-def]
 
 
 def test_any_fine_kernel_can_be_held(rng: np.random.Generator) -> None:
-    held = HeldControl(Delayed(), 5)
+    held = HeldControl(Compiled(), 5)
     step = compiled_step(held, "float64")
     carry, control, noise = (rng.standard_normal((LANES, size)) for size in (4, 1, 5))
     assert np.abs(step(carry, control, noise) - held.step(carry, control, noise)).max() < 1e-12
 
 
 def test_a_fine_dynamics_without_a_kernel_has_none_when_held() -> None:
-    class OnlyNumpy(Delayed):
-        def kernel(self) -> None:  # type: ignore[override]
-            return None
-
-    assert HeldControl(OnlyNumpy(), 5).kernel() is None
+    assert HeldControl(Delayed(), 5).kernel() is None
 
 
 def test_scores_of_an_evolved_population_are_those_of_numpy() -> None:

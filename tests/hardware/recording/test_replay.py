@@ -10,21 +10,10 @@ import pytest
 
 from hardware.measurement import Measurement
 from hardware.recording.recorder import Recorder
-from hardware.trackers.tracker import TrackerStream
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
 from sysid_evo.system import System
-
-
-def read_all(stream: TrackerStream) -> tuple[list[Measurement], str]:
-    frames = []
-    try:
-        while True:
-            frame = stream.read(5.0)
-            assert frame is not None
-            frames.append(frame)
-    except LinkLost as error:
-        return frames, str(error)
+from tests.hardware.trackers.sources import read_all
 
 
 @pytest.fixture

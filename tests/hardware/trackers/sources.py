@@ -14,6 +14,7 @@ import numpy as np
 from hardware.measurement import Measurement
 from hardware.trackers.motion_capture import MotionCaptureTracker
 from hardware.trackers.process import ProcessTracker
+from hardware.trackers.tracker import TrackerStream
 from sysid_evo.errors import LinkLost
 
 
@@ -71,3 +72,15 @@ class PolledMockTracker(MockTracker):
     """The same as a system that repeats its last pose."""
 
     polls: ClassVar[bool] = True
+
+
+def read_all(stream: TrackerStream) -> tuple[list[Measurement], str]:
+    """Return what is measured until the source ends, and what is then said."""
+    frames = []
+    try:
+        while True:
+            frame = stream.read(5.0)
+            assert frame is not None
+            frames.append(frame)
+    except LinkLost as error:
+        return frames, str(error)

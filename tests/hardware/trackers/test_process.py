@@ -15,10 +15,9 @@ import pytest
 
 from hardware.measurement import Measurement
 from hardware.trackers.process import RECORD, record_of
-from hardware.trackers.tracker import TrackerStream
 from sysid_evo.errors import InvalidArgument, LinkLost, MissingExtra
 from sysid_evo.registry import trackers
-from tests.hardware.trackers.sources import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker
+from tests.hardware.trackers.sources import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker, read_all
 
 SOURCE = "from tests.hardware.trackers.sources import ScriptedTracker"
 
@@ -35,17 +34,6 @@ def ends(pid: int, within: float = 2.0) -> bool:
     while alive(pid) and time.monotonic() < deadline:
         time.sleep(0.005)
     return not alive(pid)
-
-
-def read_all(stream: TrackerStream) -> tuple[list[Measurement], str]:
-    frames = []
-    try:
-        while True:
-            frame = stream.read(5.0)
-            assert frame is not None
-            frames.append(frame)
-    except LinkLost as error:
-        return frames, str(error)
 
 
 def test_frames_come_through_as_they_were_made():

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from evaluation.study import Study, plan_study
+from sysid_evo.cli.studying import duration, seconds_about
 from tests.sysid_evo.cli.calling import run_here
 
 STUDY = """
@@ -43,6 +47,34 @@ def test_a_dry_run_shows_points_and_cells_and_makes_nothing(study: Path, tmp_pat
     assert plan["kept"] == 0
     assert plan["cells"] == sum(point["cells"] for point in plan["points"])
     assert not (tmp_path / "runs").exists()
+
+
+def test_what_points_share_is_foreseen_once(study: Path, tmp_path: Path) -> None:
+    study.write_text(study.read_text() + 'aggregate = ["min", "mean"]\n')
+    plan = json.loads(run_here("study", study, "--dry-run", "--json", cwd=tmp_path).stdout)
+    one, other = plan["points"][:2]
+    assert one["cells"] == other["cells"]
+    assert one["seconds"] > 0.0
+    assert other["seconds"] == 0.0
+    assert plan["seconds"] == pytest.approx(sum(point["seconds"] for point in plan["points"]), abs=0.5)
+    assert 2 * plan["cells"] == sum(point["cells"] for point in plan["points"])
+
+
+def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(study: Path) -> None:
+    planned = plan_study(Study.read(study))
+    fits = [cell for cell in planned.plan if cell.kind == "fit"]
+    tried: dict[str, Any] = {cell.digest: None for cell in planned.plan}
+    tried[fits[0].digest] = SimpleNamespace(status="done", seconds=3.0 * fits[0].seconds())
+    tried[fits[1].digest] = SimpleNamespace(status="failed", seconds=1000.0)
+    about = seconds_about(planned, tried)
+    assert about[fits[2].digest] == pytest.approx(3.0 * fits[2].seconds())
+    others = [cell for cell in planned.plan if cell.kind == "predict"]
+    assert [about[cell.digest] for cell in others] == [cell.seconds() for cell in others]
+
+
+@pytest.mark.parametrize("seconds, said", [(89.0, "89 s"), (90.0, "2 min"), (5399.0, "90 min"), (5400.0, "1.5 h")])
+def test_a_time_is_told_in_the_unit_that_fits(seconds: float, said: str) -> None:
+    assert duration(seconds) == said
 
 
 def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(study: Path, tmp_path: Path) -> None:
