@@ -166,7 +166,7 @@ def _cuts(channel: Channel, values: Array) -> list[Region]:
     cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
     below = [Region(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
     above = [Region(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
-    return below + above
+    return [region.within(channel.low, channel.high) for region in below + above]
 
 
 def _share(share: float) -> str:

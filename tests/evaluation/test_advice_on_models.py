@@ -121,6 +121,20 @@ def test_where_controllers_go_and_the_data_do_not_is_named() -> None:
     assert missing_excitation(visiting(evidence(), drive(seed=5))) is None
 
 
+def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it() -> None:
+    data = drive()
+    system = data.system
+    assert system.controls[0].high == 1.0
+    never_both = [np.minimum(e.controls, 0.9) for e in data]
+    for number, controls in enumerate(never_both):
+        controls[:, number % 2] = 1.0
+    seen = Dataset.from_arrays(system, [e.states for e in data], never_both)
+    asked = Dataset.from_arrays(system, [e.states for e in data], [np.ones_like(u) for u in never_both])
+    gap = largest_gap(Steps.of(system, seen.episodes), Steps.of(system, asked.episodes))
+    assert gap is not None
+    assert gap.words == "push at 1 with steer at 1"
+
+
 def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers() -> None:
     data = drive()
     kept = []

@@ -81,6 +81,17 @@ def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutr
     assert Region("tilt", "rad", "beyond", 0.5, 1.0).words == "|tilt - 1| above 0.5 rad"
 
 
+def test_no_region_is_beyond_the_end_of_its_channel() -> None:
+    system = pendulum()
+    torque = system.controls[0]
+    rng = np.random.default_rng(0)
+    controls = np.clip(rng.normal(0.0, 3.0, (500, 1)), torque.low, torque.high)
+    found = [region for region, _ in candidate_regions(system, rng.uniform(-1.0, 1.0, (500, 2)), controls)]
+    ends = [region.words for region in found if region.channel == "torque"]
+    assert ends == ["torque at -2 N m", "torque at 2 N m", "|torque| at 2 N m"]
+    assert sum(region.end for region in found) == 3
+
+
 def test_each_episode_has_its_own_error() -> None:
     easy, hard = recording(1, seed=5), noisy(6, 1)
     test = easy.with_episodes([easy.episodes[0], replace(hard.episodes[0], name="hard")])
