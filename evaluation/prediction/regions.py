@@ -82,7 +82,7 @@ class RegionError:
     @property
     def words(self) -> str:
         """Region and size of its error, in words."""
-        return f"at {self.region.words}, N is {self.ratio:.1f} times that of all windows"
+        return f"with {self.region.words}, N is {self.ratio:.1f} times that of all windows"
 
 
 def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple[RegionError, ...]:

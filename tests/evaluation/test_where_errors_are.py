@@ -55,7 +55,7 @@ def test_the_region_where_a_model_fails_is_named_with_its_size() -> None:
     assert worst is not None
     assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
     assert worst.ratio > 1.3
-    assert worst.words.startswith(f"at forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
+    assert worst.words.startswith(f"with forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
     assert worst.n == pytest.approx(worst.ratio * row.curve[4])
     assert worst.share == pytest.approx(0.2, abs=0.02)
 
