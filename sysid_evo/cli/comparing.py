@@ -183,7 +183,7 @@ def run_experiment(
         return
     session.run = path
     store_experiment(comparison, path)
-    with Bars(f"--out {path}", elsewhere=scheduler is not None) as bars:
+    with Bars(f"--out {shlex.quote(str(path))}", elsewhere=scheduler is not None) as bars:
         outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error
