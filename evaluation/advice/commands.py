@@ -44,7 +44,7 @@ def dead_command(evidence: Evidence) -> Remark | None:
     share, ratio, delay, region = max(found, key=lambda one: one[0] * (1.0 - one[1]))
     return Remark(
         "dead command",
-        f"{delay.control} has no effect on {delay.state} at {region.words} ({percent(share)} of the time; at most "
+        f"{delay.control} has no effect on {delay.state} with {region.words} ({percent(share)} of the time; at most "
         f"{percent(ratio)} of its effect elsewhere). See whether it is a dead band, a limit, or lost grip: models that "
         "do not know it promise what the robot does not do. Record more there.",
         share * (1.0 - ratio),

@@ -37,7 +37,7 @@ class Gap:
 
     @property
     def words(self) -> str:
-        return " with ".join(region.words for region in self.place)
+        return " and ".join(region.words for region in self.place)
 
     @property
     def figures(self) -> dict[str, float]:
@@ -54,7 +54,7 @@ def missing_excitation(evidence: Evidence) -> Remark | None:
         return None
     return Remark(
         "excitation",
-        f"Controllers spend {percent(gap.asked)} of their time at {gap.words}, the training data {_share(gap.seen)}: "
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
         "models guess there. Record just that.",
         gap.asked,
         gap.figures,
@@ -70,7 +70,7 @@ def other_states(evidence: Evidence) -> Remark | None:
     if gap is not None:
         return Remark(
             "test part",
-            f"{percent(gap.asked)} of the test part lies at {gap.words}, of the training part {_share(gap.seen)}: its "
+            f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
             "errors tell how models extrapolate. Hold out other recordings (--test), or record more there.",
             gap.asked,
             gap.figures,
@@ -82,7 +82,7 @@ def other_states(evidence: Evidence) -> Remark | None:
         return None
     return Remark(
         "test part",
-        f"Controllers spend {percent(gap.asked)} of their time at {gap.words}, the test part {_share(gap.seen)}: its "
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
         "errors say nothing of what models do there. Hold out driving that comes there.",
         0.5 * gap.asked,
         gap.figures,
@@ -106,9 +106,9 @@ def _untried(evidence: Evidence, seen: Steps) -> Remark | None:
     gap = Gap((regions[command], regions[state]), float(expected[state, command]), float(together[state, command]))
     return Remark(
         "excitation",
-        f"{gap.place[0].words} was hardly tried at {gap.place[1].words}: {_share(gap.seen)} of the time, and it would "
-        f"be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the data: "
-        "record it.",
+        f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
+        f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the "
+        "data: record it.",
         0.5 * gap.asked,
         gap.figures,
     )
@@ -166,7 +166,7 @@ def _cuts(channel: Channel, values: Array) -> list[Region]:
     cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
     below = [Region(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
     above = [Region(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
-    return below + above
+    return [region.within(channel.low, channel.high) for region in below + above]
 
 
 def _share(share: float) -> str:

@@ -29,7 +29,7 @@ def weak_region(evidence: Evidence) -> Remark | None:
         return None
     return Remark(
         "weak region",
-        f"{evidence.name} is worst at {worst.region.words}, {percent(worst.share)} of the windows: N {worst.n:.3f} "
+        f"{evidence.name} is worst with {worst.region.words}, {percent(worst.share)} of the windows: N {worst.n:.3f} "
         f"after {steps * evidence.system.dt:g} s, {worst.ratio:.1f} times that of all. Record more there, and see what "
         "is different.",
         worst.share * (1.0 - 1.0 / worst.ratio),

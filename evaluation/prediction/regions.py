@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Region:
     """A part of the range of one channel: at or beyond a ``limit``, within a distance of neutral, or at a value.
 
     ``kind`` is ``below``, ``above``, ``beyond`` (farther than ``limit`` from ``neutral`` on either side) or ``at``.
+    ``end`` says that the limit, as it is written, is the end of the range: nothing lies beyond it.
     """
 
     channel: str
@@ -35,15 +36,24 @@ class Region:
     kind: str
     limit: float
     neutral: float = 0.0
+    end: bool = False
 
     @property
     def words(self) -> str:
         """The region in words, such as ``forward_speed above 1.2 m/s``."""
-        value = f"{self.limit:.2g}{f' {self.unit}' if self.unit else ''}"
+        value = f"{_written(self.limit)}{f' {self.unit}' if self.unit else ''}"
         if self.kind == "beyond":
-            off = f"{self.channel} - {self.neutral:.2g}" if self.neutral else self.channel
-            return f"|{off}| above {value}"
-        return f"{self.channel} {self.kind} {value}"
+            off = f"{self.channel} - {_written(self.neutral)}" if self.neutral else self.channel
+            return f"|{off}| {'at' if self.end else 'above'} {value}"
+        return f"{self.channel} {'at' if self.end else self.kind} {value}"
+
+    def within(self, low: float | None, high: float | None) -> Region:
+        """Return the region of a channel whose values lie from ``low`` to ``high``; None where there is no such end."""
+        if self.kind == "beyond":
+            last = None if low is None or high is None else max(high - self.neutral, self.neutral - low)
+        else:
+            last = {"below": low, "above": high}.get(self.kind)
+        return replace(self, end=last is not None and _written(self.limit) == _written(last))
 
     def holds(self, values: Array) -> BoolArray:
         """Return which of the channel's ``values`` (N,) lie inside."""
@@ -72,7 +82,7 @@ class RegionError:
     @property
     def words(self) -> str:
         """Region and size of its error, in words."""
-        return f"at {self.region.words}, N is {self.ratio:.1f} times that of all windows"
+        return f"with {self.region.words}, N is {self.ratio:.1f} times that of all windows"
 
 
 def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple[RegionError, ...]:
@@ -132,11 +142,16 @@ def _regions(channel: Channel, values: Array) -> Iterator[Region]:
             yield Region(channel.name, channel.unit, "at", float(value))
         return
     low, high = np.percentile(values, [LOW, HIGH])
-    yield Region(channel.name, channel.unit, "below", float(low))
-    yield Region(channel.name, channel.unit, "above", float(high))
+    ends = float(different[0]), float(different[-1])
+    yield Region(channel.name, channel.unit, "below", float(low)).within(*ends)
+    yield Region(channel.name, channel.unit, "above", float(high)).within(*ends)
     if low < channel.neutral < high:
         size = float(np.percentile(np.abs(values - channel.neutral), HIGH))
-        yield Region(channel.name, channel.unit, "beyond", size, channel.neutral)
+        yield Region(channel.name, channel.unit, "beyond", size, channel.neutral).within(*ends)
+
+
+def _written(value: float) -> str:
+    return f"{value:.2g}"
 
 
 def _n(sums: Array, cases: MeasuredCases) -> Array:

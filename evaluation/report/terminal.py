@@ -43,7 +43,9 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
         parts += [] if sheet is None else to_rich(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
-        parts.append(Text.assemble(("Drive with the chosen controller: ", "bold"), command, overflow="fold"))
+        told = Text.assemble(("Drive with the chosen controller: ", "bold"), command)
+        told.no_wrap, told.overflow = True, "ignore"  # a line of the terminal may break; one that is copied may not
+        parts.append(Group(told))
     return parts
 
 

@@ -216,7 +216,7 @@ def append(folder: Path, *measured: Measured) -> None:
 
 
 def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
-    """Return the fitness of each trial, mean and spread, and what is missing."""
+    """Return the fitness of each trial, mean and standard deviation, and what is missing."""
     from rich.table import Table
 
     cell = measured.cell
@@ -229,8 +229,9 @@ def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
     for trial, why in enumerate(cell.missing, cell.trials + 1):
         table.add_row(str(trial), "missing", why)
     if cell.trials:
-        spread = f" ± {cell.std:.2f}" if cell.trials > 1 else ""
-        table.add_row("mean", f"{cell.mean:.2f}{spread}", "", style="bold")
+        table.add_row("mean", f"{cell.mean:.2f}", "", style="bold")
+    if cell.trials > 1:
+        table.add_row("standard deviation", f"{cell.std:.2f}", "")
     return table
 
 

@@ -86,6 +86,8 @@ def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
     for row in sorted(rows, key=lambda row: float(row["error"])):
         table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(f"{share:.2f}" for share in row["blocks"]))
     if rows:
-        out.print(f"Free runs over blocks of {new.duration:.0f} s that were not learned from:", highlight=False)
+        count = len(rows[0]["blocks"])
+        told = f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others:"
+        out.print(told, highlight=False)
         out.print(table)
     out.print(decision, highlight=False, markup=False)

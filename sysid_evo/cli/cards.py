@@ -108,9 +108,11 @@ def card_table(card: dict[str, Any]) -> list[Any]:
         if key in ("description", "hyper_parameters", "equations", "candidates", "parameters"):
             continue
         if isinstance(value, dict):
-            value = ", ".join(f"{name} {item}" for name, item in value.items())
+            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items())
         elif isinstance(value, list):
             value = ", ".join(map(str, value))
+        elif key == "dt":
+            value = f"{value:g} s"
         table.add_row(key, Text(str(value)))
     parts.append(table)
     if card.get("description"):
@@ -123,6 +125,10 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     if card.get("parameters"):
         parts += [Text(""), _parameters(card["parameters"])]
     return parts
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _candidates(rows: list[dict[str, str]]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -182,7 +183,7 @@ def run_experiment(
         return
     session.run = path
     store_experiment(comparison, path)
-    with Bars(f"--out {path}", elsewhere=scheduler is not None) as bars:
+    with Bars(f"--out {shlex.quote(str(path))}", elsewhere=scheduler is not None) as bars:
         outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error
@@ -240,7 +241,7 @@ def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> No
         out.print_json(json_format.dumps(to_json(report)))
         return
     for part in tables(report) if verbose else brief(report, folder=path):
-        out.print(part)
+        out.print(part, crop=False)
     err.print(where_time_went(report.timings), highlight=False)
     out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)
 
@@ -283,7 +284,8 @@ def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outc
         out.print(part)
     labels = ",".join(str(row["model"]) for row in rows if row["file"])
     if labels:
-        tell(f"evolve against them with: sysid-evo evolve --run {store.path} --against {labels}")
+        command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
+        tell(f"evolve against them with: {command}")
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import shlex
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ def carry_out(
         print_plan(plan, store, json=json)
         return None
     session.run = store.path
-    with Bars(f"--run {store.path}", elsewhere=scheduler is not None) as bars:
+    with Bars(f"--run {shlex.quote(str(store.path))}", elsewhere=scheduler is not None) as bars:
         return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,9 +37,9 @@ def new(
     where = folder or Path(name)
     for path in write_plugin(name, where, kind):
         out.print(str(path), highlight=False, soft_wrap=True)
-    options = PLUGINS[kind].check.replace("tests/", f"{where}/tests/")
+    options = PLUGINS[kind].check.replace("tests/", f"{shlex.quote(str(where))}/tests/")
     err.print(
-        f"check it with: sysid-evo plugin check {name} --plugin {where / name}.py{options}",
+        f"check it with: sysid-evo plugin check {name} --plugin {shlex.quote(str(where / name) + '.py')}{options}",
         highlight=False,
         soft_wrap=True,
     )

@@ -76,7 +76,7 @@ class Bars:
     def plan(self, cells: int, kept: int, seconds: float) -> None:
         self._cells, self._left = cells, seconds
         if kept:
-            tell(f"{kept} of {cells} cells are done already", label="kept ", style="dim")
+            tell(f"{kept} of {cells} cells are done already", label="kept: ", style="dim")
         self._all = self._bars.add_task("all", total=cells, completed=0, note="")
 
     def start(self, cell: Cell) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -70,7 +71,7 @@ def coevolve(
     session.run, folder, title = store.path, store.path / "controllers", f"coevolve {name}"
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = CheckpointFile(folder / f"{name}.checkpoint")
-    with Bars(f"--run {store.path}") as bars:
+    with Bars(f"--run {shlex.quote(str(store.path))}") as bars:
         bars.begin(title)
         champions = evolve_rivals(
             name,

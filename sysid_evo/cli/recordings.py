@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from sysid_evo.cli.console import err, out
+from sysid_evo.cli.console import err, out, tell
 from sysid_evo.cli.exits import code_of_loop
 from sysid_evo.cli.options import Columns, Json, Plugins, Seed, check_new_folder, load_plugins
 
@@ -155,9 +155,7 @@ def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLo
 
 def _tell(notes: Iterable[str], doubts: Iterable[str]) -> None:
     """Print notes on standard error, and what looks wrong as a warning."""
-    from rich.text import Text
-
     doubtful = set(doubts)
     for note in notes:
-        label = ("warning: ", "yellow") if note in doubtful else ("note: ", "dim")
-        err.print(Text.assemble(label, note))
+        label, style = ("warning: ", "yellow") if note in doubtful else ("note: ", "dim")
+        tell(note, label=label, style=style)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,7 +58,7 @@ def study(
     session.run = path
     if not render:
         found.write(path / FILE)
-        with Bars(f"--out {path}", where=planned.where, elsewhere=scheduler is not None) as bars:
+        with Bars(f"--out {shlex.quote(str(path))}", where=planned.where, elsewhere=scheduler is not None) as bars:
             execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = finish(planned, path)
     print_study(results, path, json=json, verbose=verbose)

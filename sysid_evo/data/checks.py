@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.data.columns import ColumnMap, ControlColumn
 from sysid_evo.data.raw import RawLog
-from sysid_evo.data.tables import Table
+from sysid_evo.data.tables import LEAVE_OUT, Table, such_rows
 from sysid_evo.errors import InvalidData
 
 FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
@@ -23,8 +23,8 @@ def check_time(table: Table, column: str, time: Array) -> None:
         row = int(bad[0]) + 1
         what = "is the same as" if time[row] == time[row - 1] else "is before"
         raise InvalidData(
-            f"{table.where(column, row)}: expected rising time stamps, but {time[row]:.6g} s {what} "
-            f"{time[row - 1]:.6g} s in row {table.rows[row - 1]} ({len(bad)} such rows in all)"
+            f"{table.where(column, row)}: expected rising time stamps, but {time[row]:.15g} s {what} "
+            f"{time[row - 1]:.15g} s in row {table.rows[row - 1]}{such_rows(len(bad))}. {LEAVE_OUT}"
         )
 
 
@@ -33,10 +33,11 @@ def check_control(table: Table, name: str, control: ControlColumn, values: Array
 
     Values within 1e-6 of a level or limit, as single precision leaves them, are put on it.
     """
-    if control.levels is not None:
-        levels = np.asarray(control.levels)
+    given = control.all_levels
+    if given is not None:
+        levels = np.asarray(given)
         nearest = levels[np.abs(values[:, None] - levels).argmin(axis=1)]
-        legal, expected = nearest, "one of " + ", ".join(f"{level:g}" for level in control.levels)
+        legal, expected = nearest, "one of " + ", ".join(f"{level:g}" for level in given)
     elif control.low is not None and control.high is not None:
         legal, expected = np.clip(values, control.low, control.high), f"{control.low:g} to {control.high:g}"
     else:
@@ -45,8 +46,8 @@ def check_control(table: Table, name: str, control: ControlColumn, values: Array
     if len(bad):
         row = int(bad[0])
         raise InvalidData(
-            f"{table.where(control.column, row)}: control {name!r} is {values[row]:g}, expected {expected} "
-            f"({len(bad)} such rows). Check unit and factor, or widen the limits in the column map."
+            f"{table.where(control.column, row)}: control {name!r} is {values[row]:g}, expected {expected}"
+            f"{such_rows(len(bad))}. Check unit and factor, or widen the limits in the column map."
         )
     return legal
 
@@ -72,7 +73,7 @@ def _beyond_limits(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
         if len(bad):
             found.append(
                 f"{table.where(state.column, int(bad[0]))}: state {name!r} is {values[bad[0]]:g}, outside "
-                f"{low:g} to {high:g} ({len(bad)} such rows, kept as they are)"
+                f"{low:g} to {high:g}{such_rows(len(bad))}; kept as it is"
             )
     return found
 
@@ -131,7 +132,7 @@ def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
     row = int(jumps[0]) + 1
     return [
         f"{table.where(column.column, row)}: the heading jumps by {_wrap(step)[row - 1]:.2f} rad from one row to the "
-        f"next ({len(jumps)} such rows)"
+        f"next{such_rows(len(jumps))}"
     ]
 
 

@@ -83,11 +83,13 @@ class ControlColumn(Column):
     """A control: ``gate`` names a column it is multiplied by, ``non_negative`` sets negative values to 0.
 
     ``low`` and ``high``, or ``levels``, or ``neutral`` are in SI units, after factor and gate.
-    Without limits the channel gets the lowest and highest value of the recordings.
+    Without limits the channel gets the lowest and highest value of the recordings. ``words`` says what each text of
+    the column is worth as a number of the file; without limits these numbers are the levels.
     """
 
     unit: str = ""
     gate: str | None = None
+    words: Annotated[dict[str, float], Field(min_length=2)] | None = None
     non_negative: bool = False
     low: float | None = None
     high: float | None = None
@@ -103,9 +105,16 @@ class ControlColumn(Column):
         return self
 
     @property
+    def all_levels(self) -> tuple[float, ...] | None:
+        """The levels, given or those of the words, in rising order; None if the control is continuous."""
+        if self.levels is not None or self.words is None or self.low is not None:
+            return self.levels
+        return tuple(sorted({self.scale * number for number in self.words.values()}))
+
+    @property
     def limited(self) -> bool:
         """Whether the map says what values are legal."""
-        return self.levels is not None or self.low is not None
+        return self.all_levels is not None or self.low is not None
 
 
 class MotionRoles(_Strict):
@@ -172,10 +181,17 @@ class ColumnMap(_Strict):
     @property
     def columns(self) -> tuple[str, ...]:
         """Every column of the file that the map uses, each once."""
+        worded = [control.column for control in self.controls.values() if control.words is not None]
+        return tuple(dict.fromkeys([*self.number_columns, *worded]))
+
+    @property
+    def number_columns(self) -> tuple[str, ...]:
+        """The columns of numbers, each once; not those of commands in words."""
         used = [] if self.time is None else [self.time.column]
         used += [state.column for state in self.states.values() if state.column is not None]
         for control in self.controls.values():
-            used += [control.column, *([control.gate] if control.gate else [])]
+            used += [control.column] if control.words is None else []
+            used += [control.gate] if control.gate else []
         used += [column.column for column in (*self.pose.values(), *self.extra.values())]
         return tuple(dict.fromkeys(used))
 
@@ -194,14 +210,15 @@ class ColumnMap(_Strict):
         )
         controls = []
         for name, control in self.controls.items():
-            if control.levels is not None:
-                low, high = control.levels[0], control.levels[-1]
+            levels = control.all_levels
+            if levels is not None:
+                low, high = levels[0], levels[-1]
             elif control.low is not None and control.high is not None:
                 low, high = control.low, control.high
             else:
                 low, high = envelope[name]
             neutral = math.nan if control.neutral is None else control.neutral
-            controls.append(Channel(name, to_si(control.unit)[0], low, high, control.levels, neutral))
+            controls.append(Channel(name, to_si(control.unit)[0], low, high, levels, neutral))
         motion = None if self.motion is None else self.motion_of_states
         return System(states, tuple(controls), self.dt, motion, self.name)
 

@@ -13,14 +13,14 @@ import numpy.typing as npt
 
 from sysid_evo.arrays import Array
 from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
-from sysid_evo.data.columns import ColumnMap, choose_columns, load_columns, shipped_columns
+from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.preparation import said_once
 from sysid_evo.data.rates import check_rate
 from sysid_evo.data.raw import RawLog
 from sysid_evo.data.sampled import episodes_of
 from sysid_evo.data.storage import HEADER
-from sysid_evo.data.tables import Table, log_suffixes, reader_for
+from sysid_evo.data.tables import Table, log_suffixes, reader_for, such_rows
 from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
 from sysid_evo.system import System
 
@@ -69,7 +69,7 @@ def read_recording(
         notes.append(f"column map {name!r} chosen: all its columns are in the header of {files[0].name}")
     else:
         chosen = load_columns(columns)
-    tables = [reader_for(file).read(file, chosen.columns) for file in files]
+    tables = [reader_for(file).read(file, chosen.number_columns) for file in files]
     named = condition_column or chosen.condition
     logs = [_log(table, chosen, _conditions(table, named), notes) for table in tables]
     envelope = _envelope(logs, chosen, notes)
@@ -164,12 +164,12 @@ def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | Non
         check_rate(table, columns.time, time, columns.dt, row_by_row=not columns.differentiated)
     controls = np.empty((len(table), len(columns.controls)))
     for i, (name, control) in enumerate(columns.controls.items()):
-        values = data[control.column] * control.scale
+        values = _commands(table, name, control) * control.scale
         if control.non_negative:
             negative = np.flatnonzero(values < 0.0)
             if len(negative):
                 where = table.where(control.column, int(negative[0]))
-                notes.append(f"{where}: negative values of {name!r} set to 0 ({len(negative)} such rows)")
+                notes.append(f"{where}: negative values of {name!r} set to 0{such_rows(len(negative))}")
             values = np.where(values > 0.0, values, 0.0)
         if control.gate is not None:
             values = values * data[control.gate]
@@ -185,6 +185,20 @@ def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | Non
         extra={**states, **extra},
         condition=condition,
     )
+
+
+def _commands(table: Table, name: str, control: ControlColumn) -> Array:
+    """Return the numbers of a control (N,), as they stand in the file or as the map says what its words are worth."""
+    if control.words is None:
+        return table.columns[control.column]
+    labels = reader_for(table.path).labels(table.path, control.column)
+    unknown = [row for row, label in enumerate(labels) if label not in control.words]
+    if unknown:
+        raise InvalidData(
+            f"{table.where(control.column, unknown[0])}: control {name!r} is {labels[unknown[0]]!r}, expected one of "
+            f"{', '.join(map(repr, control.words))}{such_rows(len(unknown))}. Add it to words in the column map."
+        )
+    return np.array([control.words[label] for label in labels])
 
 
 def _conditions(table: Table, column: str | None) -> npt.NDArray[np.str_] | None:

@@ -18,6 +18,11 @@ from sysid_evo.arrays import Array, IntArray
 from sysid_evo.errors import InvalidData
 from sysid_evo.registry import readers, register_reader
 
+LEAVE_OUT = (
+    "Leave such rows out before importing (where a file has time stamps it is then split there), or fill them yourself."
+)
+WORDS = "A command in words needs the number of each in the column map: words = {stop = 0.0, go = 1.0} (docs/data.md)."
+
 
 @dataclass(frozen=True)
 class Table:
@@ -92,6 +97,7 @@ class CsvReader(Reader):
         numbers, values = array("q"), [array("d") for _ in columns]
         uneven: tuple[int, int] | None = None
         refused: dict[int, tuple[int, str]] = {}
+        counts = [0] * len(columns)
         for line in reader:
             if not line:
                 continue
@@ -104,6 +110,7 @@ class CsvReader(Reader):
                 except ValueError:
                     values[i].append(math.nan)
                     refused.setdefault(i, (numbers[-1], line[place]))
+                    counts[i] += 1
         _expect_rows(len(numbers), path)
         if uneven:
             row, width = uneven
@@ -114,7 +121,10 @@ class CsvReader(Reader):
         if refused:
             first = min(refused)
             row, text = refused[first]
-            raise InvalidData(f"{path.name}, row {row}, column {columns[first]!r}: expected a number, got {text!r}")
+            raise InvalidData(
+                f"{path.name}, row {row}, column {columns[first]!r}: expected a number, got {text!r}"
+                f"{such_rows(counts[first])}. {_mended(text)}"
+            )
         read = {name: np.frombuffer(column) for name, column in zip(columns, values, strict=True)}
         return _finite(Table(path, np.frombuffer(numbers, dtype=np.int64), read))
 
@@ -147,7 +157,7 @@ class ParquetReader(Reader):
         for name in columns:
             kind = table.schema.field(name).type
             if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
-                raise InvalidData(f"{path.name}, column {name!r}: expected numbers, got {kind}")
+                raise InvalidData(f"{path.name}, column {name!r}: expected numbers, got {kind}. {WORDS}")
             data[name] = np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
         return _finite(Table(path, np.arange(1, table.num_rows + 1), data))
 
@@ -168,6 +178,11 @@ def reader_for(path: Path) -> Reader:
         if path.suffix.lower() in reader.suffixes:
             return reader
     raise InvalidData(f"{path.name}: expected a file of one of the kinds {', '.join(sorted(known))}")
+
+
+def such_rows(count: int) -> str:
+    """Return in how many rows the same is wrong, in brackets; nothing if it is the one that was named."""
+    return f" ({count} such rows)" if count > 1 else ""
 
 
 def log_suffixes() -> tuple[str, ...]:
@@ -253,6 +268,21 @@ def _place(name: str, header: Sequence[str], path: Path) -> int:
     raise InvalidData(f"{path.name}, row 1: column {name!r} is missing.{hint} The header has: {', '.join(header)}.")
 
 
+def _mended(text: str) -> str:
+    """Return what to do about an entry that is no number: nothing stands there, a comma for the point, or a word."""
+    if not text.strip():
+        return LEAVE_OUT
+    return "Write numbers with a point, not a comma." if _decimal_comma(text) else WORDS
+
+
+def _decimal_comma(text: str) -> bool:
+    try:
+        float(text.replace(",", ".", 1))
+    except ValueError:
+        return False
+    return True
+
+
 def _expect_rows(count: int, path: Path) -> None:
     if count < 2:
         raise InvalidData(f"{path.name}: expected at least two rows of data, got {count}")
@@ -262,9 +292,8 @@ def _finite(table: Table) -> Table:
     for name, values in table.columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
-            more = f" ({len(bad)} such rows)" if len(bad) > 1 else ""
             raise InvalidData(
-                f"{table.where(name, int(bad[0]))}: expected a finite number, got {values[bad[0]]}{more}. "
-                "Leave the rows out, or fill them yourself, before importing."
+                f"{table.where(name, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
+                f"{such_rows(len(bad))}. {LEAVE_OUT}"
             )
     return table

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
+from sysid_evo.data.reading import is_stored as is_data_set
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
@@ -53,7 +54,7 @@ def _dynamics(source: Source) -> Dynamics:
 
 def _folder(folder: Path) -> dict[str, Dynamics]:
     files = sorted(folder.glob("*.json"))
-    if not files:
+    if not files or is_data_set(folder):
         raise InvalidArgument(f"environment: no model is stored in {folder}; in a run they stand in the folder models")
     return {file.stem: _dynamics(file) for file in files}
 

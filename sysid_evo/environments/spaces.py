@@ -33,13 +33,20 @@ def action_space(system: System, actions: Actions) -> spaces.Space[Any]:
     return spaces.Discrete(levels[0]) if len(levels) == 1 else spaces.MultiDiscrete(levels)
 
 
-def control_of(system: System, space: spaces.Space[Any], action: Any) -> Array:
-    """Return the controls (..., nu) of one action, or of several side by side."""
+def control_of(system: System, space: spaces.Space[Any], action: Any, several: tuple[int, ...] = ()) -> Array:
+    """Return the controls (*several, nu) of one action, or of ``several`` side by side. Raises `InvalidArgument`."""
+    given = np.asarray(action)
+    expected = (*several, *(space.shape or ()))
+    if given.shape != expected:
+        raise InvalidArgument(f"environment: expected an action of {space}, shape {expected}, got shape {given.shape}")
     if isinstance(space, spaces.Box):
-        return system.actuate(np.asarray(action, dtype=np.float64))
-    chosen = np.asarray(action, dtype=np.int64)
+        return system.actuate(given.astype(np.float64))
+    chosen = given.astype(np.int64)
     if isinstance(space, spaces.Discrete):
         chosen = chosen[..., None]
+    counts = np.array([len(channel.levels or ()) for channel in system.controls])
+    if ((chosen < 0) | (chosen >= counts)).any() or (given != given.astype(np.int64)).any():
+        raise InvalidArgument(f"environment: expected an action of {space}, got {action}")
     values = [np.asarray(channel.levels)[chosen[..., i]] for i, channel in enumerate(system.controls)]
     return np.stack(values, axis=-1)
 

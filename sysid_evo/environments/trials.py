@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 
 from sysid_evo.arrays import Array, BoolArray, IntArray, Seeds
 from sysid_evo.dynamics import Dynamics, clip_state
@@ -40,9 +41,11 @@ class Trials:
         self._task_state = self.task.begin(self.seeds)
         self._carries = [np.zeros((count, member.n_carry)) for member in self.members]
         self._noise = [np.zeros((0, 0))] * count
+        self._begun = False
 
     def begin(self, rows: IntArray, seeds: Seeds, members: IntArray) -> None:
         """Let the trials ``rows`` (k,) begin anew, with these ``seeds`` (k,) on these members (k,), by number."""
+        self._begun = True
         self.seeds[rows], self.member[rows], self.survived[rows] = seeds, members, 0
         fresh, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
         restarted[rows] = True
@@ -69,7 +72,10 @@ class Trials:
         """Go one step on under ``control`` (count, nu).
 
         Return by how much the fitness grew (count,), which trials are over, and which have reached the horizon.
+        Raises `gymnasium.error.ResetNeeded` before the first reset.
         """
+        if not self._begun:
+            raise ResetNeeded("environment: no trial has begun; call reset() before step()")
         nx, before = self.system.nx, self.state
         after, diverged = before.copy(), np.zeros(len(before), dtype=bool)
         with np.errstate(all="ignore"):

@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from sysid_evo.arrays import BoolArray
+from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.environments.single import drawn
 from sysid_evo.environments.spaces import Actions, action_space, control_of, metadata_of, observation_space
@@ -68,13 +68,16 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         restarting = self._ended
-        reward, over, late = self.trials.step(control_of(self.trials.system, self.single_action_space, actions))
+        reward, over, late = self.trials.step(self._controls(actions))
         if restarting.any():
             self.restart(restarting)
             reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
         over, late = over.astype(bool), late.astype(bool)
         self._ended = over | late
         return self.observations(), reward, over, late, self._info()
+
+    def _controls(self, actions: Any) -> Array:
+        return control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
 
     def restart(self, which: BoolArray) -> None:
         """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""

@@ -112,7 +112,8 @@ def _parse(piece: str) -> Spec:
         return Spec(shorthand["name"], {"seed": int(shorthand["seed"])}, piece)
     found = PIECE.fullmatch(piece)
     if found is None:
-        raise InvalidArgument(f"expected NAME(parameter=value, ...), with label=NAME(...) for a label, got {piece!r}")
+        path = "no such file, and no " if "/" in piece or piece.endswith(".json") else "expected "
+        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {piece!r}")
     return Spec(found["name"], _arguments(piece, found["arguments"] or "()"), found["label"] or "")
 
 

@@ -42,9 +42,9 @@ def test_the_made_up_log_is_flawless(write_csv, table, columns_file):
 @pytest.mark.parametrize(
     "text, complaint",
     [
-        ("nan", "expected a finite number, got nan"),
+        ("nan", "expected a finite number, got nan. Leave such rows out"),
         ("inf", "got inf"),
-        ("", "expected a number, got ''"),
+        ("", "expected a number, got ''. Leave such rows out"),
         ("1.5m", "'1.5m'"),
     ],
 )

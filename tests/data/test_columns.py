@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sysid_evo.data import Dataset, load_columns, read_recording
@@ -78,6 +79,37 @@ def test_negative_values_are_set_to_zero_before_the_gate_multiplies(write_csv, t
         f"({len(negative)} such rows)" in dataset.notes
     )
     assert "control 'drive' is 'throttle' times 'armed', 0 in 33% of the rows" in dataset.notes
+
+
+def in_words(table):
+    words = np.array(["right", "straight", "left"])[(table["steering"] + 1).astype(int)]
+    return {**table, "steering": words}
+
+
+def test_commands_in_words_become_levels(table, columns_file, tmp_path):
+    words = '"steering", words = { right = -1.0, straight = 0.0, left = 1.0 }'
+    columns = columns_file(('"steering", levels = [-1.0, 0.0, 1.0]', words))
+    frame, path = pd.DataFrame(in_words(table)), tmp_path / "log.csv"
+    frame.to_csv(path, index=False)
+    frame.to_parquet(tmp_path / "log.parquet")
+    for log in (path, tmp_path / "log.parquet"):
+        dataset = Dataset.read(log, columns=columns)
+        assert dataset.system.controls[1].levels == (-1.0, 0.0, 1.0)
+        np.testing.assert_array_equal(dataset.episodes[0].controls[:, 1], table["steering"][:-1])
+    path.write_text(path.read_text().replace("right", "rihgt", 1))
+    with pytest.raises(InvalidData, match=r"log.csv, row \d+, column 'steering': control 'steer' is 'rihgt', expected"):
+        Dataset.read(path, columns=columns)
+    with pytest.raises(InvalidData, match="words: Dictionary should have at least 2 items"):
+        load_columns(columns_file(('"steering", levels = [-1.0, 0.0, 1.0]', '"steering", words = { left = 1.0 }')))
+
+
+def test_a_column_of_words_without_their_numbers_says_what_to_write(table, columns_file, tmp_path):
+    frame, path = pd.DataFrame(in_words(table)), tmp_path / "log.csv"
+    frame.to_csv(path, index=False)
+    frame.to_parquet(tmp_path / "log.parquet")
+    for log in (path, tmp_path / "log.parquet"):
+        with pytest.raises(InvalidData, match=r"'steering': expected .* needs .* words = \{stop = 0.0, go = 1.0\}"):
+            Dataset.read(log, columns=columns_file())
 
 
 def test_limits_default_to_the_range_of_all_files_and_are_listed(write_csv, table, columns_file):

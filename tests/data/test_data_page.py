@@ -44,7 +44,7 @@ def workplace(tmp_path, monkeypatch, rng) -> Path:
             "voltage": np.linspace(8.2, 7.9, 200),
             "throttle": rng.uniform(0.0, 1.0, 200),
             "armed": np.ones(200),
-            "servo": rng.choice([-1.0, 0.0, 1.0], 200),
+            "servo": rng.choice(["right", "straight", "left"], 200),
             "px": 1e3 * np.cumsum(0.05 * speed * np.cos(heading)),
             "py": 1e3 * np.cumsum(0.05 * speed * np.sin(heading)),
             "yaw": np.degrees(heading),

@@ -117,8 +117,22 @@ def test_where_controllers_go_and_the_data_do_not_is_named() -> None:
     remark = missing_excitation(visiting(slow, drive(seed=5)))
     assert remark is not None
     assert remark.sentence.startswith("Controllers spend 2")
-    assert "of their time at push " in remark.sentence
+    assert "of their time with push " in remark.sentence
     assert missing_excitation(visiting(evidence(), drive(seed=5))) is None
+
+
+def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it() -> None:
+    data = drive()
+    system = data.system
+    assert system.controls[0].high == 1.0
+    never_both = [np.minimum(e.controls, 0.9) for e in data]
+    for number, controls in enumerate(never_both):
+        controls[:, number % 2] = 1.0
+    seen = Dataset.from_arrays(system, [e.states for e in data], never_both)
+    asked = Dataset.from_arrays(system, [e.states for e in data], [np.ones_like(u) for u in never_both])
+    gap = largest_gap(Steps.of(system, seen.episodes), Steps.of(system, asked.episodes))
+    assert gap is not None
+    assert gap.words == "push at 1 and steer at 1"
 
 
 def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers() -> None:
@@ -132,7 +146,7 @@ def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers() 
     remark = missing_excitation(Evidence("linear", make_model("linear").fit(careful), careful))
     assert remark is not None
     assert remark.sentence.startswith("steer above ")
-    assert " was hardly tried at speed above " in remark.sentence
+    assert " was hardly tried with speed above " in remark.sentence
 
 
 def test_a_test_part_that_lies_elsewhere_is_named() -> None:
@@ -140,7 +154,7 @@ def test_a_test_part_that_lies_elsewhere_is_named() -> None:
     model = make_model("linear").fit(gentle)
     remark = other_states(Evidence("linear", model, gentle, wild))
     assert remark is not None
-    assert "of the test part lies at push " in remark.sentence
+    assert "of the test part has push " in remark.sentence
     assert other_states(evidence()) is None
 
 
@@ -165,14 +179,14 @@ def test_two_channels_make_a_place_where_each_alone_was_visited() -> None:
 def test_a_command_without_effect_in_one_region_is_named() -> None:
     remark = dead_command(evidence(Fault(dead=True)))
     assert remark is not None
-    assert remark.sentence.startswith("steer has no effect on turn at speed below -0.")
+    assert remark.sentence.startswith("steer has no effect on turn with speed below -0.")
     assert dead_command(evidence(Fault(bend=0.5))) is None
 
 
 def test_a_region_where_the_error_is_larger_is_named() -> None:
     remark = weak_region(evidence(Fault(loud=4.0)))
     assert remark is not None
-    assert "linear is worst at speed above 0.3" in remark.sentence
+    assert "linear is worst with speed above 0.3" in remark.sentence
 
 
 def few(lags: int) -> tuple[Evidence, Dataset]:

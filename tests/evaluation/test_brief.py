@@ -18,7 +18,7 @@ LONG = "backprop27+nearest_neighbour+parametrised"
 def printed(parts: Sequence[RenderableType], width: int = 80) -> list[str]:
     console = Console(width=width, file=io.StringIO())
     for part in parts:
-        console.print(part)
+        console.print(part, crop=False)
     return [line.rstrip() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
 
 
@@ -124,4 +124,5 @@ def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
     assert made.transfer.pick == "linear"
     assert "sysid-evo drive" not in " ".join(printed(brief(made)))
     chosen = replace(made, controllers={"linear": "controllers/linear.json"}, settings={})
-    assert "sysid-evo drive --controller controllers/linear.json --robot ROBOT" in printed(brief(chosen), width=120)[-1]
+    command = "sysid-evo drive --controller 'runs/a very long name/controllers/linear.json' --robot ROBOT"
+    assert printed(brief(chosen, folder="runs/a very long name"))[-1].endswith(command)

@@ -55,7 +55,7 @@ def test_the_region_where_a_model_fails_is_named_with_its_size() -> None:
     assert worst is not None
     assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
     assert worst.ratio > 1.3
-    assert worst.words.startswith(f"at forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
+    assert worst.words.startswith(f"with forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
     assert worst.n == pytest.approx(worst.ratio * row.curve[4])
     assert worst.share == pytest.approx(0.2, abs=0.02)
 
@@ -79,6 +79,17 @@ def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutr
     assert not any("|angular_speed|" in words for words in found)
     assert found["torque at 2 N m"].sum() == (controls == 2.0).sum()
     assert Region("tilt", "rad", "beyond", 0.5, 1.0).words == "|tilt - 1| above 0.5 rad"
+
+
+def test_no_region_is_beyond_the_end_of_its_channel() -> None:
+    system = pendulum()
+    torque = system.controls[0]
+    rng = np.random.default_rng(0)
+    controls = np.clip(rng.normal(0.0, 3.0, (500, 1)), torque.low, torque.high)
+    found = [region for region, _ in candidate_regions(system, rng.uniform(-1.0, 1.0, (500, 2)), controls)]
+    ends = [region.words for region in found if region.channel == "torque"]
+    assert ends == ["torque at -2 N m", "torque at 2 N m", "|torque| at 2 N m"]
+    assert sum(region.end for region in found) == 3
 
 
 def test_each_episode_has_its_own_error() -> None:

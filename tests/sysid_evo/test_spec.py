@@ -94,3 +94,9 @@ def test_what_cannot_be_read_is_refused_with_a_sentence(text: str, complaint: st
 def test_one_spec_is_expected_where_one_stands() -> None:
     with pytest.raises(InvalidArgument, match="expected one NAME"):
         Spec.parse("a, b")
+
+
+@pytest.mark.parametrize("path", ["runs/first/controllers/recomended", "controller.json"])
+def test_a_path_where_nothing_is_is_called_no_file(path: str) -> None:
+    with pytest.raises(InvalidArgument, match=f"^no such file, and no NAME.*{path}"):
+        Spec.parse(path)

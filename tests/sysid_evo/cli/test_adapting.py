@@ -30,6 +30,7 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     assert done.code == 0, done.stderr
     assert "products, ridge" in done.stdout
     assert "better than none on 3 blocks it did not learn from" in " ".join(done.stdout.split())
+    assert "Free runs over 3 blocks, 30 s in all, each by what was learned" in " ".join(done.stdout.split())
     assert max(map(len, done.stdout.splitlines())) <= 80
     test = drive(FloorCar(thrust=1.8, turn=2.0), seconds=20.0, seed=9)
     assert load_model(call.folder / "there").score(test) > 0.6 * load_model(folder / "base").score(test)

@@ -56,6 +56,7 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     )  # fmt: skip
     assert evolved.returncode == 0, evolved.stderr
     assert "linear:" in evolved.stdout
+    assert " fresh trials, whose standard deviation is " in evolved.stdout
     assert "Forecast for the robot, by 2 models: " in evolved.stdout
     controller = tmp_path / evolved.stdout.split("stored as ")[1].strip()
     assert controller.parent == tmp_path / "mine" / "controllers"

@@ -77,6 +77,7 @@ def test_controller_drives_its_trials_and_the_cell_is_stored_in_its_run(evolved:
     done = drive(evolved, "--robot", "emulated_car", "--trials", "2")
     assert done.returncode == 0, done.stderr
     assert "waypoints" in done.stdout
+    assert "standard deviation" in done.stdout
     assert "commands; late by" in done.stdout
     cells, _ = load_measured(evolved / "mine")
     (measured,) = [m for m in cells if m.cell.column == "emulated_car driven"]

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from sysid_evo.controllers import RecurrentNetwork, View
@@ -54,6 +55,28 @@ def test_every_registered_environment_passes_the_checker_of_gymnasium(name: str)
 def test_a_model_and_an_ensemble_pass_the_checker_of_gymnasium(actions: Any) -> None:
     checked(make_env(linear(), TASK, actions=actions, seed=1))
     checked(make_env(ensemble(), TASK, actions=actions, seed=1))
+
+
+@pytest.mark.parametrize("action", [9, -1, 0.5, [0, 1]])
+def test_an_action_that_is_none_of_its_space_is_refused_with_the_space(action: Any) -> None:
+    env = make_env("pendulum", "swing_up(horizon=20)", actions="continuous")
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(env.action_space.sample())
+    model, several = make_env(linear(), TASK, seed=1), make_vector_env(linear(), TASK, num_envs=2, seed=1)
+    with pytest.raises(ResetNeeded, match="call reset"):
+        several.step(several.action_space.sample())
+    model.reset()
+    several.reset()
+    with pytest.raises(InvalidArgument, match=r"environment: expected an action of (MultiDiscrete|Box)"):
+        model.step([action, 0] if np.isscalar(action) else [*action, 0])
+    with pytest.raises(InvalidArgument, match=r"environment: expected an action of"):
+        several.step([[action, 0]] * 2 if np.isscalar(action) else action)
+
+
+def test_a_folder_of_recordings_is_no_ensemble(tmp_path: Path) -> None:
+    example_dataset().save(tmp_path / "car")
+    with pytest.raises(InvalidArgument, match="no model is stored in"):
+        make_env(tmp_path / "car", TASK)
 
 
 def driven(env: ModelEnvironment, parameters: Any) -> float:
