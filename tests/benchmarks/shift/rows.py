@@ -1,0 +1,130 @@
+"""What was measured, a row for each case, family and seed: written, read from several files, put into tables."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sysid_evo.files import write_atomically
+
+MARKED = 20
+"""Steps at which adaptation is judged."""
+TAKEN, NEAR, WORSE = 0.40, 0.15, 0.03
+"""What is demanded after 30 s: the error taken off and the distance to a fit there where something shifted; else, what
+it may be worse."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """N of each way after each number of steps, ``n[way][steps]``, and what was decided after 30 s."""
+
+    case: str
+    shifted: bool
+    family: str
+    preset: str
+    seed: int
+    n: Mapping[str, Mapping[int, float]]
+    note: str = ""
+
+    def at(self, way: str, steps: int = MARKED) -> float:
+        """Return N of ``way``; nan if it was not measured."""
+        return self.n.get(way, {}).get(steps, float("nan"))
+
+    def change(self, way: str, against: str = "before", steps: int = MARKED) -> float:
+        """Return by which share N of ``way`` is higher than that of ``against``."""
+        return self.at(way, steps) / self.at(against, steps) - 1.0
+
+
+def write_rows(file: Path, rows: Sequence[Row]) -> None:
+    """Write ``rows`` as JSON."""
+    text = json.dumps([asdict(row) for row in rows], indent=1, allow_nan=False) + "\n"
+    write_atomically(file, lambda path: path.write_text(text))
+
+
+def read_rows(files: Iterable[Path]) -> list[Row]:
+    """Return the rows of ``files``; of the same case, family, preset and seed the last."""
+    found: dict[tuple[str, str, str, int], Row] = {}
+    for file in files:
+        for stored in json.loads(file.read_text()):
+            n = {way: {int(steps): float(x) for steps, x in at.items()} for way, at in stored["n"].items()}
+            row = Row(**{**stored, "n": n})
+            found[row.case, row.family, row.preset, row.seed] = row
+    return list(found.values())
+
+
+def errors_table(rows: Sequence[Row]) -> str:
+    """Return a Markdown table of N at 20 steps, a line for each case and family, means over the seeds."""
+    ways = ("before", "10 s", "30 s", "scratch", "in-domain")
+    lines = [f"| case | family | {' | '.join(ways)} |", f"|---|---|{'---|' * len(ways)}"]
+    for (case, family), own in _grouped(rows).items():
+        means = (np.mean([row.at(way) for row in own]) for way in ways)
+        figures = " | ".join("" if np.isnan(mean) else f"{mean:.2f}" for mean in means)
+        lines.append(f"| {case} | `{family}` | {figures} |")
+    return "\n".join(lines)
+
+
+def verdicts_table(rows: Sequence[Row]) -> str:
+    """Return a Markdown table that says for each family how it stands to what is demanded at 20 steps.
+
+    Where something shifted, means over the seeds count: in how many cases 30 s take 40 % off, and in how many a fit
+    there does, in how many the error is then within 15 % of that of a fit there, in how many both, with the least taken
+    off and the farthest from a fit there. Where nothing did, and after 10 s everywhere, the worst seed counts.
+    """
+    families: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        families[row.family].append(row)
+    lines = [
+        "| family | seeds | shifted | 40 % off | by a fit there | least off | within 15 % of it | farthest | both "
+        "| nothing shifted | at worst | after 10 s | at worst |",
+        f"|{'---|' * 13}",
+    ]
+    for family, own in families.items():
+        shifted = [_mean(seeds) for seeds in _grouped([row for row in own if row.shifted]).values()]
+        taken = [-row.change("30 s") for row in shifted]
+        far = [row.change("30 s", "in-domain") for row in shifted]
+        same = [row.change("30 s") for row in own if not row.shifted]
+        early = [row.change("10 s") for row in own]
+        both = sum(one >= TAKEN and other <= NEAR for one, other in zip(taken, far, strict=True))
+        figures = [
+            f"`{family}`",
+            f"{len({row.seed for row in own})}",
+            f"{len(shifted)}",
+            f"{sum(one >= TAKEN for one in taken)}",
+            f"{sum(-row.change('in-domain') >= TAKEN for row in shifted)}",
+            _percent(min(taken, default=np.nan)),
+            f"{sum(one <= NEAR for one in far)}",
+            _percent(max(far, default=np.nan), sign=True),
+            f"{both}",
+            f"{len(same)}",
+            _percent(max(same, default=np.nan), sign=True) + ("" if max(same, default=0.0) <= WORSE else " !"),
+            f"{len(early)}",
+            _percent(max(early, default=np.nan), sign=True) + ("" if max(early, default=0.0) <= 0.0 else " !"),
+        ]
+        lines.append(f"| {' | '.join(figures)} |")
+    return "\n".join(lines)
+
+
+def _grouped(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
+    """Return the rows of all seeds of each case and family."""
+    found: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in rows:
+        found[row.case, row.family].append(row)
+    return found
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    """Return one row with the means over ``rows``, which differ in their seeds."""
+    first = rows[0]
+    n = {way: {k: float(np.mean([row.at(way, k) for row in rows])) for k in at} for way, at in first.n.items()}
+    return Row(first.case, first.shifted, first.family, first.preset, first.seed, n)
+
+
+def _percent(share: float, *, sign: bool = False) -> str:
+    if np.isnan(share):
+        return ""
+    return f"{100.0 * share:+.0f} %" if sign else f"{100.0 * share:.0f} %"

@@ -1,0 +1,72 @@
+"""The benchmark of adaptation: its rows, its tables, and that it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks.shift import __main__ as benchmark
+from tests.benchmarks.shift.recordings import GROUPS, Case
+from tests.benchmarks.shift.rows import Row, errors_table, read_rows, verdicts_table, write_rows
+from tests.sysid_evo.adaptation.cars import FloorCar, drive
+
+
+def row(case: str, seed: int = 0, *, shifted: bool = True, ten: float = 1.0, thirty: float, there: float = 0.5) -> Row:
+    """A row of a family whose error was 1 before."""
+    n = {"before": 1.0, "10 s": ten, "30 s": thirty, "in-domain": there}
+    return Row(case, shifted, "linear", "quick", seed, {way: {20: error, 60: 2.0} for way, error in n.items()})
+
+
+def cells(table: str) -> list[str]:
+    """The cells of the last line of a table."""
+    return [cell.strip() for cell in table.splitlines()[-1].strip("|").split("|")]
+
+
+def test_where_something_shifted_the_mean_over_seeds_is_held_against_what_is_demanded() -> None:
+    rows = [row("ice", 0, thirty=0.50), row("ice", 1, thirty=0.60), row("mud", thirty=0.59)]
+    rows.append(row("sand", thirty=0.70, there=0.65))
+    assert cells(verdicts_table(rows))[:9] == ["`linear`", "2", "3", "2", "2", "30 %", "2", "+18 %", "1"]
+
+
+def test_where_nothing_shifted_and_after_ten_seconds_the_worst_seed_counts() -> None:
+    rows = [row("same", 0, shifted=False, thirty=0.8), row("same", 1, shifted=False, ten=1.01, thirty=1.04)]
+    assert cells(verdicts_table(rows))[9:] == ["2", "+4 % !", "2", "+1 % !"]
+    assert cells(verdicts_table(rows[:1]))[9:] == ["1", "-20 %", "1", "+0 %"]
+
+
+def test_rows_of_several_files_are_put_together_and_the_later_one_counts(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.json", tmp_path / "b.json"
+    write_rows(first, [row("ice", thirty=0.5), row("sand", thirty=0.5)])
+    write_rows(second, [row("ice", thirty=0.6), row("ice", 1, thirty=0.6)])
+    found = read_rows([first, second])
+    assert [(one.case, one.seed, one.at("30 s")) for one in found] == [
+        ("ice", 0, 0.6),
+        ("sand", 0, 0.5),
+        ("ice", 1, 0.6),
+    ]
+    assert found[2] == row("ice", 1, thirty=0.6)
+    assert cells(errors_table(found[:1])) == ["ice", "`linear`", "1.00", "1.00", "0.60", "", "0.50"]
+
+
+def test_a_run_writes_a_row_for_each_seed_and_says_how_the_family_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ice() -> Iterator[Case]:
+        there = FloorCar(thrust=1.5, turn=2.0)
+        new, own, test = (drive(there, seconds=30.0, seed=seed) for seed in (1, 2, 3))
+        yield Case("ice", True, drive(FloorCar(), seconds=30.0, seed=0), new, own, test)
+
+    monkeypatch.setitem(GROUPS, "floors", ice)
+    out = tmp_path / "rows.json"
+    options = ["linear", "--groups", "floors", "--seeds", "2", "--ways", "30 s", "in-domain", "--out", str(out)]
+    assert benchmark.main(options) == 0
+    said = capsys.readouterr().out
+    rows = read_rows([out])
+    assert [one.seed for one in rows] == [0, 1]
+    assert set(rows[0].n) == {"before", "30 s", "in-domain"}
+    assert rows[0].at("30 s") < rows[0].at("before")
+    assert rows[0].note in said
+    assert benchmark.main(["--read", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == said.splitlines()[-1]
