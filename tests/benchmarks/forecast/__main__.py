@@ -3,13 +3,14 @@
     python -m tests.benchmarks.forecast RUN ... --out FOLDER
     python -m tests.benchmarks.forecast --study STUDY.toml --store FOLDER --out FOLDER
 
-Every RUN is the folder of a comparison of an emulated car, such as ``sysid-evo compare --seed 2`` makes; a
-study (``sysid-evo study``) has many of them in one store, of which the complete points are taken. All finalists, good
-and bad, are run on all models of their run and, in other trials, on the car; what is seen is kept in ``--out``. Further
-terms are looked at in single runs alone, where they take most of the time. Prints, within a run, the rank correlation
-with what is achieved (means over runs, 95 % intervals over cars), the error, and what is lost by choosing the best of
-ten; the share of 90 % intervals that hold, each car's calibrated on the others; whether a further term does better; and
-the constants of `evaluation.forecast.RULE`.
+Every RUN is the folder of a comparison of an emulated car, such as ``sysid-evo compare --seed 2`` makes; a study
+(``sysid-evo study``) has many of them in one store, of which the points with all models and controllers are taken;
+``--compute JOBS`` computes them, without the transfer matrices. All finalists, good and bad, are run on all models of
+their run and, in other trials, on the car; what is seen is kept in ``--out``. Further terms are looked at in single
+runs alone, where they take most of the time. Prints, within a run, the rank correlation with what is achieved (means
+over runs, 95 % intervals over cars), the error, and what is lost by choosing the best of ten; the share of 90 %
+intervals that hold, each car's calibrated on the others; whether a further term does better; and the constants of
+`evaluation.forecast.RULE`.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from tests.benchmarks.forecast.judging import (
     with_term,
 )
 from tests.benchmarks.forecast.looking import look
-from tests.benchmarks.forecast.points import complete_points, look_at
+from tests.benchmarks.forecast.points import complete_points, compute_points, look_at
 
 FIGURES: Mapping[str, Callable[[Seen], float]] = {
     "forecast": lambda one: one.forecast,
@@ -134,12 +135,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--study", type=Path, help="file of a study of emulated cars")
     parser.add_argument("--store", type=Path, help="folder that holds the cells of the study")
     parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was seen")
+    parser.add_argument("--compute", type=int, metavar="JOBS", help="first compute what the store lacks")
+    console, runs = Console(width=120), {}
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
-    console, runs = Console(width=120), {}
     if (given.study is None) != (given.store is None):
         parser.error("--study needs --store, and the other way round")
     if given.study is not None:
+        if given.compute:
+            compute_points(Study.read(given.study), given.store, given.compute)
         for point, comparison in complete_points(Study.read(given.study), given.store):
             car = number_of(comparison.experiment.robot or "")
             records = look_at(point, comparison, given.store, given.out)

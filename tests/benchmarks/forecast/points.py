@@ -9,18 +9,34 @@ from pathlib import Path
 from evaluation.comparison import Comparison, runner_of
 from evaluation.forecast import error_of
 from evaluation.study import Point, Study, plan_study
+from sysid_evo.cli.progress import Bars
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
-from sysid_evo.plan import Store
+from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.registry import robot_spec
 from tests.benchmarks.forecast.looking import Material, Record, records_of
 
 
+def looked_for(comparison: Comparison) -> Plan:
+    """Return the models, predictions and controllers of a comparison, and what they need: not the transfer matrix."""
+    assert comparison.matrix is not None
+    wanted = (*comparison.fits.values(), *comparison.predictions.values(), *comparison.matrix.champions)
+    return Plan.of(wanted)
+
+
+def compute_points(study: Study, folder: Path, jobs: int) -> None:
+    """Compute what `looked_for` of all points is not yet in the store in ``folder``."""
+    planned = plan_study(study)
+    wanted = [cell for _, comparison in planned.points for cell in looked_for(comparison).cells]
+    with Bars(f"--store {folder}", where=planned.where) as bars:
+        execute(Plan.of(wanted, again=planned.plan.again), Store(folder), observer=bars, jobs=jobs)
+
+
 def complete_points(study: Study, folder: Path) -> Iterator[tuple[Point, Comparison]]:
-    """Yield the points of a study of which the store in ``folder`` holds every cell."""
+    """Yield the points of a study of which the store in ``folder`` holds all that is `looked_for`."""
     store = Store(folder)
     for point, comparison in plan_study(study).points:
-        if all(store.find(cell.digest) is not None for cell in comparison.plan):
+        if all(store.find(cell.digest) is not None for cell in looked_for(comparison).cells):
             yield point, comparison
 
 
