@@ -54,14 +54,15 @@ def forecast_of(
     ``own`` says which models are of a family that it was evolved in. The interval has no width where all models and
     all trials say the same.
     """
-    return _joined(np.array([one.mean() for one in fitness]), fitness, credibilities(errors, np.array(own)), rule)
+    weights = credibilities(errors, np.array(own), rule=rule)
+    return _joined(np.array([one.mean() for one in fitness]), fitness, weights, rule)
 
 
 def _joined(means: Array, fitness: Sequence[Array], weights: Array, rule: Rule) -> tuple[float, float, float]:
     value = float(weighted_median(means, weights))
-    apart = float(weights @ np.abs(means - value))
-    trials = rule.trial * float(weights @ np.array([one.std() for one in fitness]))
-    unit = float(np.hypot(apart, trials) * np.sqrt((weights**2).sum()))
+    apart = float(weights @ np.abs(means - value)) * float((weights**2).sum()) ** rule.apart
+    error = float(weights @ np.array([one.std() / np.sqrt(len(one)) for one in fitness]))
+    unit = float(np.hypot(apart, error))
     return value, value + rule.low * unit, value + rule.high * unit
 
 

@@ -10,16 +10,17 @@ class Rule:
     """How what models say of a controller becomes one number with an interval; nothing in it has a unit.
 
     The credibility of a model falls with its prediction error to the ``power``. A model of a family that the
-    controller was evolved in counts ``own`` times that: its claim may be exploited. The unit of the interval is how
-    far models lie from the forecast, and ``trial`` times how far trials lie apart, over the root of the number of
-    models that count. It reaches from ``low`` to ``high`` such units, by the quantiles of what was missed on cars.
+    controller was evolved in counts ``own`` times that: its claim may be exploited. The unit of the interval has two
+    parts. One is how far models lie from the forecast, over the number of models that count to the power ``apart``: not
+    a half, since models of the same data share some of their errors. The other is the standard error of the trials,
+    which all models share. It reaches from ``low`` to ``high`` such units, by the quantiles of what was missed on cars.
     """
 
     power: float = 2.0
     own: float = 0.5
-    trial: float = 0.2
-    low: float = -3.1
-    high: float = 1.5
+    apart: float = 0.25
+    low: float = -2.3
+    high: float = 1.3
     share: float = 0.9
 
 

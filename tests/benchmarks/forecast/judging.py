@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,9 +45,7 @@ def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
     families = {columns[label]["family"] for label in against}
     own = [column["family"] in families for column in columns.values()]
     errors = [column["error"] for column in columns.values()]
-    value, _, high = forecast_of(
-        list(fitness.values()), errors, own, rule=Rule(rule.power, rule.own, rule.trial, 0.0, 1.0)
-    )
+    value, _, high = forecast_of(list(fitness.values()), errors, own, rule=replace(rule, low=0.0, high=1.0))
     elsewhere = [fitness[label].mean() for label, mine in zip(columns, own, strict=True) if not mine]
     claimed = min((float(fitness[label].mean()) for label in against), default=value)
     others = float(np.median(elsewhere)) if elsewhere else value

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.forecast import Rule, forecast_of, forecasts, model_forecasts, summary_of, worth_by
+from evaluation.forecast import RULE, Rule, forecast_of, forecasts, model_forecasts, summary_of, worth_by
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from tests.evaluation.made_up import evolved, matrix
 
@@ -52,12 +52,37 @@ def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero() -> Non
 
 def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree() -> None:
     def width(*means: float) -> float:
-        trials = [mean + np.array([-1.0, 1.0]) for mean in means]
+        trials = [mean + np.tile([-1.0, 1.0], 10) for mean in means]
         _, low, high = forecast_of(trials, [0.1] * len(means), [False] * len(means))
         return high - low
 
     assert width(8.0, 10.0, 12.0) > 2.0 * width(9.9, 10.0, 10.1)
-    assert width(10.0, 10.0, 10.0, 10.0) == pytest.approx(width(10.0, 10.0) / np.sqrt(2.0))
+    assert width(10.0, 10.0, 10.0, 10.0) == pytest.approx(width(10.0, 10.0))  # all meet the same trials
+
+
+def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their_number() -> None:
+    def width(*means: float) -> float:
+        _, low, high = forecast_of([np.full(3, mean) for mean in means], [0.1] * len(means), [False] * len(means))
+        return high - low
+
+    assert width(9.0, 9.0, 11.0, 11.0) == pytest.approx(width(9.0, 11.0) / 2.0**0.25)
+
+
+def test_the_interval_falls_with_the_root_of_the_number_of_trials() -> None:
+    def width(each: int) -> float:
+        _, low, high = forecast_of([np.array([9.0, 11.0] * each)] * 2, [0.1] * 2, [False] * 2)
+        return high - low
+
+    assert width(1) == pytest.approx((RULE.high - RULE.low) / np.sqrt(2.0))
+    assert width(4) == pytest.approx(width(1) / 2.0)
+
+
+def test_a_forecast_by_another_rule_believes_models_by_that_rule() -> None:
+    trials = [np.full(2, mean) for mean in (8.0, 10.0, 12.0)]
+    low, high = (
+        forecast_of(trials, [0.1, 0.2, 0.3], [False, False, True], rule=Rule(power=power))[0] for power in (9.0, 0.0)
+    )
+    assert low < 8.2 < 9.0 < high
 
 
 def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration() -> None:

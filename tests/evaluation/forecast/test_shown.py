@@ -27,7 +27,7 @@ def test_forecasts_stand_beside_what_was_achieved_the_highest_first() -> None:
     sheet = forecast_sheet(driven())
     assert sheet is not None
     assert [row[0] for row in sheet.rows] == ["a\n(chosen)", "b", "c"]
-    assert sheet.rows[0][2:] == ("8.8 (7.5 to 9.3)", "8.5 ±0.0", "yes")
+    assert sheet.rows[0][2:] == ("8.8 (7.6 to 9.4)", "8.5 ±0.0", "yes")
     assert sheet.rows[1][4] == "no"
     assert sheet.note.endswith("2 of 3 were inside.")
 
@@ -44,7 +44,7 @@ def test_a_model_is_shown_with_the_share_of_a_claim_that_is_expected_to_be_kept(
     sheet = model_forecast_sheet(driven())
     assert sheet is not None
     assert [row[0] for row in sheet.rows] == ["a", "b", "c"]
-    assert sheet.rows[0][1:4] == ("10.0", "8.8 (7.5 to 9.3)", "88 % (75 % to 93 %)")
+    assert sheet.rows[0][1:4] == ("10.0", "8.8 (7.6 to 9.4)", "88 % (76 % to 94 %)")
     assert sheet.rows[0][4] == "20 %"
 
 
