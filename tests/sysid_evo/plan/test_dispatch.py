@@ -117,10 +117,20 @@ def test_a_parcel_is_sent_once_as_long_as_a_cell_needs_it(client: MadeUpClient, 
     assert client.scattered[-1][needed.key] == store.parcel(ONE.digest)
 
 
+def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    ask(dispatch, ONE.digest)
+    client.submitted[0].arguments[3][0].status = "lost"
+    ask(dispatch, ONE.digest)
+    assert sent(client) == [1, 1]
+
+
 def test_what_the_plan_is_made_of_goes_along_and_stays(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text("x = 1")
     own = str(tmp_path / "own.py")
-    dispatch = of(client, store, after=(ONE.digest, "f" * 64), inside=("measured",), files={own: (own,)})
+    broken = Number(3, label="broken")
+    store.fail(broken, reason="it broke", traceback="", seconds=1.0)
+    dispatch = of(client, store, after=(ONE.digest, broken.digest, "f" * 64), inside=("measured",), files={own: (own,)})
     ask(dispatch)
     assert sent(client) == [3]
     dispatch.forget(())
@@ -139,6 +149,20 @@ def test_what_the_plan_is_made_of_goes_along_and_stays(client: MadeUpClient, sto
     }
     assert [name for name, _, _ in dispatch._made_of[BEFORE]] == ["measured/a"]
     assert set(dispatch._made_of) == {ONE.digest, BEFORE, FILES}
+
+
+def test_files_of_one_name_stand_apart(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
+    named = [tmp_path / folder / "own.py" for folder in "ab"]
+    for file in named:
+        file.parent.mkdir()
+        file.write_text(file.parent.name)
+    ask(of(client, store, files={str(file): (str(file),) for file in named}))
+    assert json.loads(client.submitted[0].arguments[0])["files"] == {
+        str(named[0]): "0/own.py",
+        str(named[1]): "1/own.py",
+    }
+    parcel = client.scattered[-1][client.submitted[0].arguments[2].key]
+    assert parcel == (("0/own.py", 0, b"a"), ("1/own.py", 0, b"b"))
 
 
 def test_an_order_names_the_cell_what_failed_and_who_may_compute_it(client: MadeUpClient, store: Store) -> None:
