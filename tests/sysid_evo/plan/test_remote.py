@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -147,6 +147,26 @@ def test_a_result_that_nobody_waits_for_any_more_is_not_waited_for(tmp_path: Pat
         computed(child, wanted=False)
 
 
+class MadeUpTimer:
+    """A timer that goes off when it is told."""
+
+    made: list[MadeUpTimer]
+
+    def __init__(self, seconds: float, deed: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        self.seconds, self.daemon, self.started, self.cancelled = seconds, False, False, False
+        self._deed, self._arguments = deed, arguments
+        type(self).made.append(self)
+
+    def start(self) -> None:
+        self.started = True
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+    def goes_off(self) -> None:
+        self._deed(*self._arguments)
+
+
 def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     ended = list[str]()
 
@@ -154,16 +174,19 @@ def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch:
         return SimpleNamespace(dismiss=lambda: ended.append(name))
 
     children, used, forgotten = Children(), made("used"), made("forgotten")
-    monkeypatch.setattr(remote, "IDLE", 0.05)
+    timers = MadeUpTimer.made = list[MadeUpTimer]()
+    monkeypatch.setattr(remote, "Timer", MadeUpTimer)
     assert children.take("r") is None
     children.give("r", used)
     assert children.take("other") is None
     assert children.take("r") is used
     assert children.take("r") is None
+    assert timers[0].cancelled
+    timers[0].goes_off()  # it may be too late to stop it
     children.give("r", forgotten)
-    deadline = time.monotonic() + 10.0
-    while not ended and time.monotonic() < deadline:
-        time.sleep(0.01)
-    time.sleep(0.1)
+    assert ended == []
+    assert (timers[1].seconds, timers[1].daemon, timers[1].started) == (remote.IDLE, True, True)
+    timers[1].goes_off()
+    timers[1].goes_off()
     assert ended == ["forgotten"]
     assert children.take("r") is None
