@@ -2,15 +2,19 @@
 
 from tests.mutation.change import Change
 from tests.mutation.changes import (
+    clusters,
     comparing,
+    conditions,
     controllers,
     data,
     evolution,
     exploits,
     families,
+    figures,
     plans,
     robots,
     statistics,
+    studies,
     worlds,
 )
 
@@ -25,4 +29,8 @@ ALL: tuple[Change, ...] = (
     *data.CHANGES,
     *robots.CHANGES,
     *controllers.CHANGES,
+    *figures.CHANGES,
+    *studies.CHANGES,
+    *clusters.CHANGES,
+    *conditions.CHANGES,
 )

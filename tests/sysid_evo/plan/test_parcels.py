@@ -32,6 +32,20 @@ def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path: Path
     assert len({digest_of(parcel), digest_of(parcel[:1]), digest_of(parcel[::-1])}) == 3
 
 
+def test_parcels_that_differ_in_anything_have_digests_of_their_own() -> None:
+    """Also those of which name, time and content are the same characters when they are joined."""
+    parcels: tuple[Parcel, ...] = (
+        (("a", 1, b"2x"),),
+        (("a", 12, b"x"),),
+        (("a1", 2, b"x"),),
+        (("a", 1, b"2x"), ("b", 1, b"")),
+        (("a", 1, b"2xb\x001\x000\x00"),),
+        (("a", 2, b"2x"),),
+        (("a", 1, b"2y"),),
+    )
+    assert len({digest_of(parcel) for parcel in parcels}) == len(parcels)
+
+
 @pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../out"])
 def test_a_file_that_would_stand_outside_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ArtefactError, match="lies outside the folder that it is sent to"):

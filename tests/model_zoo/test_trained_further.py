@@ -1,0 +1,89 @@
+"""More training of a network: all of it learns, and the model that there was stays as it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from model_zoo.networks.multistep import FURTHER_RATE, Plan
+from model_zoo.networks.standardised import StandardisedModel
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.registry import make_model
+from tests.sysid_evo.adaptation.cars import FloorCar, drive
+
+HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5}
+FAMILIES: dict[str, dict[str, Any]] = {
+    "mlp_ensemble": {**HARDLY, "members": 2, "state_lags": 1, "control_lags": 1},
+    "neural_ode": HARDLY,
+    "hybrid_ode": {**HARDLY, "state_lags": 0, "control_lags": 0},
+}
+
+
+@pytest.fixture(scope="module")
+def training() -> Dataset:
+    return drive(FloorCar(), seconds=20.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def there() -> Dataset:
+    return drive(FloorCar(thrust=1.5), seconds=10.0, seed=2)
+
+
+def learned(model: Any) -> dict[str, list[Array]]:
+    """Return copies of all that training changes."""
+    names = [name for name in ("weights_", "biases_", "physical_") if hasattr(model, name)]
+    return {name: [np.array(one) for one in getattr(model, name)] for name in names}
+
+
+def same(one: list[Array], other: list[Array]) -> bool:
+    return all((a == b).all() for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_parameter_learns_and_the_model_stays_what_it_was(family: str, training: Dataset, there: Dataset) -> None:
+    model: Any = make_model(family, **FAMILIES[family]).fit(training, rng=np.random.default_rng(0))
+    before = learned(model)
+    further: Any = model.trained_further(there, 3, rng=np.random.default_rng(1))
+    assert type(further) is type(model)
+    assert further is not model
+    assert further.lags == model.lags
+    after, again = (learned(one) for one in (further, model.trained_further(there, 3, rng=np.random.default_rng(1))))
+    assert not any(same(after[name], before[name]) for name in before)
+    assert all(same(after[name], again[name]) for name in before)
+    assert all(same(learned(model)[name], before[name]) for name in before)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_it_is_trained_so_long_at_the_lower_rate_on_runs_of_its_own_length(
+    family: str, training: Dataset, there: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = list[Plan]()
+    model: Any = make_model(family, **FAMILIES[family]).fit(training, rng=np.random.default_rng(0))
+    original = StandardisedModel.learn_further
+
+    def remembered(self: Any, dataset: Dataset, plan: Plan, trainings: Any) -> Any:
+        plans.append(plan)
+        assert dataset is there
+        return original(self, dataset, plan, trainings)
+
+    monkeypatch.setattr(StandardisedModel, "learn_further", remembered)
+    model.trained_further(there, 7, rng=np.random.default_rng(1))
+    (plan,) = plans
+    assert (plan.one_step_updates, plan.updates, plan.horizon) == (0, 7, 5)
+    assert plan.learning_rate == FURTHER_RATE
+    assert plan.input_noise == model.input_noise
+
+
+def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(training: Dataset, there: Dataset) -> None:
+    rng = np.random.default_rng(0)
+    network: Any = make_model("mlp_ensemble", **FAMILIES["mlp_ensemble"]).fit(training, rng=rng)
+    linear: Any = make_model("auto", candidates=["linear"], folds=2).fit(training, rng=rng)
+    mean = linear.of([network, linear.members_[0]], np.array([0.25, 0.75]))
+    further = mean.trained_further(there, 2, rng=rng)
+    np.testing.assert_array_equal(further.weights_, [0.25, 0.75])
+    assert further.members_[1] is linear.members_[0]
+    assert further.members_[0] is not network
+    assert mean.members_[0] is network

@@ -1,0 +1,246 @@
+"""What is sent over a connection, how often, and what is said when it breaks; the cluster is made up."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sysid_evo.errors import SchedulerLost
+from sysid_evo.plan import Again, Plan, Store, execute
+from sysid_evo.plan.dispatch import BEFORE, FILES, Dispatch
+from sysid_evo.plan.parcels import digest_of
+from tests.sysid_evo.plan.made_up_cells import Number
+
+ONE, OTHER = Number(1, label="one"), Number(2, label="other")
+
+
+class Broken(Exception):
+    """What a closed connection raises."""
+
+
+class MadeUpClient:
+    """Remembers what it is asked; everything fails while ``breaks``."""
+
+    def __init__(self) -> None:
+        self.status, self.breaks = "running", False
+        self.scheduler = SimpleNamespace(address="tcp://made.up:1")
+        self.threads: dict[str, int] = {}
+        self.scattered: list[dict[str, Any]] = []
+        self.submitted: list[SimpleNamespace] = []
+        self.cancelled: list[Any] = []
+        self.topics: list[str] = []
+        self.came: dict[str, Any] = {}
+
+    def subscribe_topic(self, topic: str, handler: object) -> None:
+        self._ask()
+        self.topics.append(topic)
+
+    def unsubscribe_topic(self, topic: str) -> None:
+        self.topics.remove(topic)
+
+    def scheduler_info(self) -> dict[str, Any]:
+        self._ask()
+        return {"workers": {name: {"nthreads": n} for name, n in self.threads.items()}}
+
+    def submit(self, function: object, *arguments: Any, **options: Any) -> SimpleNamespace:
+        self._ask()
+        future = SimpleNamespace(status="pending", function=function, arguments=arguments, options=options)
+        self.submitted.append(future)
+        return future
+
+    def scatter(self, parcels: Mapping[str, Any], timeout: float) -> dict[str, SimpleNamespace]:
+        self._ask()
+        self.scattered.append(dict(parcels))
+        return {key: SimpleNamespace(status="finished", key=key) for key in parcels}
+
+    def gather(self, futures: Mapping[str, Any], errors: str) -> dict[str, Any]:
+        self._ask()
+        assert errors == "skip"
+        return {name: self.came[name] for name in futures if name in self.came}
+
+    def cancel(self, futures: Iterable[Any]) -> None:
+        self.cancelled += futures
+
+    def _ask(self) -> None:
+        if self.breaks:
+            raise Broken
+
+
+@pytest.fixture
+def client() -> MadeUpClient:
+    return MadeUpClient()
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """A store with two results, and files that the plan is made of."""
+    store = Store(tmp_path / "run")
+    execute(Plan.of([ONE, OTHER]), store)
+    for name in ("measured/a", "measured/.hidden", "other/b"):
+        (store.path / name).parent.mkdir(exist_ok=True)
+        (store.path / name).write_text(name)
+    return store
+
+
+def of(client: MadeUpClient, store: Store, **settings: Any) -> Dispatch:
+    again = Again("module:function", {"n": 1}, **settings)
+    return Dispatch(client, store, again, lambda _: None)  # type: ignore[arg-type]  # a made-up client
+
+
+def ask(dispatch: Dispatch, *needs: str, **options: Any) -> Any:
+    given = {"failed": (), "only": None, "priority": 1.0, **options}
+    return dispatch.submit("d" * 64, needs, **given)
+
+
+def sent(client: MadeUpClient) -> list[int]:
+    """Return how many parcels went at a time."""
+    return [len(parcels) for parcels in client.scattered]
+
+
+def test_a_parcel_is_sent_once_as_long_as_a_cell_needs_it(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    for needs in ((ONE.digest,), (ONE.digest, OTHER.digest), (ONE.digest, OTHER.digest)):
+        ask(dispatch, *needs)
+    assert sent(client) == [1, 1]
+    dispatch.forget([OTHER.digest])
+    ask(dispatch, OTHER.digest)
+    assert sent(client) == [1, 1]
+    ask(dispatch, ONE.digest)
+    assert sent(client) == [1, 1, 1]
+    assert len({key for parcels in client.scattered for key in parcels}) == 3  # what is let go of has another key
+    (needed,) = client.submitted[-1].arguments[3]
+    assert client.scattered[-1][needed.key] == store.parcel(ONE.digest)
+
+
+def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    ask(dispatch, ONE.digest)
+    client.submitted[0].arguments[3][0].status = "lost"
+    ask(dispatch, ONE.digest)
+    assert sent(client) == [1, 1]
+
+
+def test_what_the_plan_is_made_of_goes_along_and_stays(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("x = 1")
+    own = str(tmp_path / "own.py")
+    broken = Number(3, label="broken")
+    store.fail(broken, reason="it broke", traceback="", seconds=1.0)
+    dispatch = of(client, store, after=(ONE.digest, broken.digest, "f" * 64), inside=("measured",), files={own: (own,)})
+    ask(dispatch)
+    assert sent(client) == [3]
+    dispatch.forget(())
+    ask(dispatch)
+    assert sent(client) == [3]
+    dispatch.mistrust(())
+    ask(dispatch)
+    assert sent(client) == [3, 3]
+    _, before, files, needed = client.submitted[-1].arguments
+    parcels = client.scattered[-1]
+    assert parcels[files.key] == (("0/own.py", 0, b"x = 1"),)
+    assert needed == []
+    assert {digest_of(parcels[one.key]) for one in before} == {
+        digest_of(store.parcel(ONE.digest)),
+        digest_of(dispatch._made_of[BEFORE]),
+    }
+    assert [name for name, _, _ in dispatch._made_of[BEFORE]] == ["measured/a"]
+    assert set(dispatch._made_of) == {ONE.digest, BEFORE, FILES}
+
+
+def test_files_of_one_name_stand_apart(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
+    named = [tmp_path / folder / "own.py" for folder in "ab"]
+    for file in named:
+        file.parent.mkdir()
+        file.write_text(file.parent.name)
+    ask(of(client, store, files={str(file): (str(file),) for file in named}))
+    assert json.loads(client.submitted[0].arguments[0])["files"] == {
+        str(named[0]): "0/own.py",
+        str(named[1]): "1/own.py",
+    }
+    parcel = client.scattered[-1][client.submitted[0].arguments[2].key]
+    assert parcel == (("0/own.py", 0, b"a"), ("1/own.py", 0, b"b"))
+
+
+def test_an_order_names_the_cell_what_failed_and_who_may_compute_it(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    ask(dispatch, failed={"b", "a"}, only=frozenset({"two", "one"}), priority=7.5)
+    ask(dispatch)
+    first, second = client.submitted
+    order = json.loads(first.arguments[0])
+    assert order["digest"] == "d" * 64
+    assert order["failed"] == ["a", "b"]
+    assert order["settings"] == {"n": 1}
+    assert first.options["workers"] == ["one", "two"]
+    assert first.options["priority"] == 7.5
+    assert first.options["pure"] is False
+    assert second.options["workers"] is None
+    assert first.options["key"] != second.options["key"]
+
+
+def test_runs_of_other_settings_or_other_data_share_no_process(client: MadeUpClient, store: Store) -> None:
+    dispatches = [of(client, store), of(client, store), of(client, store, after=(ONE.digest,))]
+    for dispatch in dispatches:
+        ask(dispatch)
+    runs = [json.loads(one.arguments[0])["run"] for one in client.submitted]
+    assert runs[0] == runs[1] != runs[2]
+    assert len(set(client.topics)) == 3
+
+
+def test_where_there_is_no_worker_one_is_asked_for_once(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    assert dispatch.workers() == dispatch.workers() == {}
+    assert len(client.submitted) == 1
+    client.submitted[0].status = "finished"
+    client.threads = {"a": 4}
+    assert dispatch.workers() == {"a": 4}
+    client.threads = {}
+    dispatch.workers()
+    assert len(client.submitted) == 2
+
+
+def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_error(
+    client: MadeUpClient, store: Store
+) -> None:
+    dispatch = of(client, store)
+    client.status, client.breaks = "connecting", True
+    assert dispatch.workers() == {}
+    assert ask(dispatch, ONE.digest) is None
+    assert dispatch.results({"a": None}) == {}  # type: ignore[dict-item]  # a made-up future
+    dispatch.listen()
+    client.breaks, client.threads = False, {"a": 1}
+    assert dispatch.workers() == {}  # not before it is connected again
+    client.status = "closed"
+    with pytest.raises(SchedulerLost, match=r"the scheduler at tcp://made\.up:1 does not answer any more"):
+        dispatch.workers()
+
+
+def test_what_breaks_while_the_connection_stands_is_an_error(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    client.breaks = True
+    for deed in (dispatch.workers, dispatch.listen, lambda: ask(dispatch), lambda: dispatch.results({})):
+        with pytest.raises(Broken):
+            deed()
+
+
+def test_results_that_were_lost_on_the_way_are_left_out(client: MadeUpClient, store: Store) -> None:
+    parcel = store.parcel(ONE.digest)
+    client.came = {"a": (json.dumps({"status": "done"}), parcel)}
+    found = of(client, store).results({"a": None, "b": None})  # type: ignore[dict-item]  # made-up futures
+    assert found == {"a": ({"status": "done"}, parcel)}
+
+
+def test_in_the_end_all_is_taken_back_unless_the_connection_is_gone(client: MadeUpClient, store: Store) -> None:
+    dispatch = of(client, store)
+    ask(dispatch, ONE.digest)
+    dispatch.take_back(["a", "b"])  # type: ignore[list-item]  # made-up futures
+    assert client.cancelled == ["a", "b"]
+    assert client.topics == []
+    ask(dispatch, ONE.digest)
+    assert sent(client) == [1, 1]
+    client.status = "closed"
+    dispatch.take_back(["c"])  # type: ignore[list-item]
+    assert client.cancelled == ["a", "b"]
