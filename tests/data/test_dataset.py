@@ -64,7 +64,7 @@ def test_read_also_takes_a_stored_data_set_but_no_column_map_for_it(car_data, tm
     assert Dataset.read(folder).fingerprint == car_data.fingerprint
     with pytest.raises(InvalidArgument, match="takes no column map"):
         Dataset.read(folder, columns="dart_20hz")
-    with pytest.raises(InvalidArgument, match="cannot be mixed with others"):
+    with pytest.raises(InvalidArgument, match="a stored data set already; it cannot be imported again or mixed"):
         Dataset.read([folder, folder])
 
 
