@@ -17,9 +17,10 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.thinning import thinned
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.data.unnamed import from_samples
-from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
+from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.progress import Progress, shown
+from sysid_evo.system import System
 
 if TYPE_CHECKING:
     from sysid_evo.dynamics import DynamicsModel
@@ -94,9 +95,16 @@ def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator)
     return few
 
 
-def as_dataset(given: object, asked_by: str) -> Dataset:
-    """Return the data set that was given, several joined to one. Raises `InvalidData` that names the right call."""
+def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dataset:
+    """Return the data set that was given, several joined to one. Raises `InvalidData` that names the right call.
+
+    With ``of`` it must have that system's channels, else `IncompatibleSystem`.
+    """
     if isinstance(given, Dataset):
+        here = given.system
+        if of is not None and (here.state_names, here.control_names) != (of.state_names, of.control_names):
+            names = [", ".join((*one.state_names, *one.control_names)) for one in (of, here)]
+            raise IncompatibleSystem(f"{asked_by}: the model has the channels {names[0]}, the data have {names[1]}")
         return given
     parts = list(given) if isinstance(given, (list, tuple)) else []
     if parts and all(isinstance(part, Dataset) for part in parts):

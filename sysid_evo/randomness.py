@@ -9,11 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from sysid_evo.arrays import Array, Seeds
+from sysid_evo.errors import InvalidArgument
 
 TASK_STREAM = 0
 NOISE_STREAM = 1
 DRAW_STREAM = 2
 CONTROLLER_STREAM = 3
+
+
+def as_seed(seed: int) -> int:
+    """Return ``seed`` as a plain number. Raises `InvalidArgument` for anything but a whole number >= 0."""
+    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
+        return int(seed)
+    raise InvalidArgument(f"seed: expected a whole number >= 0, got {seed!r}")
 
 
 def generator(seed: int | np.unsignedinteger, stream: int) -> np.random.Generator:

@@ -115,8 +115,8 @@ class System:
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise InvalidSystem(f"system: channel names must differ, repeated: {', '.join(repeated)}")
-        if not (np.isfinite(self.dt) and self.dt > 0):
-            raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt}")
+        if not (isinstance(self.dt, (int, float, np.number)) and np.isfinite(self.dt) and self.dt > 0):
+            raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt!r}")
         for control in self.controls:
             if control.period is not None:
                 raise InvalidSystem(f"control {control.name!r}: expected no period, which only states have")

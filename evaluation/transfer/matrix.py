@@ -9,10 +9,12 @@ import numpy as np
 
 from evaluation.transfer.cell import NOT_RUN, Cell, kept_traces, run_cell, transfer_seeds
 from sysid_evo.arrays import Array
-from sysid_evo.engine import Runner
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import Runner, as_runners
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion
 from sysid_evo.progress import Progress
+from sysid_evo.randomness import as_seed
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class TransferMatrix:
 
 def transfer(
     champions: Sequence[Champion],
-    runners: Mapping[str, Runner],
+    runners: Mapping[str, Runner | Dynamics],
     *,
     seed: int,
     families: Mapping[str, str] | None = None,
@@ -118,11 +120,11 @@ def transfer(
     traces: int = 10,
     progress: Progress | None = None,
 ) -> TransferMatrix:
-    """Run every champion on every runner in the same fresh trials.
+    """Run every champion on every runner, or model, in the same fresh trials.
 
     ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept, see `kept_traces`.
     """
-    seeds = transfer_seeds(seed, trials)
+    runners, seeds = as_runners(runners, "transfer"), transfer_seeds(as_seed(seed), trials)
     cells = []
     for champion in champions:
         for column, runner in runners.items():

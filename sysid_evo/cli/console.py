@@ -5,12 +5,16 @@
 
 from __future__ import annotations
 
+import errno
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
+
+INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)
+"""What stops a work that was going on: no space, no quota, a failing disk, too many open files."""
 
 out = Console()
 err = Console(stderr=True)
@@ -52,5 +56,6 @@ def sentence_of(error: BaseException) -> str:
     """Return what an error says; one of the operating system names its file."""
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}. What was finished until then is kept; the same command goes on from there"
+        kept = ". What was finished until then is kept; the same command goes on from there"
+        return f"{where}{error.strerror}{kept if error.errno in INTERRUPTING else ''}"
     return str(error) or type(error).__name__

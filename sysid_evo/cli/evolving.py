@@ -148,8 +148,8 @@ def evolve(
             out.print_json(json_format.dumps({**found, "unit": unit, "record_next": unrecorded}))
         else:
             for label, claim in found["claims"].items():
-                trials = f"{claim['trials']} fresh trials, whose standard deviation is {claim['std']:.1f}"
-                out.print(f"{label}: {claim['mean']:.1f} {unit} in {trials}", highlight=False, markup=False)
+                fresh = f"{claim['trials']} fresh trials, whose standard deviation is {claim['std']:.1f}"
+                out.print(f"{label}: {claim['mean']:.1f} {unit} in {fresh}", highlight=False, markup=False)
             if expected is not None:
                 chosen = chosen_from(champion, store)
                 out.print(forecast_sentence(expected, unit, chosen=chosen), highlight=False, markup=False)

@@ -33,6 +33,8 @@ def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = Non
             f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}. "
             "Each channel needs a column of its name: rename them, as frame.rename(columns={...})"
         )
+    if len(frame) < 2:
+        raise InvalidData(f"table: expected two rows or more, one for each dt, got {len(frame)}")
     poses = list(pose_names(system))
     has_pose = bool(poses) and all(name in frame.columns for name in poses)
     groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]

@@ -122,7 +122,9 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     for path in _listed(paths):
         if path.is_dir():
             if is_stored(path):
-                raise InvalidArgument(f"{path}: a stored data set cannot be mixed with others; read it alone")
+                raise InvalidArgument(
+                    f"{path}: this is a stored data set already; it cannot be imported again or mixed with logs"
+                )
             suffixes = log_suffixes()
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes and file.is_file())
             if not inside:

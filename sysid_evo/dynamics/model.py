@@ -14,7 +14,7 @@ import numpy.typing as npt
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics.stepping import Dynamics, training_envelope
+from sysid_evo.dynamics.stepping import Dynamics, of_each_row, training_envelope
 from sysid_evo.errors import InvalidArgument, InvalidData, NotFitted
 from sysid_evo.estimator import Estimator
 from sysid_evo.fitting import as_dataset, as_generator, recorded, require_packages
@@ -247,7 +247,7 @@ class DynamicsModel(Dynamics, Estimator):
         mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
         passes ``y``, which is unused.
         """
-        data = as_dataset(dataset, f"{type(self).__name__}.score")
+        data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
         return -simulation_error(self, judging_windows(data, self.n_lags))
 
     def adapt(
@@ -297,8 +297,8 @@ class DynamicsModel(Dynamics, Estimator):
         return np.concatenate(self.layout.started(states, controls), axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        after = self.held(carry, control, self.next_state(carry, control))
-        return self.remember(carry, control, after)
+        after = of_each_row(self, "next_state", carry, self.next_state(carry, control))
+        return self.remember(carry, control, self.held(carry, control, after))
 
     def remember(self, carry: Array, control: Array, after: Array) -> Array:
         """Return the lagged carry whose newest state is ``after``: states and controls move one place back.
@@ -339,7 +339,8 @@ class DynamicsModel(Dynamics, Estimator):
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""
-        return self.system.integrate(carry[:, : self.system.nx], self.acceleration(carry, control))
+        rates = of_each_row(self, "acceleration", carry, self.acceleration(carry, control))
+        return self.system.integrate(carry[:, : self.system.nx], rates)
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         """Return the change of the state per second (B, nx), with the frame's rotation taken out."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid_evo.arrays import Array, BoolArray
+from sysid_evo.arrays import Array, BoolArray, check_shape
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -95,6 +95,12 @@ def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]
     for value, least, most in zip(clipped.T, low, high, strict=False):
         np.maximum(np.fmin(value, most), least, out=value)
     return clipped, ~inside
+
+
+def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) -> Array:
+    """Return what ``method`` gave for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
+    checked = check_shape(f"{type(dynamics).__name__}.{method}", values, (*carry.shape[:-1], dynamics.system.nx))
+    return values if isinstance(values, np.ndarray) else checked
 
 
 def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:

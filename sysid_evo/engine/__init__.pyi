@@ -28,7 +28,7 @@ from .kernels import (
     with_angles,
     within,
 )
-from .rollouts import DynamicsRunner, Engine, Rollouts, Runner, available_processors, rollout
+from .rollouts import DynamicsRunner, Engine, Rollouts, Runner, as_runners, available_processors, rollout
 
 __all__ = [
     "ADVANCE",
@@ -37,6 +37,7 @@ __all__ = [
     "DYNAMICS",
     "DynamicsKernel",
     "DynamicsRunner",
+    "as_runners",
     "Engine",
     "KernelSource",
     "LANES",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, get_args
 
@@ -94,6 +95,19 @@ class DynamicsRunner:
             engine=self.engine,
             threads=self.threads,
         )
+
+
+def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
+    """Return runners by name; a bare model or emulated robot is run by a `DynamicsRunner`. Raises `InvalidArgument`."""
+    if not isinstance(given, Mapping):
+        raise InvalidArgument(
+            f"{what}: expected models or runners by name, {{name: model}}, got {type(given).__name__}"
+        )
+    found = {name: DynamicsRunner(one) if isinstance(one, Dynamics) else one for name, one in given.items()}
+    for name, runner in found.items():
+        if not hasattr(runner, "run"):
+            raise InvalidArgument(f"{what}: {name!r} is a {type(runner).__name__}, no model and no runner")
+    return found
 
 
 def rollout(

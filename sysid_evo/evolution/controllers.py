@@ -12,7 +12,8 @@ import numpy as np
 from sysid_evo.arrays import Seeds
 from sysid_evo.checkpoint import Checkpoint
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import DynamicsRunner, Runner, behaviour_names
+from sysid_evo.dynamics import Dynamics
+from sysid_evo.engine import DynamicsRunner, Runner, as_runners, behaviour_names
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -21,7 +22,7 @@ from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy
 from sysid_evo.progress import Progress
-from sysid_evo.randomness import trial_seeds
+from sysid_evo.randomness import as_seed, trial_seeds
 from sysid_evo.registry import (
     Spec,
     aggregates,
@@ -72,8 +73,9 @@ class ControllerEvolution:
         for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
             object.__setattr__(self, name, registry.check(getattr(self, name)))
         for name in ("generations", "trials", "runs", "selection_trials"):
-            if getattr(self, name) < 1:
-                raise InvalidArgument(f"evolution: expected {name} >= 1, got {getattr(self, name)}")
+            number = getattr(self, name)
+            if not isinstance(number, (int, np.integer)) or number < 1:
+                raise InvalidArgument(f"evolution: expected {name} as a whole number >= 1, got {number!r}")
         aggregates.check(self.aggregate)
         self.make_noise()
         self.make_caution()
@@ -124,7 +126,7 @@ class ControllerEvolution:
 
 def evolve_controller(
     name: str,
-    runners: Mapping[str, Runner],
+    runners: Mapping[str, Runner | Dynamics],
     system: System,
     settings: ControllerEvolution,
     *,
@@ -132,7 +134,7 @@ def evolve_controller(
     checkpoint: Checkpoint | None = None,
     progress: Progress | None = None,
 ) -> Champion:
-    """Evolve a controller against all of ``runners`` at once and return the fittest of all niches and runs.
+    """Evolve a controller against all of ``runners``, or models, at once; return the fittest of all niches and runs.
 
     Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
     every generation, with a note of what it reached. The result depends on ``seed`` alone.
@@ -140,6 +142,7 @@ def evolve_controller(
     With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
     it was, to the champion that it would have had.
     """
+    runners, seed = as_runners(runners, "evolve_controller"), as_seed(seed)
     task = settings.make_task(system)
     controller = settings.make_controller(task)
     late = met(runners, settings)

@@ -43,6 +43,12 @@ class Registry(Generic[T]):
         """
 
         def decorate(factory: F) -> F:
+            lacking = sorted(getattr(factory, "__abstractmethods__", ()))
+            if lacking:
+                raise RegistrationError(
+                    f"{self.kind} {name!r}: {_identity(factory)} does not define {', '.join(lacking)}, which every "
+                    f"{self.kind} has"
+                )
             known = self._entries.get(name)
             if known is not None and _identity(known) != _identity(factory):
                 raise RegistrationError(

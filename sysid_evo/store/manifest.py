@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import math
 import platform
@@ -132,6 +133,11 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     """
     path = stored_file(path, kind)
     source, target = _with(path, ".json"), _with(path, ".safetensors")
+    if not source.exists() and not target.exists():
+        there = {re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in source.parent.glob("*.safetensors")}
+        close = difflib.get_close_matches(source.stem, sorted(there), n=1, cutoff=0.5)
+        hint = f". Did you mean {close[0]}?" if close else ""
+        raise ArtefactError(f"{source}: no {kind} is stored there{hint}")
     for file in (source, target):
         if not file.is_file():
             raise ArtefactError(f"{file}: expected one half of a stored {kind}, found no such file")

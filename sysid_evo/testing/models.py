@@ -20,7 +20,7 @@ from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.progress import Progress
 from sysid_evo.registry import make_model, models
 from sysid_evo.store import load_model, save_model
-from sysid_evo.testing.arrays import normal
+from sysid_evo.testing.arrays import normal, same
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.testing.stepping import (
     CHAINED_STEPS,
@@ -108,7 +108,7 @@ def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None
                 raise ContractViolation(f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind") from None
         else:
             raise ContractViolation("an exception from progress does not stop the fit")
-    if not np.array_equal(step(fitted, inputs), expected):
+    if not same(step(fitted, inputs), expected):
         raise ContractViolation("a fitted model steps differently after a second fit was stopped")
 
 
@@ -152,6 +152,8 @@ def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> Non
         if model.envelope is not None:
             state = np.clip(carry[:, : dataset.system.nx], *model.envelope)
             carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
+        if not np.isfinite(carry).all():
+            return  # another sentence says so
         if not np.allclose(carry[:, : dataset.system.nx], simulated[:, k]):
             raise ContractViolation(f"they differ at step {k + 1}")
 
@@ -160,7 +162,7 @@ def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) ->
     """The same data and seed give the same model"""
     again = clone(model).fit(dataset, rng=np.random.default_rng(1))
     inputs = _some_inputs(model, dataset)
-    if not np.array_equal(step(model, inputs), step(again, inputs)):
+    if not same(step(model, inputs), step(again, inputs)):
         raise ContractViolation("two fits with the same seed step differently")
 
 
@@ -179,7 +181,7 @@ def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) 
     with tempfile.TemporaryDirectory() as folder:
         save_model(model, Path(folder) / "model")
         loaded = load_model(Path(folder) / "model")
-    if not np.array_equal(step(loaded, inputs), step(model, inputs)):
+    if not same(step(loaded, inputs), step(model, inputs)):
         raise ContractViolation("it steps differently after loading")
     if loaded.get_params() != model.get_params():
         raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")

@@ -56,7 +56,8 @@ def expect_independent_rows(dynamics: Dynamics, inputs: Inputs) -> None:
     alone = np.concatenate([step(dynamics, inputs.rows(slice(i, i + 1))) for i in range(len(inputs.carry))])
     back = np.arange(len(inputs.carry))[::-1]
     backwards = step(dynamics, inputs.rows(back))[back]
-    if not (np.allclose(together, alone, rtol=1e-9, atol=1e-12) and np.allclose(together, backwards, rtol=1e-9)):
+    alike = np.allclose(together, alone, rtol=1e-9, atol=1e-12, equal_nan=True)
+    if not (alike and np.allclose(together, backwards, rtol=1e-9, equal_nan=True)):
         raise ContractViolation("a row's result changes with the other rows of its batch")
 
 

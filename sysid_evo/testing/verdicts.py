@@ -6,9 +6,12 @@ that must hold, and it raises `ContractViolation` with a reason where the senten
 
 from __future__ import annotations
 
+import sysconfig
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from sysid_evo.errors import ContractViolation, SysidEvoError
@@ -16,6 +19,8 @@ from sysid_evo.errors import ContractViolation, SysidEvoError
 Subject = TypeVar("Subject")
 Check: TypeAlias = Callable[[Subject], None]
 
+NOT_THE_PLUGINS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib")))
+"""Folders whose files are nobody's plugin: this package, Python and what is installed beside it."""
 MADE = "It is made from its name and parameters"
 
 
@@ -82,5 +87,8 @@ def expect(holds: Any, reason: str) -> None:
 
 
 def described(error: Exception) -> str:
-    """Return an error's class and message."""
-    return f"{type(error).__name__}: {error}"
+    """Return an error's class and message, and the line of the plugin that raised it or led to it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith((*NOT_THE_PLUGINS, "<"))]
+    where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
+    return f"{type(error).__name__}: {error}{where}"

@@ -64,7 +64,7 @@ def test_read_also_takes_a_stored_data_set_but_no_column_map_for_it(car_data, tm
     assert Dataset.read(folder).fingerprint == car_data.fingerprint
     with pytest.raises(InvalidArgument, match="takes no column map"):
         Dataset.read(folder, columns="dart_20hz")
-    with pytest.raises(InvalidArgument, match="cannot be mixed with others"):
+    with pytest.raises(InvalidArgument, match="a stored data set already; it cannot be imported again or mixed"):
         Dataset.read([folder, folder])
 
 
@@ -244,6 +244,8 @@ def test_wrong_arguments_are_told_the_right_call():
         Dataset.from_pandas(frame, LINE)
     with pytest.raises(InvalidArgument, match=r"pandas table, got ndarray.*Dataset.from_arrays\(system, states, con"):
         Dataset.from_pandas(LINE, np.zeros((4, 2)))
+    with pytest.raises(InvalidData, match="table: expected two rows or more, one for each dt, got 0"):
+        Dataset.from_pandas(LINE, frame.iloc[:0])
     with pytest.raises(InvalidArgument, match=r"System first, got ndarray: Dataset.from_arrays\(system, states, con"):
         Dataset.from_arrays(np.zeros((3, 1)), np.zeros((2, 1)), LINE)
     with pytest.raises(InvalidArgument, match=r"Trajectory objects as episodes, got ndarray.*Dataset.from_arrays"):

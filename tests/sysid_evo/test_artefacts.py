@@ -266,7 +266,7 @@ def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_th
     save_champion(CHAMPION, tmp_path / "best of 1.5-4567abcd")
     with pytest.raises(ArtefactError, match=r"best of 1.5-0123abcd.json, best of 1.5-4567abcd.json: name one"):
         load_champion(tmp_path / "best of 1.5")
-    with pytest.raises(ArtefactError, match=r"best.json: expected one half of a stored controller, found no such file"):
+    with pytest.raises(ArtefactError, match=r"best.json: no controller is stored there. Did you mean best of 1.5"):
         load_champion(tmp_path / "best")
 
 

@@ -306,10 +306,25 @@ def test_only_models_can_be_observed_late(runners: dict[str, DynamicsRunner], re
         evolve_controller("c", watched, recording.system, settings, seed=1)
 
 
+def test_a_bare_model_is_run_by_a_runner_of_its_own(recording: Dataset) -> None:
+    model, settings = make_model("linear").fit(recording), ControllerEvolution(generations=1, trials=1)
+    bare = evolve_controller("c", {"linear": model}, recording.system, settings, seed=1)
+    wrapped = evolve_controller("c", {"linear": DynamicsRunner(model)}, recording.system, settings, seed=1)
+    np.testing.assert_array_equal(bare.parameters, wrapped.parameters)
+    with pytest.raises(InvalidArgument, match=r"expected models or runners by name, \{name: model\}, got list"):
+        evolve_controller("c", [model], recording.system, settings, seed=1)  # type: ignore[arg-type]  # a usual slip
+    with pytest.raises(InvalidArgument, match="'linear' is a str, no model and no runner"):
+        evolve_controller("c", {"linear": "linear"}, recording.system, settings, seed=1)  # type: ignore[dict-item]  # same
+    with pytest.raises(InvalidArgument, match="seed: expected a whole number >= 0, got Generator"):
+        evolve_controller("c", {"linear": model}, recording.system, settings, seed=np.random.default_rng(0))  # type: ignore[arg-type]  # same
+
+
 def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> None:
     for name in ("generations", "trials", "runs", "selection_trials"):
-        with pytest.raises(InvalidArgument, match=f"expected {name} >= 1, got 0"):
+        with pytest.raises(InvalidArgument, match=f"expected {name} as a whole number >= 1, got 0"):
             ControllerEvolution(**{name: 0})
+    with pytest.raises(InvalidArgument, match="expected generations as a whole number >= 1, got 'ten'"):
+        ControllerEvolution(generations="ten")  # type: ignore[arg-type]  # as from a file
     with pytest.raises(UnknownName, match=r"no aggregate is called 'maximum'\..* Known: .*mean, median, min"):
         ControllerEvolution(aggregate="maximum")
     with pytest.raises(InvalidArgument, match="aggregate 'min' has no parameter 'share'"):

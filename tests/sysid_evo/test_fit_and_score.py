@@ -17,7 +17,15 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData, MissingExtra, ShapeError, SysidEvoError
+from sysid_evo.errors import (
+    DataWarning,
+    IncompatibleSystem,
+    InvalidArgument,
+    InvalidData,
+    MissingExtra,
+    ShapeError,
+    SysidEvoError,
+)
 from sysid_evo.hyperparameters import Limit, above, at_least
 from sysid_evo.registry import make_model
 from sysid_evo.store import load_model, save_model
@@ -123,6 +131,8 @@ def test_several_data_sets_of_one_system_are_joined_and_of_two_refused() -> None
     other = Dataset(SYSTEM.with_dt(0.2), [Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.2)])
     with pytest.raises(InvalidData, match="expected data sets of one system, got several systems"):
         Drawn().fit([DATA, other])
+    with pytest.raises(IncompatibleSystem, match=r"Linear\.score: the model has the channels .*, the data have a, u"):
+        joined.score(Dataset(System(["a"], ["u"], 0.1), [Trajectory(np.zeros((30, 1)), np.zeros((29, 1)), 0.1)]))
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,8 @@ def test_names_stand_for_channels_without_unit_and_limits() -> None:
     assert named == System((Channel("theta"), Channel("theta_dot")), (Channel("torque"),), 0.02)
     with pytest.raises(InvalidSystem, match=r"expected Channel\(...\) or names as controls, got float"):
         System(states=("x",), controls=(1.0,), dt=0.1)
+    with pytest.raises(InvalidSystem, match=r"expected dt > 0 s, got '0.1'"):
+        System(states=("x",), controls=(), dt="0.1")  # type: ignore[arg-type]  # as from a file
 
 
 def test_another_dt_changes_nothing_else(car: System) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
 
+from sysid_evo.cli.console import sentence_of
 from tests.sysid_evo.cli.calling import Caller, run
 from tests.sysid_evo.cli.mistakes import MISTAKES, Mistake, prepare
 
@@ -36,3 +38,9 @@ def test_in_a_process_of_its_own_the_error_stands_on_standard_error_and_nothing_
     assert "Traceback" not in done.stderr
     assert not done.stdout
     assert not list(tmp_path.iterdir())
+
+
+def test_only_what_stops_a_work_in_its_midst_is_told_to_go_on() -> None:
+    full, nowhere = OSError(errno.ENOSPC, "No space left", "run"), OSError(errno.ENOENT, "No such file", "/proc/x")
+    assert sentence_of(full).startswith("run: No space left. What was finished until then is kept")
+    assert sentence_of(nowhere) == "/proc/x: No such file"

@@ -14,7 +14,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel, require_planar
 from sysid_evo.engine.compiled.dialect import Lifted as LiftedStep
 from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.errors import ContractViolation, IncompatibleSystem
+from sysid_evo.errors import ContractViolation, IncompatibleSystem, RegistrationError
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import check_model, run_checks
@@ -79,6 +79,16 @@ class SinglePrecision(Fading):
 class WrongShape(Fading):
     def next_state(self, carry: Array, control: Array) -> Array:
         return super().next_state(carry, control)[:, :-1]
+
+
+class OneForAll(Fading):
+    """One number for all states, which NumPy would spread over them."""
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return DynamicsModel.next_state(self, carry, control)
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        return carry[:, :1] * self.factor_
 
 
 class NotFinite(Fading):
@@ -257,6 +267,11 @@ def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Call
     check_model("fading", share=0.8)
 
 
+def test_what_is_not_finite_breaks_no_other_sentence(register: Callable[..., Any]) -> None:
+    register(models, "broken", NotFinite)
+    assert list(broken(run_checks("broken"))) == [RIGHT_SHAPE]
+
+
 @pytest.mark.parametrize(
     "family, sentence, reason",
     [
@@ -264,7 +279,8 @@ def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Call
         (Overwriting, PURE, "step overwrites its arguments"),
         (BatchDependent, "Every row of a batch is computed for itself", "changes with the other rows"),
         (SinglePrecision, RIGHT_SHAPE, "float64, got .* float32"),
-        (WrongShape, RIGHT_SHAPE, r"expected \(\d+, 3\) float64, got \(\d+, 2\)"),
+        (WrongShape, RIGHT_SHAPE, r"WrongShape.next_state: expected shape \(\d+, 3\), got \(\d+, 2\)"),
+        (OneForAll, RIGHT_SHAPE, r"OneForAll.acceleration: expected shape \(\d+, 3\), got \(\d+, 1\)"),
         (NotFinite, RIGHT_SHAPE, "a step from a training state is not finite"),
         (OtherStart, "The carry begins with the state", "is not the last measured state"),
         (OtherSimulation, "A free run equals its steps one after the other", "they differ at step 1"),
@@ -275,7 +291,7 @@ def test_a_sound_model_keeps_every_sentence(family: type[Fading], register: Call
         (LearningInPlace, STOPPED, "a fitted model steps differently after a second fit was stopped"),
         (Overstating, STOPPED, "expected progress from 0 to all of the steps"),
         (ReturningNothing, FIT, "ReturningNothing.fit must return self, got NoneType"),
-        (Failing, FIT, "ZeroDivisionError: nothing to learn from"),
+        (Failing, FIT, r"ZeroDivisionError: nothing to learn from \(test_model_kit.py, line \d+: raise ZeroDiv"),
         (GloballyRandom, "The same data and seed give the same model", "two fits with the same seed step differently"),
         (Unsavable, STORED, "cache_ is a dict; what a model learns must be arrays"),
         (Forgetful, STORED, "it steps differently after loading"),
@@ -335,3 +351,14 @@ def test_the_quick_preset_gives_way_to_what_is_asked_for(register: Callable[...,
     seen.clear()
     check_model("preset", share=0.25)
     assert set(seen) == {0.25}
+
+
+def test_a_class_without_what_every_model_has_is_refused_where_it_is_registered() -> None:
+    with pytest.raises(RegistrationError, match=r"model 'unfinished': .*Unfinished does not define fit, which every"):
+
+        @models.register("unfinished")
+        class Unfinished(DynamicsModel):
+            def next_state(self, carry: Array, control: Array) -> Array:
+                return carry
+
+    assert "unfinished" not in models.names()
