@@ -14,7 +14,7 @@ class LatentOde(NetworkSpaces):
 
     A neural ODE (Chen et al. 2018) of which outputs alone are measured: of the states x the first are the outputs
     without noise, the others are latent. One step of the classical Runge-Kutta method takes them from sample to sample.
-    It begins at linear differential equations of three orders, whose step is that of linear state spaces found by a
+    It begins at linear differential equations of ascending orders, whose step is that of linear state spaces found by a
     subspace method, and is trained, chosen and averaged as `NonlinearStateSpace` is: Levenberg-Marquardt on free runs
     of 100 and at last of ``horizon`` steps through the derivatives of the Runge-Kutta steps, the initial state of each
     run free (multiple shooting), a normal prior on W and V. An observer with the gain K of a Kalman predictor corrects

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from typing import ClassVar, Self
 
@@ -10,22 +11,44 @@ import numpy as np
 from model_zoo.hidden.family import StateSpaceModel
 from model_zoo.hidden.gate import LINEAR, linear_instead
 from model_zoo.hidden.learning import Lesson, joined
-from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks
-from model_zoo.hidden.shooting import Spaces, Trained
+from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks, padded, widened
+from model_zoo.hidden.shooting import Spaces, Trained, train
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
-FEWEST_STATES, ORDERS = 2, 3
+FEWEST_STATES, MOST_STATES, ORDERS = 2, 6, 3
+"""Orders that are tried, so many in any case."""
+FINALISTS, FURTHER = 2, 3
+"""Orders whose networks are trained further, and how many of them go on to long runs."""
+WIDER = 3
+"""How often networks may become wider."""
 LIKELY = 4
-"""Mixtures of units of which more networks are begun."""
+"""Mixtures of units of which more networks are begun, and networks of an order that are judged."""
 SHARPNESS = 40.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
 ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What begins at one order: the ``linear`` space, and ``networks``, one of each mixture, trained a little.
+
+    ``found`` is the lowest criterion of those networks on long free runs from history.
+    """
+
+    linear: Trained
+    networks: Trained
+    found: float
+
+    def likely(self, lesson: Lesson) -> list[Mixture]:
+        """Return the mixtures of the best networks, the best first."""
+        scores = criterion(self.networks.error, self.networks.spaces, lesson)
+        return [MIXTURES[i] for i in np.argsort(scores)[:LIKELY]]
 
 
 class NetworkSpaces(StateSpaceModel):
@@ -49,34 +72,80 @@ class NetworkSpaces(StateSpaceModel):
     most_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        least = max(FEWEST_STATES, dataset.system.nx)
-        orders = [max(self.order, dataset.system.nx)] if self.order else [least + more for more in range(ORDERS)]
-        counter = Counter(progress, (3 * len(orders) + 3) * self.trial + 2 * self.iterations + 1)
+        ny = dataset.system.nx
+        least = max(FEWEST_STATES, ny)
+        orders = [max(self.order, ny)] if self.order else list(range(least, max(MOST_STATES, least + ORDERS - 1) + 1))
+        parts = (3 * len(orders) + 3 * FINALISTS + 3 + 2 * WIDER) * self.trial + 2 * self.iterations + 1
+        counter = Counter(progress, parts)
         lesson = Lesson.of(dataset, self.horizon, flow=self.continuous)
-        linear = {order: lesson.linear_trained(order, self.trial, self.trial, counter.advance) for order in orders}
-
-        def begun(order: int, mixtures: list[Mixture]) -> Trained:
-            count = len(mixtures)
-            spaces = networks(linear[order].spaces, mixtures, self.hidden, rng)
-            starts = lesson.states(linear[order], lesson.long)[:, lesson.short.begins].repeat(count, axis=0)
-            return lesson.learned(spaces, starts, self.trial, counter.advance)
-
-        tried = {order: begun(order, list(MIXTURES[: self.mixtures])) for order in orders}
-        scores = {order: criterion(own.error, own.spaces, lesson) for order, own in tried.items()}
-        order = min(orders, key=lambda order: scores[order].min())
-        likely = [MIXTURES[i] for i in np.argsort(scores[order])[:LIKELY]]
-        pool = joined(tried[order], begun(order, list(islice(cycle(likely), 2 * self.members))))
+        tried = self._of_orders(lesson, orders, rng, counter)
+        begun = self._finalist(lesson, sorted(tried, key=lambda one: one.found), counter)
+        likely = begun.likely(lesson)
+        more = self._begun(lesson, begun.linear, list(islice(cycle(likely), 2 * self.members)), rng, counter)
+        pool = joined(begun.networks, more)
         pool = lesson.learned(pool.spaces, pool.starts, 2 * self.trial, counter.advance)
-        trained = pool[np.argsort(criterion(pool.error, pool.spaces, lesson))[: self.members]]
+        trained = best(pool, lesson, self.members)
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
-        trained = lesson.lengthened(trained, linear[order].spaces, self.iterations, counter.advance)
-        self._mean_of(lesson, trained, list(linear.values()))
+        trained = lesson.lengthened(trained, begun.linear.spaces, self.iterations, counter.advance)
+        trained = self._wide_enough(lesson, trained, likely, rng, counter)
+        self._mean_of(lesson, trained, [one.linear for one in tried])
         if self.gated and not self.linear_order_:
             settings = {"order": self.order, "iterations": self.iterations, "horizon": self.horizon}
             trial = self.variant(gated=False)
             self.replaced_by(linear_instead(trial, dataset, rng, rest_hold=self.rest_hold, **settings))
         counter.advance()
         return self
+
+    def _begun(
+        self, lesson: Lesson, linear: Trained, mixtures: list[Mixture], rng: np.random.Generator, counter: Counter
+    ) -> Trained:
+        """Return networks of these mixtures that begin at a linear space, trained a little."""
+        spaces = networks(linear.spaces, mixtures, self.hidden, rng)
+        starts = lesson.states(linear, lesson.long)[:, lesson.short.begins].repeat(len(mixtures), axis=0)
+        return lesson.learned(spaces, starts, self.trial, counter.advance)
+
+    def _of_orders(
+        self, lesson: Lesson, orders: list[int], rng: np.random.Generator, counter: Counter
+    ) -> list[Beginning]:
+        """Return what begins at each order: on until none of the last two is the best, `ORDERS` in any case."""
+        tried: list[Beginning] = []
+        mixtures = list(MIXTURES[: self.mixtures])
+        for order in orders:
+            linear = lesson.linear_trained(order, self.trial, self.trial, counter.advance)
+            own = self._begun(lesson, linear, mixtures, rng, counter)
+            tried.append(Beginning(linear, own, from_history(best(own, lesson, LIKELY), lesson)))
+            if len(tried) - int(np.argmin([one.found for one in tried])) >= ORDERS:
+                break
+        counter.advance(3 * self.trial * (len(orders) - len(tried)))
+        return tried
+
+    def _finalist(self, lesson: Lesson, tried: list[Beginning], counter: Counter) -> Beginning:
+        """Return that of the first `FINALISTS` whose networks, trained further, run best from history."""
+        finalists = tried[:FINALISTS] if len(tried) > 1 else []
+        scores = []
+        for one in finalists:
+            own = best(one.networks, lesson, LIKELY)
+            own = best(lesson.learned(own.spaces, own.starts, 2 * self.trial, counter.advance), lesson, FURTHER)
+            own = lesson.lengthened(own, one.linear.spaces, self.trial, counter.advance)
+            scores.append(from_history(own, lesson))
+        counter.advance(3 * self.trial * (FINALISTS - len(scores)))
+        return finalists[int(np.argmin(scores))] if scores else tried[0]
+
+    def _wide_enough(
+        self, lesson: Lesson, trained: Trained, likely: list[Mixture], rng: np.random.Generator, counter: Counter
+    ) -> Trained:
+        """Return the best of these networks and of wider ones that begin at them, while wider is better."""
+        mixtures = list(islice(cycle(likely), len(trained.spaces)))
+        for left in range(WIDER, 0, -1):
+            spaces = widened(trained.spaces, mixtures, self.hidden, rng)
+            wider = train(spaces, lesson.long, trained.starts, 2 * self.trial, counter.advance)
+            both = joined(replace(trained, spaces=padded(trained.spaces, self.hidden)), wider)
+            found = criterion(lesson.judged(both)[1], both.spaces, lesson)
+            if found[len(mixtures) :].min() >= found[: len(mixtures)].min():
+                counter.advance(2 * self.trial * (left - 1))
+                break
+            trained = both[np.argsort(found)[: len(mixtures)]]
+        return trained
 
     def uses(self) -> tuple[str, ...]:
         return (LINEAR,) if self.gated else ()
@@ -99,6 +168,17 @@ class NetworkSpaces(StateSpaceModel):
         kept = np.flatnonzero(weights > NEGLIGIBLE).tolist()
         chosen = [observers[i] for i in kept]
         self.adopt(lesson.scales, [trained.spaces[[i]] for i in kept], chosen, weights[kept] / weights[kept].sum())
+
+
+def best(trained: Trained, lesson: Lesson, count: int) -> Trained:
+    """Return the ``count`` networks whose criterion is lowest, the best first."""
+    return trained[np.argsort(criterion(trained.error, trained.spaces, lesson))[:count]]
+
+
+def from_history(trained: Trained, lesson: Lesson) -> float:
+    """Return the lowest criterion of networks on long free runs that begin where observers find the state."""
+    long = trained if trained.starts.shape[1] == len(lesson.long) else lesson.at_length(trained)
+    return float(criterion(lesson.judged(long)[1], trained.spaces, lesson).min())
 
 
 def criterion(errors: Array, spaces: Spaces, lesson: Lesson) -> Array:

@@ -124,6 +124,10 @@ class Lesson:
             told()
         return trained
 
+    def at_length(self, trained: Trained) -> Trained:
+        """Return a training on short free runs with the initial states of long ones."""
+        return replace(trained, starts=self.states(trained, self.short)[:, self.long.begins])
+
     def observers(self, trained: Trained) -> list[Observer]:
         """Return an observer of every space of a training on long free runs."""
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)

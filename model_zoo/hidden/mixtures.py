@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from model_zoo.hidden.shooting import Spaces
 from model_zoo.hidden.units import UNITS
-from sysid_evo.arrays import Array
+from sysid_evo.arrays import Array, IntArray
 
 SPREAD = 0.7
 """Deviation of the weights into the units at the start."""
@@ -44,11 +44,23 @@ MIXTURES: tuple[Mixture, ...] = (
 
 def networks(linear: Spaces, mixtures: list[Mixture], hidden: int, rng: np.random.Generator) -> Spaces:
     """Return one space for each mixture that steps as the ``linear`` one, with units that have no weight yet."""
-    n, seen, count = linear.n, linear.outer.shape[2], len(mixtures)
-    inner: Array = SPREAD * rng.standard_normal((count, hidden, seen))
-    kinds = np.zeros((count, hidden), dtype=np.int64)
+    count = len(mixtures)
+    several = replace(
+        linear,
+        outer=linear.outer.repeat(count, axis=0),
+        inner=linear.inner.repeat(count, axis=0),
+        kinds=linear.kinds.repeat(count, axis=0),
+    )
+    return widened(several, mixtures, hidden, rng)
+
+
+def widened(spaces: Spaces, mixtures: list[Mixture], further: int, rng: np.random.Generator) -> Spaces:
+    """Return spaces that step as these do, with ``further`` units each, of so many mixtures, without weight yet."""
+    count, n, seen = len(spaces), spaces.n, spaces.inner.shape[2]
+    inner: Array = SPREAD * rng.standard_normal((count, further, seen))
+    kinds = np.zeros((count, further), dtype=np.int64)
     for s, mixture in enumerate(mixtures):
-        for h in range(hidden):
+        for h in range(further):
             unit = mixture[h % len(mixture)]
             if unit is None:
                 inner[s, h] = 0.0
@@ -56,5 +68,20 @@ def networks(linear: Spaces, mixtures: list[Mixture], hidden: int, rng: np.rando
             kinds[s, h] = UNITS.index(unit.kind)
             if unit.controls:
                 inner[s, h] *= np.where(np.arange(seen) < n, 0.0, STEEPER)
-    outer = np.concatenate([linear.outer, np.zeros((1, n, hidden))], axis=2).repeat(count, axis=0)
-    return Spaces(outer, inner, linear.pace, kinds, linear.flow)
+    return _appended(spaces, inner, kinds)
+
+
+def padded(spaces: Spaces, further: int) -> Spaces:
+    """Return the same spaces with ``further`` units that are nothing, so that they stand beside wider ones."""
+    kinds = np.zeros((len(spaces), further), dtype=np.int64)
+    return _appended(spaces, np.zeros((len(spaces), further, spaces.inner.shape[2])), kinds)
+
+
+def _appended(spaces: Spaces, inner: Array, kinds: IntArray) -> Spaces:
+    """Return the spaces with units (S, h) whose weights into the states are 0."""
+    return replace(
+        spaces,
+        outer=np.concatenate([spaces.outer, np.zeros((len(spaces), spaces.n, kinds.shape[1]))], axis=2),
+        inner=np.concatenate([spaces.inner, inner], axis=1),
+        kinds=np.concatenate([spaces.kinds, kinds], axis=1),
+    )

@@ -10,7 +10,7 @@ import pytest
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model
-from tests.model_zoo.hidden.small import recording
+from tests.model_zoo.hidden.small import chain, recording
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,21 @@ def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_
     long = model.variant().fit(recording(0, 600, bend=0.03, noise=0.01), rng=0)
     assert not long.fit_note
     assert all(len(units) for units in long.inner_)
+
+
+def test_networks_have_as_many_states_as_a_longer_chain_needs() -> None:
+    """Five, which is not among the first three orders."""
+    few = {"gated": False, "members": 1, "mixtures": 1, "trial": 4, "hidden": 3, "iterations": 4, "horizon": 200}
+    model = make_model("nonlinear_state_space", **few).fit(chain(0), rng=0)
+    assert [len(outer) for outer in model.outer_] == [5]
+
+
+def test_networks_become_wider_only_where_that_pays() -> None:
+    few = {"order": 2, "gated": False, "members": 1, "mixtures": 1, "trial": 5, "hidden": 2, "iterations": 10}
+    for bend, waves, wider in ((0.03, 0.0, False), (0.0, 2.0, True)):
+        data = recording(0, 600, noise=0.01, bend=bend, waves=waves)
+        model = make_model("nonlinear_state_space", **few).fit(data, rng=0)
+        assert any(len(inner) > 2 for inner in model.inner_) == wider
 
 
 @pytest.mark.parametrize(
