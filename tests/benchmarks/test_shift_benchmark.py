@@ -47,7 +47,13 @@ def test_rows_of_several_files_are_put_together_and_the_later_one_counts(tmp_pat
         ("ice", 1, 0.6),
     ]
     assert found[2] == row("ice", 1, thirty=0.6)
-    assert cells(errors_table(found[:1])) == ["ice", "`linear`", "1.00", "1.00", "0.60", "", "0.50"]
+
+
+def test_the_figures_of_four_cases_stand_abreast_and_what_was_not_measured_is_a_dash() -> None:
+    others = [row(f"floor {i}", thirty=0.6) for i in range(4)]
+    wide, narrow = errors_table([row("ice", 0, thirty=0.5), row("ice", 1, thirty=0.6), *others]).split("\n\n")
+    assert cells(wide)[:2] == ["`linear`", "1.00 1.00 .55 - .50"]
+    assert narrow.splitlines()[0] == "| family | floor 3 |"
 
 
 def test_a_run_writes_a_row_for_each_seed_and_says_how_the_family_stands(

@@ -14,6 +14,8 @@ from sysid_evo.files import write_atomically
 
 MARKED = 20
 """Steps at which adaptation is judged."""
+WAYS = ("before", "10 s", "30 s", "scratch", "in-domain")
+CASES_ABREAST = 4
 TAKEN, NEAR, WORSE = 0.40, 0.15, 0.03
 """What is demanded after 30 s: the error taken off and the distance to a fit there where something shifted; else, what
 it may be worse."""
@@ -58,14 +60,26 @@ def read_rows(files: Iterable[Path]) -> list[Row]:
 
 
 def errors_table(rows: Sequence[Row]) -> str:
-    """Return a Markdown table of N at 20 steps, a line for each case and family, means over the seeds."""
-    ways = ("before", "10 s", "30 s", "scratch", "in-domain")
-    lines = [f"| case | family | {' | '.join(ways)} |", f"|---|---|{'---|' * len(ways)}"]
-    for (case, family), own in _grouped(rows).items():
-        means = (np.mean([row.at(way) for row in own]) for way in ways)
-        figures = " | ".join("" if np.isnan(mean) else f"{mean:.2f}" for mean in means)
-        lines.append(f"| {case} | `{family}` | {figures} |")
-    return "\n".join(lines)
+    """Return Markdown tables of N at 20 steps, a line for each family, four cases side by side, means over the seeds.
+
+    A cell holds N before, after 10 s, after 30 s, of a fit to the same 30 s alone and of a fit in-domain.
+    """
+    found = _grouped(rows)
+    cases, families = list(dict.fromkeys(row.case for row in rows)), dict.fromkeys(row.family for row in rows)
+    tables = []
+    for some in (cases[first : first + CASES_ABREAST] for first in range(0, len(cases), CASES_ABREAST)):
+        lines = [f"| family | {' | '.join(some)} |", f"|---|{'---|' * len(some)}"]
+        for family in families:
+            cells = [_figures(found.get((case, family), [])) for case in some]
+            lines += [f"| `{family}` | {' | '.join(cells)} |"] if any(cells) else []
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
+
+
+def _figures(rows: Sequence[Row]) -> str:
+    """Return N of each way without leading zeros, a dash for what was not measured; nothing if there are no rows."""
+    means = [np.mean([row.at(way) for row in rows]) if rows else np.nan for way in WAYS]
+    return " ".join("-" if np.isnan(mean) else f"{mean:.2f}".removeprefix("0") for mean in means) if rows else ""
 
 
 def verdicts_table(rows: Sequence[Row]) -> str:
