@@ -11,10 +11,12 @@ from typing import Any
 import hypothesis
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
 
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import Registry
 from sysid_evo.system import Channel, System
+from tests.browser import Visitor, chromium
 
 ROOT = Path(__file__).parents[1]
 
@@ -59,6 +61,21 @@ def recordings() -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20070707)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A headless Chromium."""
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def visitor(browser: Browser) -> Iterator[Visitor]:
+    """Opens pages; a page that asks for anything of another machine, or complains, fails the test."""
+    visitor = Visitor(browser)
+    yield visitor
+    visitor.leave()
 
 
 @pytest.fixture(scope="session")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from playwright.sync_api import Locator, Page, expect
 
 from evaluation.report import Report, save_report
-from tests.chromium import Chromium, Tab, find_chromium
+from tests.browser import DESK, PHONE, Visitor, shown
 from tests.evaluation.known_models import Known, Sliding, Weak, fitted
-from tests.evaluation.test_page import shown
-from tests.evaluation.test_replay_page import DESK, PHONE, opened
 from tests.evaluation.test_report import make_report
 
 HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Predicted and measured", "Claimed and achieved"
@@ -25,36 +23,23 @@ def report() -> Report:
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with Chromium(find_chromium(), tmp_path_factory.mktemp("profile")) as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def page(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report_page(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
-@pytest.fixture(scope="module")
-def tab(browser: Chromium, page: Path) -> Tab:
-    return opened(browser, page)
+def figure(page: Page, title: str) -> Locator:
+    return page.locator("figure").filter(has=page.get_by_role("heading", name=title, exact=True))
 
 
-def figure(title: str) -> str:
-    return f"[...document.querySelectorAll('figure')].find(e => e.querySelector('h3').textContent === '{title}')"
-
-
-def hover(tab: Tab, title: str, across: float, down: float) -> str:
+def hover(page: Page, title: str, across: float, down: float) -> str:
     """Point at a place of a figure, in shares of its drawing, and return what the tip says."""
-    tab.to_front()
-    left, top, width, height = tab.evaluate(
-        f"(() => {{ const plot = [...{figure(title)}.querySelectorAll('.read')].find(e => e.getClientRects().length);"
-        " plot.scrollIntoView({block: 'center'}); const box = plot.getBoundingClientRect();"
-        " return [box.left, box.top, box.width, box.height]; })()"
+    plot = figure(page, title).locator(".read").filter(visible=True).first
+    left, top, width, height = plot.evaluate(
+        "plot => { plot.scrollIntoView({block: 'center'}); const box = plot.getBoundingClientRect();"
+        " return [box.left, box.top, box.width, box.height]; }"
     )
-    tab.move_to(left + across * width, top + down * height)
-    tab.wait_for(f"[...{figure(title)}.querySelectorAll('.tip')].some(e => !e.hidden)")
-    return str(tab.evaluate(f"[...{figure(title)}.querySelectorAll('.tip')].find(e => !e.hidden).innerText"))
+    page.mouse.move(left + across * width, top + down * height)
+    return figure(page, title).locator(".tip").filter(visible=True).inner_text()
 
 
 def rows_of(tip: str) -> dict[str, list[str]]:
@@ -67,19 +52,17 @@ def number(text: str) -> float:
     return float(text.replace("\u2212", "-"))
 
 
-def column(tab: Tab, table: str, place: int) -> list[str]:
-    found: list[str] = tab.evaluate(
-        f"[...{table}.tBodies[0].rows].map(row => row.cells[{place}].innerText.split('\\n')[0])"
-    )
-    return found
+def column(table: Locator, place: int) -> list[str]:
+    cells = table.locator(f"tbody td:nth-child({place + 1}), tbody th:nth-child({place + 1})")
+    return [text.split("\n")[0] for text in cells.all_inner_texts()]
 
 
 @pytest.mark.parametrize("width", [PHONE, DESK])
 def test_pointing_at_a_plot_shows_every_value_with_its_interval(
-    tab: Tab, report: Report, width: int, tmp_path: Path
+    visitor: Visitor, report: Report, report_page: Path, width: int
 ) -> None:
-    tab.picture(tmp_path / "page.png", width=width, height=800)
-    tip = hover(tab, HORIZON, 0.6, 0.5)
+    page = visitor.open(report_page, width=width)
+    tip = hover(page, HORIZON, 0.6, 0.5)
     assert report.prediction is not None
     dt = report.prediction.cases.system.dt
     place = round(number(tip.split()[1]) / dt) - 1
@@ -90,16 +73,15 @@ def test_pointing_at_a_plot_shows_every_value_with_its_interval(
         low, high = (number(end) for end in interval.split(" to "))
         assert (low, high) == pytest.approx(model.curve_interval[:, place], rel=0.006)
     assert list(rows_of(tip)) == sorted(rows_of(tip), key=lambda name: -number(rows_of(tip)[name][0]))
-    box: list[float] = tab.evaluate(
-        "(() => { const tip = [...document.querySelectorAll('.tip')].find(e => !e.hidden).getBoundingClientRect();"
-        " return [tip.left, tip.right]; })()"
-    )
-    assert 0 <= box[0] < box[1] <= width
+    box = page.locator(".tip").filter(visible=True).bounding_box()
+    assert box is not None
+    assert 0 <= box["x"] < box["x"] + box["width"] <= width
 
 
-def test_pointing_at_a_controller_shows_what_it_claims_and_achieves(tab: Tab, report: Report, tmp_path: Path) -> None:
-    tab.picture(tmp_path / "page.png", width=DESK, height=800)
-    tip = hover(tab, CLAIMS, 0.6, 0.1)
+def test_pointing_at_a_controller_shows_what_it_claims_and_achieves(
+    visitor: Visitor, report: Report, report_page: Path
+) -> None:
+    tip = hover(visitor.open(report_page), CLAIMS, 0.6, 0.1)
     assert report.transfer is not None
     first = report.transfer.controllers[0]
     assert tip.splitlines()[0] == first.name
@@ -108,91 +90,82 @@ def test_pointing_at_a_controller_shows_what_it_claims_and_achieves(tab: Tab, re
 
 
 def test_a_model_that_is_switched_off_is_hidden_in_every_plot_of_its_section_and_comes_back(
-    tab: Tab, tmp_path: Path
+    visitor: Visitor, report_page: Path
 ) -> None:
-    tab.picture(tmp_path / "page.png", width=DESK, height=800)
-    seen = [shown(tab, f'[data-series="{number}"]') for number in (1, 2)]
-    tab.click('.legend li[data-name="known"] button')
-    pressed = "[...document.querySelectorAll('.legend li[data-name=\"known\"] button')].map(e => e.ariaPressed)"
-    assert set(tab.evaluate(pressed)) == {"false"}
-    assert len(tab.evaluate(pressed)) == 2
-    assert [shown(tab, f'[data-series="{number}"]') for number in (1, 2)] < seen
+    page = visitor.open(report_page)
+    series = ('[data-series="1"]', '[data-series="2"]')
+    before = [shown(page, one) for one in series]
+    buttons = page.locator('.legend li[data-name="known"] button')
+    expect(buttons).to_have_count(2)
+    buttons.first.click()
+    for button in buttons.all():
+        expect(button).to_have_attribute("aria-pressed", "false")
+    assert [shown(page, one) for one in series] < before
     for title in (HORIZON, FREE_RUN):
-        assert "known" not in rows_of(hover(tab, title, 0.6, 0.5))
-    tab.click('.legend li[data-name="known"] button')
-    assert [shown(tab, f'[data-series="{number}"]') for number in (1, 2)] == seen
-    assert "known" in rows_of(hover(tab, HORIZON, 0.6, 0.5))
+        assert "known" not in rows_of(hover(page, title, 0.6, 0.5))
+    buttons.first.click()
+    assert [shown(page, one) for one in series] == before
+    assert "known" in rows_of(hover(page, HORIZON, 0.6, 0.5))
 
 
-def test_the_arrow_keys_read_a_plot_aloud(tab: Tab) -> None:
-    tab.to_front()
-    plot = f"{figure(FREE_RUN)}.querySelector('.read')"
-    tab.evaluate(f"{plot}.focus()")
-    said: list[Any] = []
-    for code in ("Home", "ArrowRight", "ArrowRight", "ArrowDown"):
-        tab.press(code)
-        tab.release(code)
-        said.append([tab.evaluate(f"{plot}.ariaValueNow"), tab.evaluate(f"{plot}.ariaValueText")])
-    assert [int(now) for now, _ in said] == [0, 1, 2, 2]
-    assert said[0][1].startswith("time ")
-    assert "measured " in said[0][1]
-    assert len({text for _, text in said}) == 4
-    assert tab.evaluate(f"{plot}.role") == "slider"
-    assert tab.evaluate(f"{plot}.ariaLabel").startswith("Values of: ")
+def test_the_arrow_keys_read_a_plot_aloud(visitor: Visitor, report_page: Path) -> None:
+    plot = figure(visitor.open(report_page), FREE_RUN).locator(".read").first
+    expect(plot).to_have_role("slider")
+    expect(plot).to_have_accessible_name(re.compile("^Values of: "))
+    said = []
+    for place, key in enumerate(("Home", "ArrowRight", "ArrowRight", "ArrowDown")):
+        plot.press(key)
+        expect(plot).to_have_attribute("aria-valuenow", str(min(place, 2)))
+        said.append(plot.get_attribute("aria-valuetext") or "")
+    assert said[0].startswith("time ")
+    assert "measured " in said[0]
+    assert len(set(said)) == 4
 
 
-def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(tab: Tab) -> None:
-    table = "document.querySelector('table.sorts')"
-    before, place = column(tab, table, 0), 1
-    head = f"{table}.tHead.rows[0].cells[{place}]"
+def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(visitor: Visitor, report_page: Path) -> None:
+    table, place = visitor.open(report_page).locator("table.sorts").first, 1
+    before = column(table, 0)
+    head = table.locator("thead tr").first.locator("th, td").nth(place)
     orders = {}
     for expected in ("ascending", "descending", None):
-        tab.evaluate(f"{head}.querySelector('button').click()")
-        assert tab.evaluate(f"{head}.ariaSort") == expected
-        orders[expected] = column(tab, table, place)
+        head.get_by_role("button").click()
+        assert head.get_attribute("aria-sort") == expected
+        orders[expected] = column(table, place)
     known = [float(value) for value in orders["ascending"] if value != "–"]
     assert known == sorted(known)
     assert [float(value) for value in orders["descending"] if value != "–"] == known[::-1]
     assert all(order[len(known) :] == ["–"] * (len(before) - len(known)) for order in list(orders.values())[:2])
-    assert column(tab, table, 0) == before
+    assert column(table, 0) == before
 
 
-def test_the_command_of_the_controller_to_take_is_copied(browser: Chromium, report: Report, tmp_path: Path) -> None:
+def test_the_command_of_the_controller_to_take_is_copied(visitor: Visitor, report: Report, tmp_path: Path) -> None:
     assert report.transfer is not None
     known = replace(
         report,
         controllers={report.transfer.pick or "": "controllers/best.json"},
         settings={**report.settings, "robot": "emulated_car"},
     )
-    tab = opened(browser, save_report(known, tmp_path)[1])
-    tab.to_front()
-    tab.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
-    tab.click(".command button")
-    tab.wait_for("document.querySelector('.command button').textContent === 'Copied'")
-    command = "sysid-evo drive --controller controllers/best.json --robot emulated_car"
-    assert tab.evaluate("document.querySelector('.command code').textContent") == command
-    assert tab.evaluate("navigator.clipboard.readText()") == command
+    page = visitor.open(save_report(known, tmp_path)[1], permissions=["clipboard-read", "clipboard-write"])
+    command = page.locator(".command").first
+    command.get_by_role("button").click()
+    expect(command.get_by_role("button")).to_have_text("Copied")
+    text = "sysid-evo drive --controller controllers/best.json --robot emulated_car"
+    expect(command.locator("code")).to_have_text(text)
+    assert page.evaluate("navigator.clipboard.readText()") == text
 
 
-def test_nothing_went_wrong_in_the_page(tab: Tab) -> None:
-    assert tab.evaluate("faults") == []
+def test_without_a_script_lines_and_tables_are_there_and_no_button(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page, java_script_enabled=False)
+    expect(page.locator(".unplayed")).to_be_attached()
+    assert shown(page, "[data-series]") > 10
+    expect(page.locator("main button:not(.deck button)")).to_have_count(0)
 
 
-def test_without_a_script_lines_and_tables_are_there_and_no_button(browser: Chromium, page: Path) -> None:
-    tab = browser.open("about:blank")
-    tab.call("Emulation.setScriptExecutionDisabled", value=True)
-    tab.call("Page.navigate", url=page.as_uri())
-    tab.wait_for("document.readyState === 'complete' && document.querySelector('.unplayed') !== null")
-    assert shown(tab, "[data-series]") > 10
-    assert tab.evaluate("document.querySelectorAll('main button:not(.deck button)').length") == 0
-
-
-def test_heads_of_tables_are_printed_again_on_the_next_page(browser: Chromium, page: Path) -> None:
+def test_heads_of_tables_are_printed_again_on_the_next_page(visitor: Visitor, report_page: Path) -> None:
     """A button in a head that is printed again is left out, so that heads are text in print."""
-    tab = opened(browser, page)
-    tab.call("Emulation.setEmulatedMedia", media="print")
-    style = "getComputedStyle(document.querySelector('{}')).{}"
-    assert tab.evaluate(style.format("thead", "breakInside")) == "avoid"
-    assert tab.evaluate(style.format("thead th", "position")) == "static"
-    assert tab.evaluate("document.querySelector('thead th button') !== null")
-    assert tab.evaluate(style.format("thead th button", "display")) == "contents"
+    page = visitor.open(report_page)
+    page.emulate_media(media="print")
+    head = page.locator("thead").first
+    expect(head).to_have_css("break-inside", "avoid")
+    expect(head.locator("th").first).to_have_css("position", "static")
+    expect(page.locator("thead th button").first).to_have_css("display", "contents")

@@ -2,67 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from evaluation.plots.theme import LINES, PAPER
 from evaluation.report import save_report
-from tests.chromium import Chromium, Tab, find_chromium
+from tests.browser import DESK, PHONE, TABLET, Visitor, shown, sideways
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
+from tests.pixels import seen, share_of
 
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
-PHONE, DESK = 375, 1280
 
 
 @pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
-    folder = tmp_path_factory.mktemp("page")
-    _, page = save_report(make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())}), folder)
-    with Chromium(find_chromium(), folder / "profile") as browser:
-        yield browser.open(page.as_uri())
+def report_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    report = make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
+    return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
-def seen(tab: Tab, folder: Path, width: int, *, height: int = 800, dark: bool = False) -> np.ndarray:
-    """Return what the browser shows at this size, (height, width, 3), from 0 to 1."""
-    tab.picture(folder / "page.png", width=width, height=height, dark=dark)
-    return np.asarray(imread(folder / "page.png")[:, :, :3])
+@pytest.mark.parametrize("width", [320, PHONE, TABLET, DESK])
+def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, report_page: Path, width: int) -> None:
+    page = visitor.open(report_page, width=width)
+    assert sideways(page) == 0
+    assert page.evaluate("innerWidth") == width
 
 
-def share_of(colour: str, pixels: np.ndarray) -> float:
-    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
-    return float((np.abs(pixels - wanted).max(axis=2) < 0.02).mean())
+def test_a_table_that_is_too_wide_scrolls_in_itself_and_its_edge_is_shaded(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page, width=PHONE)
+    tables = page.locator("section > .scroll")
+    assert max(tables.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) > 50
+    overflow, attachment = tables.first.evaluate(
+        "e => [getComputedStyle(e).overflowX, getComputedStyle(e).backgroundAttachment]"
+    )
+    assert overflow == "auto"
+    assert attachment == "local, local, scroll, scroll"
 
 
-def shown(tab: Tab, selector: str) -> int:
-    """Return how many elements of a kind have a size on the screen."""
-    found = tab.evaluate(f"[...document.querySelectorAll('{selector}')].filter(e => e.getClientRects().length).length")
-    return int(found)
-
-
-@pytest.mark.parametrize("width", [320, PHONE, 768, DESK])
-def test_the_page_is_as_wide_as_the_screen(tab: Tab, tmp_path: Path, width: int) -> None:
-    seen(tab, tmp_path, width)
-    assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert tab.evaluate("innerWidth") == width
-
-
-def test_a_table_that_is_too_wide_scrolls_in_itself_and_its_edge_is_shaded(tab: Tab, tmp_path: Path) -> None:
-    seen(tab, tmp_path, PHONE)
-    widths = "[...document.querySelectorAll('section > .scroll')].map(e => e.scrollWidth - e.clientWidth)"
-    assert max(tab.evaluate(widths)) > 50
-    style = "getComputedStyle(document.querySelector('.scroll'))"
-    assert tab.evaluate(f"{style}.overflowX") == "auto"
-    assert tab.evaluate(f"{style}.backgroundAttachment") == "local, local, scroll, scroll"
-
-
-def test_the_colours_follow_the_theme_of_the_reader(tab: Tab, tmp_path: Path) -> None:
-    light, dark = (seen(tab, tmp_path, DESK, height=2600, dark=dark) for dark in (False, True))
+def test_the_colours_follow_the_theme_of_the_reader(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page, height=2600)
+    light = seen(page)
+    page.emulate_media(color_scheme="dark")
+    dark = seen(page)
     assert share_of(PAPER.light, light) > 0.5
     assert share_of(PAPER.dark, dark) > 0.5
     # the lines of the plots change with it; vermilion occurs in pictures alone
@@ -72,18 +56,18 @@ def test_the_colours_follow_the_theme_of_the_reader(tab: Tab, tmp_path: Path) ->
     assert share_of(vermilion.light, dark) < 1e-5
 
 
-def test_a_phone_gets_the_drawings_made_for_it(tab: Tab, tmp_path: Path) -> None:
-    seen(tab, tmp_path, DESK)
-    assert (shown(tab, ".on-wide > svg") > 0, shown(tab, ".on-narrow > svg")) == (True, 0)
-    seen(tab, tmp_path, PHONE)
-    assert (shown(tab, ".on-wide > svg"), shown(tab, ".on-narrow > svg") > 0) == (0, True)
+def test_a_phone_gets_the_drawings_made_for_it(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page, width=DESK)
+    assert (shown(page, ".on-wide > svg") > 0, shown(page, ".on-narrow > svg")) == (True, 0)
+    page.set_viewport_size({"width": PHONE, "height": 800})
+    assert (shown(page, ".on-wide > svg"), shown(page, ".on-narrow > svg") > 0) == (0, True)
 
 
 @pytest.mark.parametrize("width", [PHONE, DESK])
-def test_labels_of_the_plots_are_large_enough_to_read(tab: Tab, tmp_path: Path, width: int) -> None:
-    seen(tab, tmp_path, width)
-    sizes = tab.evaluate(
-        "[...document.querySelectorAll('figure svg text')].filter(e => e.getClientRects().length)"
+def test_labels_of_the_plots_are_large_enough_to_read(visitor: Visitor, report_page: Path, width: int) -> None:
+    page = visitor.open(report_page, width=width)
+    sizes = page.locator("figure svg text").evaluate_all(
+        "all => all.filter(e => e.getClientRects().length)"
         ".map(e => [parseFloat(getComputedStyle(e).fontSize), e.getScreenCTM()])"
         ".map(([size, m]) => size * Math.sqrt(Math.abs(m.a * m.d - m.b * m.c)))"
     )
@@ -92,15 +76,15 @@ def test_labels_of_the_plots_are_large_enough_to_read(tab: Tab, tmp_path: Path, 
     assert np.median(sizes) >= 10.0
 
 
-def test_the_drawings_have_ink_all_the_way_down(tab: Tab, tmp_path: Path) -> None:
-    pixels = seen(tab, tmp_path, DESK, height=6000)
-    inked = pixels.min(axis=2) < 0.5
+def test_the_drawings_have_ink_all_the_way_down(visitor: Visitor, report_page: Path) -> None:
+    inked = seen(visitor.open(report_page, height=6000)).min(axis=2) < 0.5
     assert np.count_nonzero(inked.sum(axis=1)) > 1500
     # nothing sticks out of the column of 60 rem
     assert not inked[:, 1200:].any()
 
 
-def test_headings_go_down_one_level_at_a_time(tab: Tab) -> None:
-    levels = tab.evaluate("[...document.querySelectorAll('h1, h2, h3, h4')].map(e => Number(e.tagName[1]))")
+def test_headings_go_down_one_level_at_a_time(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page)
+    levels = page.locator("h1, h2, h3, h4").evaluate_all("all => all.map(e => Number(e.tagName[1]))")
     assert levels[0] == 1
     assert all(after - before <= 1 for before, after in pairwise(levels))

@@ -2,48 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from playwright.sync_api import Page, expect
 
 from evaluation.plots.theme import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
-from tests.chromium import Chromium, Tab, find_chromium
+from tests.browser import DESK, PHONE, TABLET, Visitor, shown, sideways
 from tests.evaluation.known_models import SYSTEM, Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
+from tests.pixels import share_of
 
-PHONE, DESK = 375, 1280
-CLOCK = "document.getElementById('replay-clock').textContent"
-NOTED = """
-window.faults = [];
-addEventListener('error', (event) => faults.push(event.message));
-const said = console.error;
-console.error = (...words) => { faults.push(words.join(' ')); said(...words); };
-"""
+CLOCK, PLAY, TIME, ROW, PACE = "#replay-clock", "#replay-play", "#replay-time", "#replay-row", "#replay-pace"
+FRAMES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done))))"
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with Chromium(find_chromium(), tmp_path_factory.mktemp("profile")) as browser:
-        yield browser
+def car(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a car."""
+    report = make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
+    return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
 @pytest.fixture(scope="module")
-def tab(browser: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Tab:
-    """The page of a car: its faults are noted from the start."""
-    _, page = save_report(
-        make_report({"known": fitted(Known()), "sliding": fitted(Sliding())}), folder(tmp_path_factory)
-    )
-    return opened(browser, page)
-
-
-@pytest.fixture(scope="module")
-def states(browser: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Tab:
+def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a system without a pose, whose first state had a target."""
     report = make_report({"known": fitted(Known())})
     assert report.matrix is not None
@@ -54,156 +43,155 @@ def states(browser: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Tab:
             replace(trace, trajectory=replace(trace.trajectory, pose=None), targets=(target,)) for trace in cell.traces
         )
         cells[key] = replace(cell, traces=traces)
-    _, page = save_report(replace(report, matrix=replace(report.matrix, cells=cells)), folder(tmp_path_factory))
-    return opened(browser, page)
+    report = replace(report, matrix=replace(report.matrix, cells=cells))
+    return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
-def folder(factory: pytest.TempPathFactory) -> Path:
-    return factory.mktemp("page")
+def seek(page: Page, seconds: float) -> None:
+    page.locator(TIME).fill(str(seconds))
 
 
-def opened(browser: Chromium, page: Path) -> Tab:
-    tab = browser.open("about:blank")
-    tab.call("Page.addScriptToEvaluateOnNewDocument", source=NOTED)
-    tab.call("Page.navigate", url=page.as_uri())
-    tab.wait_for("document.readyState === 'complete' && document.querySelectorAll('.screen').length > 0")
-    tab.call("Emulation.setDeviceMetricsOverride", width=DESK, height=800, deviceScaleFactor=1, mobile=False)
-    return tab
-
-
-def seek(tab: Tab, seconds: float) -> None:
-    tab.evaluate(
-        "(() => { const slider = document.getElementById('replay-time');"
-        f" slider.value = {seconds}; slider.dispatchEvent(new Event('input')); }})()"
-    )
-
-
-def painted(tab: Tab, file: Path, *, dark: bool = False) -> np.ndarray:
+def painted(page: Page) -> np.ndarray:
     """Return what the first screen shows (height, width, 3), from 0 to 1."""
-    tab.evaluate("document.querySelector('.screens').scrollIntoView()")
-    tab.picture(file, width=DESK, height=800, dark=dark)
-    left, top, right, bottom = tab.evaluate(
-        "(() => { const box = document.querySelector('.screen canvas').getBoundingClientRect();"
-        " return [box.left, box.top, box.right, box.bottom].map(Math.round); })()"
-    )
-    return np.asarray(imread(file)[max(top, 0) : bottom, left:right, :3])
+    picture = page.locator(".screen canvas").first.screenshot()
+    return np.asarray(imread(io.BytesIO(picture))[:, :, :3])
 
 
-def share_of(colour: str, pixels: np.ndarray) -> float:
-    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
-    return float((np.abs(pixels - wanted).max(axis=2) < 0.02).mean())
-
-
-def choose(tab: Tab, row: str) -> None:
-    tab.evaluate(
-        f"(() => {{ const row = document.getElementById('replay-row'); row.value = '{row}';"
-        " row.dispatchEvent(new Event('change')); })()"
-    )
-
-
-def test_a_screen_for_every_system_the_robot_in_a_frame(tab: Tab) -> None:
-    assert tab.evaluate("document.getElementById('replay-row').value") == "known_c"  # the one to take
-    choose(tab, "ensemble_c")
-    names = "[...document.querySelectorAll('.screen .name')].map(e => e.firstChild.textContent)"
-    assert tab.evaluate(names) == ["car", "known", "sliding"]
-    assert tab.evaluate("document.querySelectorAll('.screen.robot').length") == 1
-    told = tab.evaluate("[...document.querySelectorAll('.screen small')].map(e => e.textContent)")
+def test_a_screen_for_every_system_the_robot_in_a_frame(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    expect(page.locator(ROW)).to_have_value("known_c")  # the one to take
+    page.locator(ROW).select_option("ensemble_c")
+    names = page.locator(".screen .name").evaluate_all("all => all.map(e => e.firstChild.textContent)")
+    assert names == ["car", "known", "sliding"]
+    expect(page.locator(".screen.robot")).to_have_count(1)
+    told = page.locator(".screen small").all_text_contents()
     assert "evolved here" not in told[0]
     assert "as on the robot to the end" in told[1]
     assert "evolved here" in told[2]
     assert "as on the robot for " in told[2]
 
 
-def test_another_controller_is_shown_when_it_is_chosen(tab: Tab) -> None:
+def test_another_controller_is_shown_when_it_is_chosen(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
     for row in ("sliding_c", "known_c"):
-        choose(tab, row)
-        assert tab.evaluate("document.querySelector('.screen canvas').ariaLabel").startswith(f"{row} on car")
+        page.locator(ROW).select_option(row)
+        expect(page.locator(".screen canvas").first).to_have_attribute("aria-label", re.compile(f"^{row} on car"))
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(tab: Tab, tmp_path: Path, dark: bool) -> None:
+def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor: Visitor, car: Path, dark: bool) -> None:
+    page = visitor.open(car, dark=dark)
     coloured = []
     for seconds in (0.0, 2.9):
-        seek(tab, seconds)
-        pixels = painted(tab, tmp_path / "page.png", dark=dark)
+        seek(page, seconds)
+        pixels = painted(page)
         path = pixels[: pixels.shape[1]]  # above the bars of the controls
         coloured.append(sum(share_of(getattr(colour, "dark" if dark else "light"), path) for colour in LINES[:2]))
     assert coloured[0] < 1e-5 < 3e-5 < coloured[1]  # a line of a few dozen pixels
 
 
-def test_it_plays_to_the_end_pauses_and_begins_anew(tab: Tab) -> None:
-    tab.to_front()
-    seek(tab, 0.0)
-    tab.evaluate("document.getElementById('replay-pace').value = '1'; document.getElementById('replay-play').click()")
-    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Pause"
-    tab.wait_for("Number(document.getElementById('replay-time').value) > 0.2")
-    tab.evaluate("document.getElementById('replay-play').click()")
-    stood = tab.evaluate("document.getElementById('replay-clock').textContent")
-    tab.evaluate("new Promise(done => setTimeout(done, 200))")
-    assert tab.evaluate("document.getElementById('replay-clock').textContent") == stood
-    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Play"
-    tab.evaluate("document.getElementById('replay-pace').value = '10'; document.getElementById('replay-play').click()")
-    tab.wait_for("document.getElementById('replay-play').textContent === 'Play'")
-    assert tab.evaluate("document.getElementById('replay-clock').textContent") == "3.0 s"  # 60 steps of 0.05 s
-    tab.evaluate("document.getElementById('replay-play').click()")
-    assert float(tab.evaluate("document.getElementById('replay-time').value")) < 1.0
-    tab.evaluate("document.getElementById('replay-play').click()")
+def test_it_plays_to_the_end_pauses_and_begins_anew(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    play, clock = page.locator(PLAY), page.locator(CLOCK)
+    page.locator(PACE).select_option("0.25")
+    play.click()
+    expect(play).to_have_text("Pause")
+    page.wait_for_function(f"() => Number(document.querySelector('{TIME}').value) > 0.1")
+    play.click()
+    expect(play).to_have_text("Play")
+    stood = clock.text_content()
+    page.evaluate(FRAMES)
+    assert clock.text_content() == stood
+    page.locator(PACE).select_option("10")
+    play.click()
+    expect(play).to_have_text("Play")
+    expect(clock).to_have_text("3.0 s")  # 60 steps of 0.05 s
+    page.locator(PACE).select_option("0.25")
+    play.click()
+    expect(play).to_have_text("Pause")
+    assert float(page.locator(TIME).input_value()) < 2.0
 
 
-def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(tab: Tab) -> None:
-    tab.to_front()
-    watched = "[...document.querySelectorAll('.watch')].find(e => e.dataset.row === 'sliding_c').firstElementChild"
-    tab.evaluate(f"{watched}.click()")
-    assert tab.evaluate("document.getElementById('replay-row').value") == "sliding_c"
-    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Pause"
-    tab.click(".screen button")
-    assert tab.evaluate("document.getElementById('replay-play').textContent") == "Play"
-    there = tab.evaluate("[...document.querySelectorAll('.screen')].find(e => e.querySelector('button')).innerText")
-    assert f"as on the robot for {tab.evaluate(CLOCK)}" in there
+def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    slider, clock = page.locator(TIME), page.locator(CLOCK)
+    slider.scroll_into_view_if_needed()
+    now = page.locator(".screen .now").first
+    drawn, told = [painted(page)], [now.text_content()]
+    box = slider.bounding_box()
+    assert box is not None
+    y, seconds = box["y"] + box["height"] / 2, []
+    page.mouse.move(box["x"] + 0.1 * box["width"], y)
+    page.mouse.down()
+    for across in (0.3, 0.9, 0.5):
+        page.mouse.move(box["x"] + across * box["width"], y)
+        seconds.append(float((clock.text_content() or "").split()[0]))
+    page.mouse.up()
+    assert seconds == pytest.approx([0.9, 2.7, 1.5], abs=0.15)  # of 3 s
+    drawn.append(painted(page))
+    told.append(now.text_content())
+    assert (drawn[0] != drawn[1]).any()
+    assert told[0] != told[1]
+    slider.press("ArrowRight")
+    slider.press("ArrowRight")
+    expect(clock).to_have_text(f"{seconds[-1] + 0.1:.1f} s")  # two steps
+    slider.press("Home")
+    expect(clock).to_have_text("0.0 s")
 
 
-def test_states_are_drawn_over_time_with_their_value_now(states: Tab, tmp_path: Path) -> None:
-    seek(states, 1.0)
-    now = states.evaluate("document.querySelector('.screen .now').textContent")
-    assert now.startswith(f"{SYSTEM.states[0].name} ")
-    assert now.endswith(SYSTEM.states[0].unit)
-    assert share_of(LINES[0].light, painted(states, tmp_path / "page.png")) > 1e-3
-
-
-@pytest.mark.parametrize("width", [320, PHONE, 768, DESK])
-@pytest.mark.parametrize("which", ["tab", "states"])
-def test_the_replay_is_never_wider_than_the_screen(
-    which: str, width: int, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    tab: Tab = request.getfixturevalue(which)
-    tab.picture(tmp_path / "page.png", width=width, height=800)
-    assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert (
-        tab.evaluate(
-            "Math.max(...[...document.querySelectorAll('.deck > *, .screen')].map(e => e.scrollWidth - e.clientWidth))"
-        )
-        <= 0
+def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    page.locator(PACE).select_option("0.25")
+    page.locator(PLAY).click()
+    seek(page, 2.0)
+    page.wait_for_function(
+        f"() => Number(document.querySelector('{TIME}').value) > 2.05"
+        f" && document.querySelector('{PLAY}').textContent === 'Pause'"
     )
 
 
-def test_every_control_has_a_name_for_those_who_cannot_see_it(tab: Tab) -> None:
-    labels = "[...document.querySelectorAll('.deck select, .deck input')].map(e => e.labels.length)"
-    assert tab.evaluate(labels) == [1, 1, 1]
-    assert tab.evaluate("[...document.querySelectorAll('.screen canvas')].every(e => e.role === 'img' && e.ariaLabel)")
-    seek(tab, 1.0)
-    assert tab.evaluate("document.getElementById('replay-time').getAttribute('aria-valuetext')") == "1.0 s"
+def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    page.locator('.watch[data-row="sliding_c"] button').first.click()
+    expect(page.locator(ROW)).to_have_value("sliding_c")
+    expect(page.locator(PLAY)).to_have_text("Pause")
+    page.locator(".screen button").first.click()
+    expect(page.locator(PLAY)).to_have_text("Play")
+    there = page.locator(".screen").filter(has=page.get_by_role("button")).first
+    expect(there).to_contain_text(f"as on the robot for {page.locator(CLOCK).text_content()}")
 
 
-def test_nothing_went_wrong_in_the_page(tab: Tab, states: Tab) -> None:
-    assert tab.evaluate("faults") == []
-    assert states.evaluate("faults") == []
+def test_states_are_drawn_over_time_with_their_value_now(visitor: Visitor, states: Path) -> None:
+    page = visitor.open(states)
+    seek(page, 1.0)
+    name, unit = SYSTEM.states[0].name, SYSTEM.states[0].unit
+    expect(page.locator(".screen .now").first).to_have_text(re.compile(f"^{name} .*{unit}$"))
+    assert share_of(LINES[0].light, painted(page)) > 1e-3
 
 
-def test_without_a_script_the_page_says_what_is_missing(browser: Chromium, tmp_path: Path) -> None:
-    _, page = save_report(make_report({"known": fitted(Known())}), tmp_path)
-    tab = browser.open("about:blank")
-    tab.call("Emulation.setScriptExecutionDisabled", value=True)
-    tab.call("Page.navigate", url=page.as_uri())
-    tab.wait_for("document.readyState === 'complete' && document.querySelector('.unplayed') !== null")
-    assert "needs JavaScript" in tab.evaluate("document.querySelector('.unplayed').textContent")
-    assert tab.evaluate("document.getElementById('replay-player').getClientRects().length") == 0
+@pytest.mark.parametrize("width", [320, PHONE, TABLET, DESK])
+@pytest.mark.parametrize("which", ["car", "states"])
+def test_the_replay_is_never_wider_than_the_screen(
+    which: str, width: int, visitor: Visitor, request: pytest.FixtureRequest
+) -> None:
+    page = visitor.open(request.getfixturevalue(which), width=width)
+    assert sideways(page) == 0
+    parts = page.locator(".deck > *, .screen")
+    assert max(parts.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) <= 0
+
+
+def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    controls = page.locator(".deck select, .deck input")
+    assert controls.evaluate_all("all => all.map(e => e.labels.length)") == [1, 1, 1]
+    for canvas in page.locator(".screen canvas").all():
+        expect(canvas).to_have_role("img")
+        expect(canvas).to_have_accessible_name(re.compile("."))
+    seek(page, 1.0)
+    expect(page.locator(TIME)).to_have_attribute("aria-valuetext", "1.0 s")
+
+
+def test_without_a_script_the_page_says_what_is_missing(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car, java_script_enabled=False)
+    expect(page.locator(".unplayed")).to_contain_text("needs JavaScript")
+    assert shown(page, "#replay-player") == 0

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
+from playwright.sync_api import expect
 
 from hardware.driving.controller_panel import (
     CONTROLLED,
@@ -32,7 +30,8 @@ from sysid_evo.engine import Rollouts
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_task
 from sysid_evo.tasks import Task
-from tests.chromium import Chromium, find_chromium
+from tests.browser import Visitor, sideways
+from tests.pixels import seen
 
 SEEDS = trial_seeds(3, 2)
 CASES = {
@@ -146,12 +145,6 @@ def test_a_controller_on_a_robot_with_a_tracker_is_shown_as_it_drives() -> None:
     assert seen[-1]["scores"][-1] == pytest.approx(rollouts.fitness[0, 1])
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with Chromium(find_chromium(), tmp_path_factory.mktemp("chromium") / "profile") as chromium:
-        yield chromium
-
-
 BLUE, GREY = (0x00, 0x72, 0xB2), (0x8D, 0x98, 0xA5)
 
 
@@ -162,29 +155,28 @@ def count(pixels: np.ndarray, colour: tuple[int, int, int]) -> int:
 @pytest.mark.parametrize("size", [(1280, 800), (375, 667)])
 @pytest.mark.parametrize("spec", ["set_point(channels=temperature, horizon=30)", "swing_up(horizon=30)"])
 def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(
-    browser: Chromium, tmp_path: Path, spec: str, size: tuple[int, int]
+    visitor: Visitor, spec: str, size: tuple[int, int]
 ) -> None:
     task, rollouts = simulated(spec)
     panel = ControllerPanel(CASES[spec], task, "best")
     shown = moments(task, SEEDS[:1], rollouts.trajectories[0], 1)
     panel.show(shown[0])
-    with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, died=print) as page:
-        tab = browser.open(page.url)
-        tab.wait_for("document.getElementById('banner').textContent === 'best drives'")
-        width, height = size
-        tab.picture(tmp_path / "page.png", width=width, height=height)
-        before = imread(tmp_path / "page.png")[:, :, :3]
+    with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, died=print) as server:
+        page = visitor.open(server.url, width=size[0], height=size[1])
+        expect(page.locator("#banner")).to_have_text("best drives")
+        before = seen(page)
         for moment in shown[1:-1:4]:
             panel.show(moment)
             left = (30 - moment.step) * task.system.dt
-            tab.wait_for(f"Math.abs(Number(document.getElementById('time').textContent) - {left}) < 0.06")
-        tab.picture(tmp_path / "page.png", width=width, height=height)
-        pixels = imread(tmp_path / "page.png")[:, :, :3]
+            page.wait_for_function(
+                f"() => Math.abs(Number(document.getElementById('time').textContent) - {left}) < 0.06"
+            )
+        pixels = seen(page)
         assert count(pixels, BLUE) > count(before, BLUE) + 50
         assert count(pixels, GREY) > 100
-        assert tab.evaluate("document.documentElement.scrollWidth") <= width
-        assert tab.evaluate("document.getElementById('pad').offsetParent === null")
-        assert tab.evaluate("document.getElementById('view').offsetParent === null")
+        assert sideways(page) == 0
+        expect(page.locator("#pad")).to_be_hidden()
+        expect(page.locator("#view")).to_be_hidden()
         panel.show(replace(shown[-1], phase=FINISHED, score=12.345))
-        tab.wait_for("document.getElementById('banner').textContent === 'Trial over, score 12.35.'")
-        tab.close()
+        expect(page.locator("#banner")).to_have_text("Trial over, score 12.35.")
+        page.close()

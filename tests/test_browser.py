@@ -1,0 +1,43 @@
+"""What a visit notes: errors of the page, and whatever it asks of another machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from tests.browser import Visitor
+
+ELSEWHERE = "http://elsewhere.invalid"
+WRONG = {
+    "console.error('so much for that')": "so much for that",
+    "throw new Error('thrown')": "thrown",
+    f"fetch('{ELSEWHERE}/data').catch(() => 0)": f"asked for {ELSEWHERE}/data",
+    f"new Image().src = '{ELSEWHERE}/picture.png'": f"asked for {ELSEWHERE}/picture.png",
+    "new WebSocket('ws://elsewhere.invalid/line')": "asked for ws://elsewhere.invalid/line",
+}
+
+
+def written(folder: Path, script: str) -> Path:
+    page = folder / "page.html"
+    page.write_text(f"<!doctype html><title>A page</title><body><script>{script}</script>")
+    return page
+
+
+@pytest.mark.parametrize("script", WRONG)
+def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(
+    browser: Browser, tmp_path: Path, script: str
+) -> None:
+    visitor = Visitor(browser)
+    visitor.open(written(tmp_path, script))
+    with pytest.raises(AssertionError, match=r"\['"):
+        visitor.leave()
+    assert WRONG[script] in visitor.faults[0]
+
+
+def test_a_page_that_keeps_to_itself_is_no_fault(browser: Browser, tmp_path: Path) -> None:
+    visitor = Visitor(browser)
+    page = visitor.open(written(tmp_path, "document.body.append('all is well'); console.log('said')"))
+    assert page.locator("body").inner_text() == "all is well"
+    visitor.leave()
