@@ -3,7 +3,8 @@
 Each fault of `tests.evaluation.habits` is planted into the toy car or the pendulum, and the robot as it is stands
 beside it. What drives there is looked at as a comparison does: random commands, the champion of an ordinary evolution,
 and the controller of the search for exploits. A fault is named where one of the probes that it is to trip fires, or a
-fact of the data is broken about one of the states it is to show in. Then the equations of sound robots stand for
+fact of the data is broken about one of the states it is to show in; else by behaviour where a state that it is to show
+in goes another way than on the robot. Then the equations of sound robots stand for
 models, ``--seeds`` (5) of each kind, and every recording of a real car for what was driven in one: whatever is named
 there is a false alarm.
 
@@ -89,6 +90,13 @@ def names(found: ModelExploitability) -> set[str]:
     return {probe.name for probe in found.exploits} | {fact.state for fact in found.facts}
 
 
+def told(wanted: set[str], found: ModelExploitability) -> str:
+    """Return how one of ``wanted`` is named: by a probe or a fact, by what controllers do, or not at all."""
+    if wanted & names(found):
+        return "yes"
+    return "behaviour" if any(name in one.name.split() for one in found.behaviours for name in wanted) else "no"
+
+
 def settings(robot: str, generations: int) -> ControllerEvolution:
     """Return how controllers are evolved on a robot."""
     task = Spec.parse(TASKS[robot.partition(":")[0]])
@@ -112,7 +120,7 @@ def planted_row(fault: Fault, shown: Shown, generations: int) -> tuple[tuple[str
     usual = shown.looked_at(ordinary, both)
     exploit = search_exploit(MODEL, runners, planted.system, how, seed=0)
     found = shown.looked_at(exploit.champion, both)
-    in_usual, in_search = bool(wanted & names(usual)), bool(wanted & names(found))
+    in_usual, in_search = told(wanted, usual), told(wanted, found)
     assert usual.claimed is not None
     assert usual.achieved is not None
     row = (
@@ -120,13 +128,13 @@ def planted_row(fault: Fault, shown: Shown, generations: int) -> tuple[tuple[str
         ", ".join(fault.named),
         _yes(at_random),
         f"{usual.claimed.value:.1f} → {usual.achieved.value:.1f}",
-        _yes(in_usual),
+        in_usual,
         f"{exploit.here:.1f} → {exploit.elsewhere[ROBOT]:.1f}",
         f"{exploit.size:+.1f}",
-        _yes(in_search),
+        in_search,
         ", ".join(sorted((names(usual) | names(found)) - wanted)) or "–",
     )
-    return row, in_search if fault.gains else at_random or in_usual or in_search
+    return row, in_search != "no" if fault.gains else at_random or {in_usual, in_search} != {"no"}
 
 
 def alarms(robot: str, generations: int) -> tuple[set[str], set[str]]:
