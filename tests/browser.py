@@ -95,6 +95,11 @@ class Visitor:
             self.faults.append(f"asked for {address}")
 
 
+def resize(page: Page, width: int, height: int = 800) -> None:
+    """Give the window of a page another size, in CSS pixels."""
+    page.set_viewport_size({"width": width, "height": height})
+
+
 def shown(page: Page, selector: str) -> int:
     """Return how many elements of a kind have a size on the screen."""
     found: int = page.locator(selector).evaluate_all("all => all.filter(e => e.getClientRects().length).length")

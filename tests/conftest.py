@@ -65,7 +65,7 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """A headless Chromium."""
+    """A headless Chromium; once it is open, nothing in this thread can call `asyncio.run`."""
     with chromium() as browser:
         yield browser
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from axe_core_python.sync_playwright import Axe
@@ -14,7 +15,7 @@ from axe_core_python.sync_playwright import Axe
 from evaluation.report import save_report
 from evaluation.report.study import save_study
 from evaluation.report.two_runs import differences, save_comparison
-from tests.browser import DESK, PHONE, TABLET, Visitor, shown, sideways
+from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.study.made_up import made_up
 from tests.evaluation.test_report import make_report
@@ -40,19 +41,22 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("which", PAGES)
-@pytest.mark.parametrize(("width", "dark"), [(DESK, False), (DESK, True), (PHONE, False)])
-def test_axe_finds_nothing(
-    visitor: Visitor, pages: dict[str, Path], axe: Axe, which: str, width: int, dark: bool
-) -> None:
-    page = visitor.open(pages[which], width=width, dark=dark)
-    found = axe.run(page, options={"resultTypes": ["violations"]})
-    assert [f"{one['id']}: {one['nodes'][0]['html']}" for one in found["violations"]] == []
+def test_axe_finds_nothing(visitor: Visitor, pages: dict[str, Path], axe: Axe, which: str) -> None:
+    page = visitor.open(pages[which])
+    looks: list[tuple[int, Literal["dark", "light"]]] = [(DESK, "light"), (DESK, "dark"), (PHONE, "light")]
+    for width, scheme in looks:
+        resize(page, width)
+        page.emulate_media(color_scheme=scheme)
+        found = axe.run(page, options={"resultTypes": ["violations"]})
+        assert [f"{one['id']}: {one['nodes'][0]['html']}" for one in found["violations"]] == [], (width, scheme)
 
 
 @pytest.mark.parametrize("which", PAGES)
-@pytest.mark.parametrize("width", [PHONE, TABLET, DESK])
-def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, pages: dict[str, Path], which: str, width: int) -> None:
-    assert sideways(visitor.open(pages[which], width=width)) == 0
+def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, pages: dict[str, Path], which: str) -> None:
+    page = visitor.open(pages[which])
+    for width in (PHONE, TABLET, DESK):
+        resize(page, width)
+        assert sideways(page) == 0, width
 
 
 def test_paper_gets_no_buttons_and_no_player_and_all_that_is_folded_away(

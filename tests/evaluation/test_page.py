@@ -10,7 +10,7 @@ import pytest
 
 from evaluation.plots.theme import LINES, PAPER
 from evaluation.report import save_report
-from tests.browser import DESK, PHONE, TABLET, Visitor, shown, sideways
+from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
 from tests.pixels import seen, share_of
@@ -24,11 +24,12 @@ def report_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
-@pytest.mark.parametrize("width", [320, PHONE, TABLET, DESK])
-def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, report_page: Path, width: int) -> None:
-    page = visitor.open(report_page, width=width)
-    assert sideways(page) == 0
-    assert page.evaluate("innerWidth") == width
+def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page)
+    for width in (320, PHONE, TABLET, DESK):
+        resize(page, width)
+        assert sideways(page) == 0, width
+        assert page.evaluate("innerWidth") == width
 
 
 def test_a_table_that_is_too_wide_scrolls_in_itself_and_its_edge_is_shaded(visitor: Visitor, report_page: Path) -> None:
@@ -59,21 +60,22 @@ def test_the_colours_follow_the_theme_of_the_reader(visitor: Visitor, report_pag
 def test_a_phone_gets_the_drawings_made_for_it(visitor: Visitor, report_page: Path) -> None:
     page = visitor.open(report_page, width=DESK)
     assert (shown(page, ".on-wide > svg") > 0, shown(page, ".on-narrow > svg")) == (True, 0)
-    page.set_viewport_size({"width": PHONE, "height": 800})
+    resize(page, PHONE)
     assert (shown(page, ".on-wide > svg"), shown(page, ".on-narrow > svg") > 0) == (0, True)
 
 
-@pytest.mark.parametrize("width", [PHONE, DESK])
-def test_labels_of_the_plots_are_large_enough_to_read(visitor: Visitor, report_page: Path, width: int) -> None:
-    page = visitor.open(report_page, width=width)
-    sizes = page.locator("figure svg text").evaluate_all(
-        "all => all.filter(e => e.getClientRects().length)"
-        ".map(e => [parseFloat(getComputedStyle(e).fontSize), e.getScreenCTM()])"
-        ".map(([size, m]) => size * Math.sqrt(Math.abs(m.a * m.d - m.b * m.c)))"
-    )
-    assert len(sizes) > 20
-    assert min(sizes) >= 7.5
-    assert np.median(sizes) >= 10.0
+def test_labels_of_the_plots_are_large_enough_to_read(visitor: Visitor, report_page: Path) -> None:
+    page = visitor.open(report_page)
+    for width in (PHONE, DESK):
+        resize(page, width)
+        sizes = page.locator("figure svg text").evaluate_all(
+            "all => all.filter(e => e.getClientRects().length)"
+            ".map(e => [parseFloat(getComputedStyle(e).fontSize), e.getScreenCTM()])"
+            ".map(([size, m]) => size * Math.sqrt(Math.abs(m.a * m.d - m.b * m.c)))"
+        )
+        assert len(sizes) > 20
+        assert min(sizes) >= 7.5
+        assert np.median(sizes) >= 10.0
 
 
 def test_the_drawings_have_ink_all_the_way_down(visitor: Visitor, report_page: Path) -> None:

@@ -6,6 +6,7 @@ import io
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from playwright.sync_api import Page, expect
 from evaluation.plots.theme import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
-from tests.browser import DESK, PHONE, TABLET, Visitor, shown, sideways
+from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.evaluation.known_models import SYSTEM, Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
 from tests.pixels import share_of
@@ -78,16 +79,18 @@ def test_another_controller_is_shown_when_it_is_chosen(visitor: Visitor, car: Pa
         expect(page.locator(".screen canvas").first).to_have_attribute("aria-label", re.compile(f"^{row} on car"))
 
 
-@pytest.mark.parametrize("dark", [False, True])
-def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor: Visitor, car: Path, dark: bool) -> None:
-    page = visitor.open(car, dark=dark)
-    coloured = []
-    for seconds in (0.0, 2.9):
-        seek(page, seconds)
-        pixels = painted(page)
-        path = pixels[: pixels.shape[1]]  # above the bars of the controls
-        coloured.append(sum(share_of(getattr(colour, "dark" if dark else "light"), path) for colour in LINES[:2]))
-    assert coloured[0] < 1e-5 < 3e-5 < coloured[1]  # a line of a few dozen pixels
+def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    schemes: tuple[Literal["dark", "light"], ...] = ("light", "dark")
+    for scheme in schemes:
+        page.emulate_media(color_scheme=scheme)
+        coloured = []
+        for seconds in (0.0, 2.9):
+            seek(page, seconds)
+            pixels = painted(page)
+            path = pixels[: pixels.shape[1]]  # above the bars of the controls
+            coloured.append(sum(share_of(getattr(colour, scheme), path) for colour in LINES[:2]))
+        assert coloured[0] < 1e-5 < 3e-5 < coloured[1], scheme  # a line of a few dozen pixels
 
 
 def test_it_plays_to_the_end_pauses_and_begins_anew(visitor: Visitor, car: Path) -> None:
@@ -169,15 +172,16 @@ def test_states_are_drawn_over_time_with_their_value_now(visitor: Visitor, state
     assert share_of(LINES[0].light, painted(page)) > 1e-3
 
 
-@pytest.mark.parametrize("width", [320, PHONE, TABLET, DESK])
 @pytest.mark.parametrize("which", ["car", "states"])
 def test_the_replay_is_never_wider_than_the_screen(
-    which: str, width: int, visitor: Visitor, request: pytest.FixtureRequest
+    which: str, visitor: Visitor, request: pytest.FixtureRequest
 ) -> None:
-    page = visitor.open(request.getfixturevalue(which), width=width)
-    assert sideways(page) == 0
-    parts = page.locator(".deck > *, .screen")
-    assert max(parts.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) <= 0
+    page = visitor.open(request.getfixturevalue(which))
+    for width in (320, PHONE, TABLET, DESK):
+        resize(page, width)
+        assert sideways(page) == 0, width
+        parts = page.locator(".deck > *, .screen")
+        assert max(parts.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) <= 0, width
 
 
 def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor: Visitor, car: Path) -> None:

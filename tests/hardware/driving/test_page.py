@@ -120,8 +120,8 @@ def until(condition: Callable[[], bool]) -> None:
 def test_an_arrow_key_down_and_up_moves_the_car_and_stops_it(session: Session, page: Page) -> None:
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.8")
-    released = time.monotonic()
     page.keyboard.up("ArrowUp")
+    released = time.monotonic()
     wait(page, f"{SPEED} < 0.02")
     assert session.keyboard.last < released + HOLD
     assert session.neutral_since() < session.keyboard.last + HOLD + session.slack()
