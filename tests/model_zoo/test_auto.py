@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto import Auto
-from model_zoo.selection.candidates import SHIPPED, Candidate, offered, structure_of
+from model_zoo.selection.candidates import PROCESSORS, SHARE, SHIPPED, Candidate, affordable, offered, structure_of
 from model_zoo.selection.choosing import UNTRIED, Choosing
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
@@ -201,6 +201,21 @@ def test_all_that_is_shipped_is_offered_to_a_car() -> None:
     found, left_out = offered(example_dataset().system)
     assert [one.spec for one in found] == [one.spec for one in SHIPPED]
     assert not left_out
+
+
+@pytest.mark.parametrize(
+    ("outputs", "budget", "thorough"), [(1, 60.0, False), (2, 60.0, False), (1, 300.0, True), (3, 300.0, True)]
+)
+def test_networks_with_hidden_states_are_tried_of_few_outputs_and_thoroughly_with_the_standard_budget(
+    outputs: int, budget: float, thorough: bool
+) -> None:
+    names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
+    system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
+    found, _ = offered(system)
+    costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
+    tried = [found[number].spec for number in affordable(costs, PROCESSORS * SHARE * budget)]
+    own = [bool(spec.parameters) for spec in tried if spec.name == "nonlinear_state_space"]
+    assert own == [True, False] if thorough else own == [True]
 
 
 @pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
