@@ -96,7 +96,6 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=2.0)", 4.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=2.0)", 5.5),
     _networks(0, 2, 0.05),
-    _one("nonlinear_state_space", 60.0, 0.3),
 )
 """What is tried unless candidates are named, the most telling for their time first."""
 

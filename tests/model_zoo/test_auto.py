@@ -203,19 +203,14 @@ def test_all_that_is_shipped_is_offered_to_a_car() -> None:
     assert not left_out
 
 
-@pytest.mark.parametrize(
-    ("outputs", "budget", "thorough"), [(1, 60.0, False), (2, 60.0, False), (1, 300.0, True), (3, 300.0, True)]
-)
-def test_networks_with_hidden_states_are_tried_of_few_outputs_and_thoroughly_with_the_standard_budget(
-    outputs: int, budget: float, thorough: bool
-) -> None:
+@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
+def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs: int, budget: float) -> None:
     names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
     system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
     found, _ = offered(system)
     costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
-    tried = [found[number].spec for number in affordable(costs, PROCESSORS * SHARE * budget)]
-    own = [bool(spec.parameters) for spec in tried if spec.name == "nonlinear_state_space"]
-    assert own == [True, False] if thorough else own == [True]
+    tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
+    assert "nonlinear_state_space" in tried
 
 
 @pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
