@@ -80,13 +80,13 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("sindy(lag_search=few)", 0.7, 1.0),
     _networks(0, 5, 0.3),
     _one("linear_state_space(iterations=12, folds=1, most_steps=4000)", 1.5, 0.3),
+    _one(
+        "nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)", 20.0, 0.3
+    ),
     _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
     _one("gaussian_process", 3.0, 1.0),
     _one("sindy_discrete", 1.0, 1.0),
     _one("single_track(residual=true, starts=3, windows=120, residual_points=60)", 3.0, 0.3),
-    _one(
-        "nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)", 6.0, 0.3
-    ),
     _networks(0, 0, 3.0),
     _one("linear(state_lags=2, control_lags=2)", 0.1, 1.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=0.3)", 5.5),

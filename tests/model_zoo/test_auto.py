@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto import Auto
-from model_zoo.selection.candidates import SHIPPED, Candidate, offered, structure_of
+from model_zoo.selection.candidates import PROCESSORS, SHARE, SHIPPED, Candidate, affordable, offered, structure_of
 from model_zoo.selection.choosing import UNTRIED, Choosing
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
@@ -201,6 +201,16 @@ def test_all_that_is_shipped_is_offered_to_a_car() -> None:
     found, left_out = offered(example_dataset().system)
     assert [one.spec for one in found] == [one.spec for one in SHIPPED]
     assert not left_out
+
+
+@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
+def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs: int, budget: float) -> None:
+    names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
+    system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
+    found, _ = offered(system)
+    costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
+    tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
+    assert "nonlinear_state_space" in tried
 
 
 @pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])

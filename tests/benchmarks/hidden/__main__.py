@@ -115,8 +115,8 @@ def true_structure(system: HiddenSystem, training: Dataset, seed: int) -> Array:
     run, rng = training.episodes[0], np.random.default_rng(seed)
 
     def residuals(logarithms: Array) -> Array:
-        simulated = system.simulate(np.exp(logarithms), run.controls[:, 0])
-        return np.clip(np.nan_to_num(simulated - run.states[:, 0], nan=LOST), -LOST, LOST)
+        off = (system.simulate(np.exp(logarithms), run.controls[:, 0]) - run.states[:, 0]) / run.states[:, 0].std()
+        return np.clip(np.nan_to_num(off, nan=LOST), -LOST, LOST)
 
     guesses = [np.log(system.parameters) + OFF * rng.standard_normal(len(system.parameters)) for _ in range(GUESSES)]
     with np.errstate(all="ignore"):

@@ -178,3 +178,69 @@ def heater(p, u):
             wall += dt * (p[2] * (element - wall) - p[3] * wall)
         y[k + 1] = element
     return y
+
+
+@njit
+def parallel_branches(p, u):
+    """Two branches side by side: an oscillator, a curve and a low pass; a low pass, a dead band and an oscillator.
+
+    p: frequency and damping of the first oscillator, slope of the curve, the two poles, frequency and damping of the
+    second oscillator, dead band, gain of the second branch.
+    """
+    y = np.zeros(len(u) + 1)
+    a = b = c = d = e = f = 0.0
+    cos1 = 2.0 * p[1] * np.cos(p[0])
+    cos2 = 2.0 * p[6] * np.cos(p[5])
+    for k in range(len(u)):
+        a, b = cos1 * a - p[1] ** 2 * b + (1.0 - cos1 + p[1] ** 2) * u[k], a
+        c = p[3] * c + (1.0 - p[3]) * np.tanh(p[2] * a)
+        d = p[4] * d + (1.0 - p[4]) * u[k]
+        beyond = max(d - p[7], 0.0) + min(d + p[7], 0.0)
+        e, f = cos2 * e - p[6] ** 2 * f + (1.0 - cos2 + p[6] ** 2) * p[8] * beyond, e
+        y[k + 1] = c + e
+    return y
+
+
+@njit
+def stage(p, u):
+    """A stage that a limited controller drives to where the control says, with dry friction; position measured, in mm.
+
+    p: stiffness and damping of the controller, lag of the current, push, friction, dry friction, how much more of it
+    there is at rest, the speed at which that is over, limit of the current.
+    """
+    y = np.zeros(len(u) + 1)
+    x = v = i = 0.0
+    dt = 0.02 / 40.0
+    for k in range(len(u)):
+        aim = 50.0 * (u[k] + 1.0)
+        for _ in range(40):
+            asked = min(max(p[0] * (aim - x) - p[1] * v, -p[8]), p[8])
+            i += dt * (asked - i) / p[2]
+            dry = (p[5] + p[6] * np.exp(-((v / p[7]) ** 2))) * np.tanh(v / 0.5)
+            v += dt * (p[3] * i - p[4] * v - dry)
+            x += dt * v
+        y[k + 1] = x
+    return y
+
+
+@njit
+def pneumatic(p, u):
+    """A valve with a dead band between 6 bar and the air, a vessel, a tube and a second vessel; its pressure in Pa.
+
+    p: flow of the valve, of the tube, where that becomes laminar, ratio of the volumes, dead band, leak.
+    """
+    y = np.empty(len(u) + 1)
+    first = second = 2e5
+    dt = 0.02 / 20.0
+    y[0] = second
+    for k in range(len(u)):
+        opened = max(u[k] - p[4], 0.0) + min(u[k] + p[4], 0.0)
+        for _ in range(20):
+            high, low = (6e5, first) if opened > 0.0 else (first, 1e5)
+            choked = high if low < 0.5 * high else 2.0 * np.sqrt(max(low * (high - low), 0.0))
+            drop = first - second
+            through = p[1] * drop / np.sqrt(abs(drop) / 1e5 + p[2])
+            first = max(first + dt * (p[0] * opened * choked - through), 1e5)
+            second += dt * (p[3] * through - p[5] * (second - 1e5))
+        y[k + 1] = second
+    return y
