@@ -16,6 +16,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from PIL import Image
+
 from tests.docs.blocks import PAGES
 from tests.docs.running import picture, run_page, shown_on
 from tests.sysid_evo.cli.calling import run_here
@@ -26,6 +28,8 @@ COMPARISON = ("compare", "--preset", "quick", "--seed", "0")
 REPORT = PAGES["index.md"].parent / "images" / "report.png"
 SCREEN = 985, 900
 """Width and height of the first screen in pixels."""
+COLOURS = 64
+"""As many are enough for text and make a third of the bytes."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -70,6 +74,13 @@ def first_screen(page: Path, file: Path) -> None:
         size = "--window-size={},{}".format(*SCREEN)
         command = [chromium, *options, size, f"--screenshot={file}", page.resolve().as_uri()]
         subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=60.0, check=True)
+    fewer_colours(file)
+
+
+def fewer_colours(png: Path) -> None:
+    """Write a picture again with at most ``COLOURS``."""
+    with Image.open(png) as whole:
+        whole.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(png, optimize=True)
 
 
 if __name__ == "__main__":

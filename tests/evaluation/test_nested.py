@@ -149,6 +149,14 @@ def test_seeds_that_all_fall_into_one_basin_learn_from_the_others_how_far_seeds_
     assert found["alone"] == figures["alone"]
 
 
+def test_a_controller_with_more_seeds_tells_more_of_how_far_seeds_differ() -> None:
+    seeds = {"few": (-1.0, 1.0), "many": (-3.0, 3.0, -3.0, 3.0, 0.0), "own": (0.0, 0.0)}
+    found = alike({name: of(np.array(values)[:, None] + np.zeros((1, 10)), name) for name, values in seeds.items()})
+    prior = found["own"].priors["own"]
+    assert prior.variance == pytest.approx((1.0 * 2.0 + 4.0 * 9.0) / 5.0)
+    assert prior.degrees == pytest.approx(1.0 / (1.0 / 8.0 + 1.0 / 5.0))
+
+
 def test_what_others_tell_of_seeds_stays_with_a_controller_when_figures_are_joined(rng: np.random.Generator) -> None:
     luck = rng.normal(size=(4, 3, 20)) + 3.0 * rng.normal(size=(4, 3, 1))
     one, two, three, four = alike({name: of(values, name) for name, values in zip("abcd", luck, strict=True)}).values()

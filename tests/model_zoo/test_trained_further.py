@@ -14,7 +14,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.registry import make_model
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
-HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5}
+HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5, "input_noise": 0.07}
 FAMILIES: dict[str, dict[str, Any]] = {
     "mlp_ensemble": {**HARDLY, "members": 2, "state_lags": 1, "control_lags": 1},
     "neural_ode": HARDLY,

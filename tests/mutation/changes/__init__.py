@@ -11,6 +11,7 @@ from tests.mutation.changes import (
     exploits,
     families,
     figures,
+    intervals,
     plans,
     robots,
     statistics,
@@ -33,4 +34,5 @@ ALL: tuple[Change, ...] = (
     *studies.CHANGES,
     *clusters.CHANGES,
     *conditions.CHANGES,
+    *intervals.CHANGES,
 )

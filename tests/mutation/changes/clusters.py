@@ -6,10 +6,12 @@ DISPATCH = "sysid_evo/plan/dispatch.py"
 REMOTE = "sysid_evo/plan/remote.py"
 SCHEDULER = "sysid_evo/plan/scheduler.py"
 PARCELS = "sysid_evo/plan/parcels.py"
+CLUSTER = "sysid_evo/plan/cluster.py"
 TEST_DISPATCH = "tests/sysid_evo/plan/test_dispatch.py"
 TEST_REMOTE = "tests/sysid_evo/plan/test_remote.py"
 TEST_SCHEDULER = "tests/sysid_evo/plan/test_scheduler.py"
 TEST_PARCELS = "tests/sysid_evo/plan/test_parcels.py"
+TEST_WHAT_IS_LOST = "tests/sysid_evo/plan/test_what_is_lost.py"
 
 CHANGES = (
     Change(
@@ -200,5 +202,122 @@ CHANGES = (
         'return not path.is_absolute() and ".." not in path.parts',
         'return ".." not in path.parts',
         (TEST_PARCELS,),
+    ),
+    Change(
+        "one worker that died is two",
+        CLUSTER,
+        "times = error.allowed_failures + 1",
+        "times = error.allowed_failures + 2",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "a cell at which workers die goes round for ever",
+        CLUSTER,
+        "if isinstance(error, KilledWorker):",
+        "if isinstance(error, KeyboardInterrupt):",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "what workers cannot run is sent again",
+        CLUSTER,
+        "            self.home.add(cell.digest)\n",
+        "",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "what is lost is sent for ever",
+        CLUSTER,
+        "if self.lost[cell.digest] > LOST:",
+        "if self.lost[cell.digest] > 1000 * LOST:",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "lost data are believed to be there",
+        CLUSTER,
+        "            self.post.mistrust({needed.digest for needed in cell.needs})\n",
+        "",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change("a new scheduler is not listened to", CLUSTER, "            self.post.listen()\n", "", (TEST_WHAT_IS_LOST,)),
+    Change(
+        "a process that ended is no try",
+        CLUSTER,
+        "if self.tried[cell.digest] >= TRIES:",
+        "if self.tried[cell.digest] > TRIES:",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "a result that is not whole stops the run",
+        CLUSTER,
+        "            except ArtefactError as error:\n                self._try_again",
+        "            except KeyError as error:\n                self._try_again",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "what failed elsewhere took no time",
+        CLUSTER,
+        'answer["traceback"] or "", answer["seconds"])',
+        'answer["traceback"] or "", 0.0)',
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "what a worker cannot plan is believed to be all",
+        CLUSTER,
+        'unknown = frozenset(asked - set(answer["knows"]) | {cell.digest})',
+        "unknown = frozenset(asked)",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "equal versions are told as other ones",
+        CLUSTER,
+        "if version != ours.get(name)}",
+        "if version}",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "every worker tells what it cannot plan", CLUSTER, "            self.told.add(told)\n", "", (TEST_WHAT_IS_LOST,)
+    ),
+    Change(
+        "a cell goes to workers that cannot plan it",
+        CLUSTER,
+        "only = able if len(able) < len(self.workers) else None",
+        "only = None",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "results of failed cells are sent",
+        CLUSTER,
+        "needs = {needed.digest for needed in cell.needs} - failed",
+        "needs = {needed.digest for needed in cell.needs}",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "a cell that nobody took stays claimed",
+        CLUSTER,
+        "+ LOOK\n                return\n",
+        "+ LOOK\n                self.kept = claim.pop_all()\n                return\n",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "nothing is handed out ahead",
+        CLUSTER,
+        "room = FIRST + AHEAD * sum(self.workers.values())",
+        "room = FIRST + sum(self.workers.values())",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change("what is away leaves no less room", CLUSTER, " - len(self.away)\n", "\n", (TEST_WHAT_IS_LOST,)),
+    Change(
+        "what needs a cell that stays here is sent",
+        CLUSTER,
+        "if cell.at_home or any(needed.digest in found for needed in cell.needs):",
+        "if cell.at_home:",
+        (TEST_WHAT_IS_LOST,),
+    ),
+    Change(
+        "without workers nothing is sent",
+        CLUSTER,
+        "or bool(self.workers and not there)",
+        "or not there",
+        (TEST_WHAT_IS_LOST,),
     ),
 )
