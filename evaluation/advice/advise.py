@@ -26,6 +26,10 @@ FEWEST = 20
 """Windows of the part held back below which there is nothing to judge on."""
 HELD_BACK = 0.25
 """Share of the end of each episode that a copy is judged on where there is no test part."""
+NEGLIGIBLE = 0.05
+"""N at the main horizon up to which a model is not limited by anything that is worth a word."""
+EVEN_THEN = ("noise", "excitation", "test part", "dead command")
+"""What is said of such a model all the same: that little is left to gain, and where the data do not lie."""
 EXPLAINS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
@@ -73,6 +77,8 @@ def advise_model(
     remarks = [remark for look in LOOKS if (remark := look(where)) is not None]
     if where.test is not None and where.model.cheap and (more := _with_half(where, seed)) is not None:
         remarks.append(more)
+    if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
+        remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
     ordered = sorted(_not_explained(remarks), key=lambda remark: -remark.weight)
     return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
 

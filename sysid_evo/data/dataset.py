@@ -110,7 +110,7 @@ class Dataset:
         controls needs none. Raises `ShapeError`, `InvalidArgument`.
         """
         _expect_system(system, "Dataset.from_arrays(system, states, controls)")
-        states = _by_episode(states)
+        states = _by_episode(states, system.nx)
         if controls is None:
             if system.nu:
                 raise InvalidArgument(
@@ -118,8 +118,9 @@ class Dataset:
                     "Dataset.from_arrays(system, states, controls)"
                 )
             controls = [np.empty((max(len(np.asarray(x)) - 1, 0), 0)) for x in states]
-        controls = _by_episode(controls)
-        poses = None if poses is None else _by_episode(poses)
+        one = len(states) == 1
+        controls = _by_episode(controls, system.nu if one else 0)
+        poses = None if poses is None else _by_episode(poses, system.n_pose if one else 0)
         if len(states) != len(controls) or (poses is not None and len(poses) != len(states)):
             raise ShapeError(
                 f"expected as many control (and pose) arrays as state arrays, got {len(states)} states, "
@@ -339,12 +340,12 @@ def _expect_system(system: object, call: str) -> None:
         raise InvalidArgument(f"expected a System first, got {type(system).__name__}: {call}")
 
 
-def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike]) -> Sequence[npt.ArrayLike]:
-    """Return a list with one array for each episode; one array of rows, or a table, is one episode."""
+def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> Sequence[npt.ArrayLike]:
+    """Return a list with one array for each episode; one array or list of rows, ``width`` long, is one episode."""
     if isinstance(arrays, (list, tuple)) and arrays and np.ndim(arrays[0]) == 0:
         return [np.asarray(arrays)]
     if isinstance(arrays, (list, tuple)):
-        return arrays
+        return [np.asarray(arrays)] if arrays and all(np.shape(row) == (width,) for row in arrays) else arrays
     rows = np.asarray(arrays)
     return [rows] if rows.ndim < 3 else list(rows)
 

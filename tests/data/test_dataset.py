@@ -228,6 +228,17 @@ def test_one_array_is_one_episode_and_one_channel_may_be_flat():
     assert stacked.names == ("a", "b", "c")
 
 
+def test_samples_that_were_appended_to_a_list_are_one_episode(rng):
+    system = System(["a", "b"], ["u"], dt=0.1)
+    states, controls = rng.normal(size=(5, 2)), rng.normal(size=(4, 1))
+    for listed in (list, np.ndarray.tolist):
+        data = Dataset.from_arrays(system, listed(states), listed(controls))
+        np.testing.assert_array_equal(data.episodes[0].states, states)
+        np.testing.assert_array_equal(data.episodes[0].controls, controls)
+    two = Dataset.from_arrays(system, [states[:2], states[2:4]], [controls[0], controls[1]])
+    assert [len(episode) for episode in two] == [1, 1]
+
+
 def test_a_table_gives_one_episode_for_each_name(rng):
     frame = pd.DataFrame({"run": ["a"] * 4 + ["b"] * 3, "place": np.arange(7.0), "push": -np.arange(7.0)})
     data = Dataset.from_pandas(LINE, frame, episode="run")

@@ -231,6 +231,18 @@ def test_the_most_important_comes_first_and_there_are_five_at_most() -> None:
     assert "noise" not in [remark.topic for remark in advice.remarks]
 
 
+def test_the_form_of_a_model_that_is_nearly_right_does_not_limit_it() -> None:
+    where = evidence(Fault(bend=0.1), noise=1e-4)
+    remark = noise_floor(where)
+    assert remark is not None
+    assert remark.topic == "form"
+    assert where.test_windows.n(where.std) < 0.05
+    topics = [remark.topic for remark in advise_model(where.model, where.training, where.test).remarks]
+    assert not {"form", "weak region", "shift", "hidden state"} & set(topics)
+    wrong = evidence(Fault(bend=1.5), noise=1e-4)
+    assert advise_model(wrong.model, wrong.training, wrong.test).remarks[0].topic == "form"
+
+
 def test_what_follows_from_something_else_is_left_out() -> None:
     where = evidence(Fault(late=6))
     assert noise_floor(where) is not None
