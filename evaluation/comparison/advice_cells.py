@@ -17,7 +17,7 @@ from sysid_evo.data import Trajectory
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.plan import Cell, Work
 
-FORM = 1
+FORM = 2
 """Raised whenever other advice is given on the same than before."""
 
 

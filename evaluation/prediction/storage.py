@@ -22,7 +22,7 @@ from sysid_evo.files import write_atomically
 
 ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
 RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
-FORM = 3
+FORM = 4
 """Raised whenever stored scores hold something else than before."""
 
 
