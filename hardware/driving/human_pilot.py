@@ -75,7 +75,7 @@ class HumanPilot(Pilot):
             self.end()
             return None
         if phase is Phase.SETTLING:
-            if self._rest.at_rest(estimate) and not keys:
+            if self._rest.at_rest(estimate) and self._keyboard.let_go:
                 self.progress = self._progress(Phase.READY)
             return self._task.system.neutral_control
         if phase is Phase.READY:

@@ -54,6 +54,11 @@ class Keyboard:
         held = self._held
         return held.keys if self._clock() - held.time <= self.life else 0
 
+    @property
+    def let_go(self) -> bool:
+        """Whether the newest word was that no key is held: a word that is overdue does not say so."""
+        return self._held.keys == 0
+
     def ask_for_new_trial(self) -> None:
         """Note that the person wants to start anew."""
         self._again.set()

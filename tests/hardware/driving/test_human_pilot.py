@@ -75,8 +75,9 @@ def test_a_released_key_means_neutral_in_the_next_sample(emulated: EmulatedRobot
     assert last_driven < BEGIN + 0.52 + emulated.system.dt
 
 
-def test_a_key_that_is_down_from_the_start_drives_nothing(emulated: EmulatedRobot) -> None:
-    hands = Hands(lambda _: FORWARD)
+@pytest.mark.parametrize("overdue", [0.0, 1.0])
+def test_a_key_that_is_down_from_the_start_drives_nothing(emulated: EmulatedRobot, overdue: float) -> None:
+    hands = Hands(lambda time: None if 2.0 < time < 2.0 + overdue else FORWARD)
     pilot, _ = drive(emulated, hands, PointToPoint(horizon=30), samples=100)
     assert not any(command.control.any() for command in hands.commands)
     assert pilot.progress.phase is Phase.SETTLING

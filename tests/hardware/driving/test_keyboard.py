@@ -43,6 +43,16 @@ def test_released_keys_are_released_at_once(keyboard: Keyboard) -> None:
     assert keyboard.keys == 0
 
 
+def test_a_word_that_is_overdue_does_not_let_go(keyboard: Keyboard, clock: Clock) -> None:
+    assert keyboard.let_go
+    keyboard.press(FORWARD)
+    clock.time += 1.0
+    assert not keyboard.keys
+    assert not keyboard.let_go
+    keyboard.release()
+    assert keyboard.let_go
+
+
 def test_a_loop_that_asks_once_a_sample_is_in_neutral_within_150_ms(car: System) -> None:
     assert key_life(car) + car.dt == pytest.approx(0.15)
     with pytest.raises(InvalidArgument, match=r"below 0\.15 s"):
