@@ -27,6 +27,7 @@ from tests.pixels import seen
 
 BANNER = "document.getElementById('banner').textContent"
 READY = f"{BANNER}.startsWith('Press')"
+LOST = f"{BANNER}.includes('R starts another trial')"
 SPEED = "Number(document.getElementById('speed').textContent)"
 
 
@@ -100,7 +101,11 @@ def session() -> Iterator[Session]:
 @pytest.fixture
 def page(session: Session, visitor: Visitor) -> Page:
     page = visitor.open(session.page.url)
-    wait(page, READY)
+    for _ in range(10):  # a machine that is busy with other tests loses the robot now and then
+        wait(page, f"{READY} || {LOST}")
+        if page.evaluate(READY):
+            break
+        page.keyboard.press("KeyR")
     return page
 
 
@@ -164,11 +169,13 @@ def lose_by_crashing(page: Page) -> None:
 def test_losing_the_page_stops_the_car(session: Session, page: Page, lose: Callable[[Page], None]) -> None:
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.5")
+    heard = session.keyboard.words
+    until(lambda: session.keyboard.words > heard)
     before = time.monotonic()
     lose(page)
     until(lambda: time.monotonic() > session.keyboard.last + 0.3)
     until(lambda: not session.sent[-1].control.any())
-    assert before - HOLD < session.keyboard.last
+    assert before - HOLD - session.slack() < session.keyboard.last
     assert session.neutral_since() < session.keyboard.last + HOLD + session.slack()
     assert len(session.sent) > 10
 
@@ -176,14 +183,15 @@ def test_losing_the_page_stops_the_car(session: Session, page: Page, lose: Calla
 def test_r_begins_a_new_trial_and_a_held_key_does_not_start_it(session: Session, page: Page) -> None:
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.5")
+    number = int(page.locator("#trial").inner_text().split()[1])
     page.keyboard.press("KeyR")
-    expect(page.locator("#trial")).to_have_text("trial 2")
+    expect(page.locator("#trial")).to_have_text(f"trial {number + 1}")
     driven, heard = sum(command.control.any() for command in session.sent), session.keyboard.words
     wait(page, f"{BANNER}.startsWith('Release')")
     until(lambda: session.keyboard.words > heard + 30)
     assert page.evaluate(f"{BANNER}.startsWith('Release')")
     assert sum(command.control.any() for command in session.sent) == driven
-    assert [trial.fitness for trial in session.trials] == [None]
+    assert [trial.fitness for trial in session.trials] == [None] * number
     page.keyboard.up("ArrowUp")
     wait(page, READY)
     page.keyboard.down("KeyW")
