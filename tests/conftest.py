@@ -39,7 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")
         os.environ["SYSID_EVO_CACHE"] = folder.name
         config.add_cleanup(folder.cleanup)
-        config.add_cleanup(lambda: os.environ.pop("SYSID_EVO_CACHE"))
+        config.add_cleanup(lambda: os.environ.__delitem__("SYSID_EVO_CACHE"))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
