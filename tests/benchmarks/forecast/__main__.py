@@ -31,6 +31,7 @@ from evaluation.forecast import RULE
 from evaluation.study import Study
 from tests.benchmarks.forecast.judging import (
     Seen,
+    asked_only,
     best_of_ten,
     calibrated,
     held,
@@ -136,6 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--store", type=Path, help="folder that holds the cells of the study")
     parser.add_argument("--out", type=Path, required=True, help="folder that keeps what was seen")
     parser.add_argument("--compute", type=int, metavar="JOBS", help="first compute what the store lacks")
+    parser.add_argument("--models", help="labels, separated by commas: ask these alone, of controllers evolved in them")
     console, runs = Console(width=120), {}
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
@@ -147,6 +149,8 @@ def main(arguments: list[str] | None = None) -> int:
         for point, comparison in complete_points(Study.read(given.study), given.store):
             car = number_of(comparison.experiment.robot or "")
             records = look_at(point, comparison, given.store, given.out)
+            if given.models:
+                records = asked_only(records, given.models.split(","))
             runs[car, point.name] = [seen(record, car, point.name, RULE) for record in records]
             console.print(f"{point.name}: {len(records)} controllers, {time.process_time():.0f} s", highlight=False)
     for run in given.runs:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +35,15 @@ class Seen:
     error: float
     terms: Mapping[str, float] = field(default_factory=dict)
     name: str = ""
+
+
+def asked_only(records: Sequence[Record], labels: Collection[str]) -> list[Record]:
+    """Return the controllers that were evolved in models called ``labels`` alone, as seen by these models."""
+    return [
+        {**record, "columns": {label: column for label, column in record["columns"].items() if label in labels}}
+        for record in records
+        if set(record["against"]) <= set(labels)
+    ]
 
 
 def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:

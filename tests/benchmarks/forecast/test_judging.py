@@ -8,6 +8,7 @@ import pytest
 from evaluation.forecast import RULE
 from tests.benchmarks.forecast.judging import (
     Seen,
+    asked_only,
     best_of_ten,
     calibrated,
     held,
@@ -77,3 +78,14 @@ def test_terms_that_were_not_looked_at_are_none() -> None:
     columns = {name: {"family": name, "error": 0.1, "fitness": [9.0, 11.0]} for name in ("a", "b")}
     found = seen({"name": "c", "achieved": 9.5, "against": ["a"], "columns": columns}, 0, "", RULE)
     assert (found.name, found.forecast, dict(found.terms)) == ("c", 10.0, {})
+
+
+def test_where_some_models_alone_are_asked_nobody_else_says_anything() -> None:
+    column = {"family": "a", "error": 0.1, "fitness": [9.0, 11.0], "outside": 0.1, "probed": 0.0}
+    columns = {"a": column, "b": {**column, "family": "b"}, "c": {**column, "family": "c"}}
+    records: list[Record] = [
+        {"against": list(against), "achieved": 5.0, "columns": columns, "optimism": 0.0} for against in ("a", "ab", "c")
+    ]
+    found = asked_only(records, ("a", "b"))
+    assert [record["against"] for record in found] == [["a"], ["a", "b"]]
+    assert all(list(record["columns"]) == ["a", "b"] for record in found)
