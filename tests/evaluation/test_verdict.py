@@ -130,13 +130,13 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         lambda: report(transfer=matrix({"a": {"a": 9.0, "car": 8.0}}, robot="car")),
         driven,
     ),
-    "Chosen without the robot: a, the highest of 3 forecasts: 8.8 (7.5 to 9.3) waypoints are expected of it; "
+    "Chosen without the robot: a, the highest of 3 forecasts: 8.8 (7.6 to 9.4) waypoints are expected of it; "
     "it achieves 9.5 on the robot, outside the interval.": (driven, lambda: on_models(8.5)),
     "it achieves 8.2 on the robot, as forecast.": (
         lambda: report(transfer=matrix({"a": {"a": 9.0, "b": 8.0, "car": 8.2}}, robot="car")),
         driven,
     ),
-    "Chosen without the robot: a, the only one with a forecast: 9.0 (7.5 to 9.7) waypoints are expected of it.": (
+    "Chosen without the robot: a, the only one with a forecast: 9.0 (7.7 to 9.7) waypoints are expected of it.": (
         lambda: on_models(8.5),
         driven,
     ),
