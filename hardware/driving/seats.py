@@ -39,13 +39,14 @@ class Seat:
             raise InvalidWord(f"clock: expected seconds, got {clock!r}")
         if type(new) is not bool:
             raise InvalidWord(f"new: expected true or false, got {new!r}")
-        if not self._punctuality.on_time(clock, arrival) or not self.drives:
+        on_time = self._punctuality.on_time(clock, arrival)
+        if new and self.drives:  # it ends what is driven, so it is never too late for it
+            self._keyboard.ask_for_new_trial()
+        if not on_time or not self.drives:
             return
         self._seen_released = self._seen_released or keys == 0
         if self._seen_released:
             self._keyboard.press(keys)
-        if new:
-            self._keyboard.ask_for_new_trial()
 
     def leave(self) -> None:
         """Let go of the keys and make room for the one who has watched longest; a second call does nothing."""

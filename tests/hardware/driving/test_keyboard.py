@@ -112,6 +112,14 @@ def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard: Keybo
     assert keyboard.keys == FORWARD
 
 
+def test_what_was_held_up_on_its_way_presses_no_key_and_yet_ends_the_trial(keyboard: Keyboard) -> None:
+    seat = Seats(keyboard).take()
+    seat.hear(word(0, 1.0), 1.0)
+    seat.hear(word(FORWARD, 1.1, new=True), 2.1)
+    assert keyboard.keys == 0
+    assert keyboard.new_trial_wanted
+
+
 def test_one_drives_and_the_others_watch_until_it_leaves(keyboard: Keyboard) -> None:
     seats = Seats(keyboard)
     first, second = seats.take(), seats.take()
