@@ -127,7 +127,7 @@ class GreyBox(DynamicsModel):
         raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
 
     @staticmethod
-    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # not what `step` asks
+    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # a law, see below
         """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`.
 
         It is a law like `rate`, and has its arguments: `step` is written here and never asks the inherited method.

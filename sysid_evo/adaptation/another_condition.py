@@ -27,9 +27,8 @@ def adapted(
     system = model.system
     old = None if training is None else as_of(system, training)
     family: Any = models.get("adapted")
-    adapted_model: DynamicsModel = family(base=None).given(model, old)
-    # every family's fit is wrapped (`recorded`): called from outside it also takes seeds, True and None
-    return adapted_model.fit(as_of(system, dataset), rng=rng, progress=progress)  # type: ignore[arg-type]  # see above
+    found: DynamicsModel = family(base=None).given(model, old).fit(as_of(system, dataset), rng=rng, progress=progress)
+    return found
 
 
 def as_of(system: System, dataset: Dataset) -> Dataset:

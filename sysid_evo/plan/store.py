@@ -315,7 +315,7 @@ class StoredCell(Cell):
     of: type[Cell]
 
     @property
-    def kind(self) -> str:  # type: ignore[override]  # that of the record
+    def kind(self) -> str:  # type: ignore[override]  # a class has one kind, a record its own
         return self.record.kind
 
     @property

@@ -9,6 +9,7 @@ import copy
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from sklearn.base import clone
@@ -47,7 +48,8 @@ def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) 
     Raises `IncompatibleSystem` if the family refuses the system of ``dataset``.
     """
     dataset = example_dataset() if dataset is None else dataset
-    quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
+    family: Any = models.get(name)
+    quick = dict(family.presets.get("quick", {}))
     model = make_model(name, **{**quick, **parameters})
     model.check_system(dataset.system)
     yield verdict(an_unfitted_model_says_so, model, dataset)
