@@ -222,6 +222,7 @@ class _Objective:
         return np.where(np.isfinite(total), total, np.inf)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a space that runs away counts as the worst there is
 def train(
     spaces: Spaces, segments: Segments, starts: Array, iterations: int, told: Callable[[], None] = lambda: None
 ) -> Trained:

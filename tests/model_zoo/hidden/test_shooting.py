@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -171,3 +173,11 @@ def test_a_space_that_says_what_no_other_says_is_astray() -> None:
     outer[2, :, 2] *= 1.3
     three = Spaces.linear(outer, trained.spaces.pace)
     assert lesson.escapes(three, lesson.observers(trained) * 3).tolist() == [False, False, True]
+
+
+def test_a_space_that_runs_away_is_trained_without_a_warning() -> None:
+    steps = 700
+    segments = Segments(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        train(linear_growth(1.0), segments, np.ones((1, 1, 1)), 2)
