@@ -142,7 +142,8 @@ class Dataset:
 
         ``episode`` is the column that names the episodes (default: all rows are one). Pose columns
         (``x``, ``y``, ``heading`` for a planar body) are taken if all are there. Raises `InvalidData`
-        if a column is missing, `InvalidArgument` if there is no table.
+        if a column is missing, or if a column ``time`` (s) or an index of times says that rows are not
+        ``dt`` apart (5 %), `InvalidArgument` if there is no table.
         """
         _expect_system(system, "Dataset.from_pandas(system, frame)")
         from sysid_evo.data.frames import from_frame

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     from sysid_evo.data.trajectory import Trajectory
 
+UNEVEN = 0.05
+"""Share of dt by which a step of a table may differ from it."""
+
 
 def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = None) -> Dataset:
     """Make a data set from a table, see `Dataset.from_pandas`."""
@@ -39,6 +42,8 @@ def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = Non
     has_pose = bool(poses) and all(name in frame.columns for name in poses)
     groups = frame.groupby(episode, sort=False) if episode else [("episode-0", frame)]
     tables = [(str(name), table) for name, table in groups]
+    for name, table in tables:
+        _expect_even(system, name, table)
     return Dataset.from_arrays(
         system,
         [table[list(system.state_names)].to_numpy() for _, table in tables],
@@ -46,6 +51,37 @@ def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = Non
         poses=[table[poses].to_numpy() for _, table in tables] if has_pose else None,
         names=[name for name, _ in tables],
     )
+
+
+def _expect_even(system: System, name: str, table: pd.DataFrame) -> None:
+    """Raise `InvalidData` if a table says when its rows were taken, and they are not ``dt`` apart."""
+    seconds = _seconds(system, table)
+    if seconds is None:
+        return
+    steps = np.diff(seconds)
+    wrong = np.flatnonzero(~(np.abs(steps - system.dt) <= UNEVEN * system.dt))
+    if len(wrong):
+        raise InvalidData(
+            f"table: episode {name!r} has {len(wrong)} of {len(steps)} steps that are not dt = {system.dt:g} s long, "
+            f"the first from row {wrong[0]} on, {steps[wrong[0]]:g} s. Every row is taken for one dt: resample the "
+            "table, save it as CSV for Dataset.read(path, columns=...), which resamples, or drop its time"
+        )
+
+
+def _seconds(system: System, table: pd.DataFrame) -> Array | None:
+    """Return when the rows were taken (N,), in seconds: the column ``time``, or an index of times; None without."""
+    import pandas as pd
+
+    if "time" in table.columns and "time" not in (*system.state_names, *system.control_names):
+        column = table["time"]
+        if pd.api.types.is_numeric_dtype(column.dtype):
+            return column.to_numpy(dtype=np.float64)
+        index = pd.Index(column)
+    else:
+        index = table.index
+    if not isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
+        return None
+    return np.asarray(pd.TimedeltaIndex(index - index[0]).total_seconds(), dtype=np.float64)
 
 
 def to_frame(dataset: Dataset) -> pd.DataFrame:

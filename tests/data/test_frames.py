@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sysid_evo.data import Dataset, Trajectory
@@ -33,6 +34,37 @@ def test_a_table_holds_every_sample_with_its_time_and_becomes_the_same_data_set_
     assert np.flatnonzero(frame["push"].isna()).tolist() == [5, 8]
     again = Dataset.from_pandas(LINE, frame, episode="episode")
     assert again.fingerprint == data.fingerprint
+
+
+UNEVEN = [0.0, 0.1, 0.2, 0.4, 0.5]
+DAY = pd.Timestamp("2026-03-01")
+
+
+@pytest.mark.parametrize(
+    "timed",
+    [
+        lambda frame: frame.assign(time=UNEVEN),
+        lambda frame: frame.assign(time=[DAY + pd.Timedelta(seconds=one) for one in UNEVEN]),
+        lambda frame: frame.assign(time=[DAY.tz_localize("UTC") + pd.Timedelta(seconds=one) for one in UNEVEN]),
+        lambda frame: frame.set_index(pd.to_timedelta(UNEVEN, unit="s")),
+        lambda frame: frame.set_index(pd.DatetimeIndex([DAY + pd.Timedelta(seconds=one) for one in UNEVEN])),
+    ],
+)
+def test_a_table_whose_times_contradict_dt_is_refused(timed):
+    frame = pd.DataFrame({"place": np.arange(5.0), "speed": 0.0, "push": 0.0})
+    said = r"episode 'episode-0' has 1 of 4 steps that are not dt = 0\.1 s long, the first from row 2 on, 0\.2 s"
+    with pytest.raises(InvalidData, match=said):
+        Dataset.from_pandas(LINE, timed(frame))
+
+
+def test_a_table_whose_times_are_nearly_even_or_no_times_is_taken():
+    frame = pd.DataFrame({"place": np.arange(4.0), "speed": 0.0, "push": 0.0})
+    for times in ([0.0, 0.1, 0.204, 0.3], ["first", "second", "third", "last"]):
+        assert len(Dataset.from_pandas(LINE, frame.assign(time=times)).episodes[0]) == 3
+    with pytest.raises(InvalidData, match="2 of 3 steps that are not dt"):
+        Dataset.from_pandas(LINE, frame.assign(time=[0.0, 0.1, 0.206, 0.3]))
+    clock = System(("time",), (), 0.1)
+    assert Dataset.from_pandas(clock, pd.DataFrame({"time": [3.0, 7.0, 1.0]})).episodes[0].states[1, 0] == 7.0
 
 
 def test_the_pose_goes_into_the_table_and_comes_back(car, rng):
