@@ -29,7 +29,7 @@ from sysid_evo.cli import (
     tuning,
 )
 from sysid_evo.cli.console import complain, err, out, session, tell
-from sysid_evo.cli.exits import EXIT_CODES, INTERRUPTED, code_of
+from sysid_evo.cli.exits import EXIT_CODES, code_of
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
@@ -100,8 +100,6 @@ def main() -> None:
     except (SysidEvoError, OSError) as error:
         complain(error)
         sys.exit(code_of(error))
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:

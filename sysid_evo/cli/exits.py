@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from sysid_evo.cli import INTERRUPTED
+
 if TYPE_CHECKING:
     from hardware.loop.report import Reason
 
@@ -11,7 +13,6 @@ DONE = 0
 WRONG_INPUT = 2
 SOME_FAILED = 3
 ROBOT = 4
-INTERRUPTED = 130
 
 EXIT_CODES = (
     "Exit codes: 0 done; 2 wrong usage or input; 3 some parts failed (the rest is done, reasons are told); "

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sysid_evo.cli import INTERRUPTED
 from sysid_evo.cli.console import out, tell
-from sysid_evo.cli.exits import INTERRUPTED
 from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, listed, load_plugins
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid_evo.cli.app import main
+from sysid_evo.cli import main
 from sysid_evo.cli.console import err, session
 from sysid_evo.registry import KINDS
 from sysid_evo.registry.plugin_files import PREFIX

@@ -99,6 +99,25 @@ def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_o
     assert len(list((tmp_path / "out" / "models").glob("waiting-*.json"))) == 1
 
 
+PRESSED_EARLY = """
+import sys
+from sysid_evo.cli import main
+
+class Pressed:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Pressed())
+main()
+"""
+
+
+def test_ctrl_c_while_the_program_is_being_imported_is_no_traceback() -> None:
+    ended = subprocess.run([sys.executable, "-c", PRESSED_EARLY], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
 @dataclass
 class Diary:
     """Which generations were asked, and the one in which Ctrl-C is pressed."""
