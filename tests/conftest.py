@@ -14,7 +14,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import Registry
+from sysid_evo.registry import KINDS, Registry
 from sysid_evo.system import Channel, System
 from tests.browser import Visitor, chromium
 
@@ -47,6 +47,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if "slow" in item.keywords:
                 item.add_marker(pytest.mark.skip(reason="heavy: run with --slow"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten() -> Iterator[None]:
+    """What the tests of a module register is forgotten after it; what entry points name has been imported for good."""
+    before = {kind: set(registry.loaded) for kind, registry in KINDS.items()}
+    yield
+    for kind, registry in KINDS.items():
+        for name in set(registry.loaded) - before[kind]:
+            if not registry._points(name):
+                del registry._entries[name]
 
 
 @pytest.fixture(scope="session")

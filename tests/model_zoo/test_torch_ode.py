@@ -47,8 +47,7 @@ def plugin() -> type[TorchOde]:
     """The family of the page about models, which brings a module of its own."""
     text = next(block.text for block in blocks("models.md", "python") if "TorchOde" in block.text)
     space: dict[str, Any] = {"__name__": __name__}
-    if "gated_ode" not in models.loaded:
-        exec(text, space)
+    exec(text, space)
     family: type[TorchOde] = models.loaded["gated_ode"]
     return family
 
