@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.validation.elsewhere import calibrated_elsewhere
 from model_zoo.validation.uncertain import Uncertain
 from sysid_evo import Dataset, DynamicsModel, load_model, make_model, register_model
-from sysid_evo.adaptation import ANEW, NONE, REFIT, Terms, adaptation, as_of
+from sysid_evo.adaptation import ANEW, NONE, REFIT, Learned, Terms, adaptation, as_of
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.errors import InvalidArgument
@@ -36,8 +36,9 @@ class Adapted(DynamicsModel):
     free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
     must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
     its base. More training of a base that learns in updates, and a fit of its family to these data alone, are judged
-    alike. `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on the blocks, each
-    run through by what was learned without it.
+    alike, and so are the means of these and the best correction: such a mean is a base of the family ``average``.
+    `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on the blocks, each run
+    through by what was learned without it.
     """
 
     knowledge = "dark grey"
@@ -71,13 +72,9 @@ class Adapted(DynamicsModel):
             )
         dataset = as_of(self.base_.system, dataset)
         found = adaptation(self.inner, dataset, training=training, rng=rng, progress=progress)
-        learned = found.learned
-        if learned.model is not self.inner:
-            self.base_ = learned.model
-        self.system_ = self.base_.system
-        for name in OF_TERMS:
-            setattr(self, f"{name}_", getattr(learned.terms, name))
-        self.coefficients_ = learned.coefficients
+        if found.learned.model is not self.inner:
+            self.base_ = found.learned.model
+        self._hold(found.learned)
         self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
         self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
         self.tried_ = [trial.name for trial in found.verdict.trials]
@@ -86,6 +83,20 @@ class Adapted(DynamicsModel):
         if isinstance(base, Uncertain) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
             self.base_ = calibrated_elsewhere(base, found.apart, rng)
         return self
+
+    @classmethod
+    def holding(cls, learned: Learned) -> Self:
+        """Return a model with a correction of it, about which nothing was decided, as a fitted model."""
+        one = cls(base=None).given(learned.model)
+        one._hold(learned)
+        one.envelope_, one.pairs_ = learned.model.envelope_, learned.model.pairs_
+        return one
+
+    def _hold(self, learned: Learned) -> None:
+        self.system_ = self.base_.system
+        for name in OF_TERMS:
+            setattr(self, f"{name}_", getattr(learned.terms, name))
+        self.coefficients_ = learned.coefficients
 
     def _widen(self) -> None:
         """Let envelope and pairs be those of both recordings; those of the base if that is all there is."""
@@ -114,6 +125,14 @@ class Adapted(DynamicsModel):
     def corrects(self) -> bool:
         """Whether there is a correction."""
         return bool(np.any(self.coefficients_))
+
+    def without_noise(self) -> Self:
+        quiet = self.base_.without_noise()
+        if quiet is self.base_:
+            return self
+        other = self.variant()
+        other.base_ = quiet
+        return other
 
     @property
     def fit_note(self) -> str:

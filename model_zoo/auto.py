@@ -43,7 +43,9 @@ class Auto(MeanOfMembers):
     behind the first time (1.25 times the gate, and significantly) is not tried again. What fails or diverges is dropped
     with its reason, and so is what is more than ``gate`` times as far off as the best; the gate is narrowed where the
     mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
-    the best stays (paired bootstrap). Those kept learn again from all data. Their weights are equal in each class of
+    the best stays (paired bootstrap). A state space that stands well is trained fully, and takes the place of the one
+    with little training if it is better. Those kept learn again from all data; what a fully trained state space has
+    learned without each fold stays beside that, unless it is far worse. Their weights are equal in each class of
     structure (networks that see earlier samples, networks that do not, polynomials, neighbours, physics), and equal
     across the classes. For a given state the next one is affine in the acceleration, so that the mean of next states is
     that of accelerations. Every member starts each step from the mean, and keeps its own memory beside it.
@@ -85,14 +87,17 @@ class Auto(MeanOfMembers):
         if not tried:
             raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
-        judge = Judge.of(dataset, [Trial.of(held, horizons, history_of(pairs)) for _, held in pairs])
+        history = history_of(pairs, horizons)
+        judge = Judge.of(dataset, [Trial.of(held, horizons, history) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
         work = Work(progress, min(budget, costs))
         choice = Choosing(dataset, pairs, judge, tried, seeds, budget, work).choice(self.gate, self._mean)
-        self.become(choice.models, weights_of([structure_of(model) for model in choice.models]))
-        standing = Standing.of(choice, tried, self.weights_, left_out=left_out, horizons=horizons, pairs=pairs)
+        shares = weights_of([structure_of(own[0]) for own in choice.models])
+        each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]
+        self.become([model for own in choice.models for model in own], np.concatenate(each))
+        standing = Standing.of(choice, tried, shares, left_out=left_out, horizons=horizons, pairs=pairs)
         for name, value in standing.learned().items():
             setattr(self, name, value)
         if self.stochastic:

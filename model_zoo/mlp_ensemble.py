@@ -117,7 +117,7 @@ class MlpEnsemble(Uncertain):
                 members=members,
                 folds=self.folds,
                 plan=plan,
-                mirror=Mirror.of(dataset.system, self.turning or ["steer"]),
+                mirror=Mirror.of(dataset.system, self.turning),
                 trainings=trainings,
             )
 
@@ -139,10 +139,11 @@ class MlpEnsemble(Uncertain):
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         from model_zoo.networks.members import train_further
-        from model_zoo.networks.multistep import FURTHER_RATE, Plan
+        from model_zoo.networks.multistep import Plan
 
-        plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE, input_noise=self.input_noise)
-        network = train_further(self.network, dataset, self.lags, plan, rng)
+        plan = Plan.further(updates, self.horizon, self.input_noise)
+        mirror = Mirror.of(dataset.system, self.turning)
+        network = train_further(self.network, dataset, self.lags, plan, rng, mirror=mirror)
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other

@@ -30,6 +30,12 @@ class Estimator:
         """Return another one with copies of the same arguments that has learned nothing."""
         return type(self)(**copy.deepcopy(self.get_params()))
 
+    def variant(self, **parameters: Any) -> Self:
+        """Return a copy with everything that was learned, and other hyper-parameters."""
+        other: Self = self.unfitted().set_params(**parameters)
+        other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
+        return other
+
     def __repr__(self) -> str:
         defaults = {name: one.default for name, one in inspect.signature(type(self)).parameters.items()}
         changed = (

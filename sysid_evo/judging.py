@@ -16,6 +16,9 @@ from sysid_evo.system import System
 STRIDE = 6
 MOST_WINDOWS = 800
 """Free runs of one fold: they overlap, and more of them take longer and say the same."""
+LONGEST_HISTORY = 64
+HISTORY_SHARE = 3
+"""A history takes one part in so many of what the longest horizon leaves of what is held out."""
 RESAMPLES = 1000
 CONFIDENCE = 0.95
 
@@ -144,7 +147,10 @@ def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list
     return fitting or [max(1, longest // 2)]
 
 
-def history_of(pairs: list[tuple[Dataset, Dataset]]) -> int:
-    """Return how many samples are measured before a free run: more where recordings are long."""
+def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) -> int:
+    """Return how many samples are measured before a free run: a third of what the longest of the ``horizons`` leaves.
+
+    A model with hidden states finds them in the history, and where that is short its runs begin far off.
+    """
     typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
-    return int(np.clip(typical // 20, 0, 64))
+    return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))

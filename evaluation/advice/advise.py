@@ -17,7 +17,6 @@ from evaluation.advice.remark import MOST, ModelAdvice, Remark
 from evaluation.advice.shift import shift
 from evaluation.advice.worst import weak_region
 from evaluation.exploitability.steps import Steps
-from evaluation.prediction.coverage import without_noise
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
@@ -68,7 +67,7 @@ def advise_model(
     data. ``visited`` is what controllers do in models and on robots.
     """
     name = name or type(model).__name__
-    where, judged_on = Evidence(name, without_noise(model), training, test), "the test part"
+    where, judged_on = Evidence(name, model.without_noise(), training, test), "the test part"
     if test is None:
         where, judged_on = _held_back(where, seed)
     trajectories = list(visited)

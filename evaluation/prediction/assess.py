@@ -9,7 +9,7 @@ import numpy as np
 from evaluation.prediction import metrics
 from evaluation.prediction.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
 from evaluation.prediction.cases import MeasuredCases, measured_cases
-from evaluation.prediction.coverage import interval_coverage, without_noise
+from evaluation.prediction.coverage import interval_coverage
 from evaluation.prediction.episodes import episode_errors
 from evaluation.prediction.forecasts import NEVER, Forecasts, forecast
 from evaluation.prediction.metrics import mean_over_channels
@@ -67,7 +67,7 @@ def assess_model(
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
-    forecasts = forecast(without_noise(model), cases)
+    forecasts = forecast(model.without_noise(), cases)
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
@@ -80,7 +80,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         curve=curve,
         curve_interval=curve_interval,
         divergence=_divergence(forecasts, cases),
-        residuals=analyse(step_errors(without_noise(model), cases.test, first=cases.protocol.first)),
+        residuals=analyse(step_errors(model.without_noise(), cases.test, first=cases.protocol.first)),
         regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
         episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
         coverage=interval_coverage(model, cases),

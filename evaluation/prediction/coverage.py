@@ -17,12 +17,6 @@ PIECE = 50
 """Windows that are simulated together."""
 
 
-def without_noise(model: DynamicsModel) -> DynamicsModel:
-    """Return a fitted model as it steps without noise, if it has the hyper-parameter ``stochastic``; else itself."""
-    noisy = bool(model.get_params(deep=False).get("stochastic"))
-    return model.variant(stochastic=False) if noisy else model
-
-
 def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Coverage, ...]:
     """Return the coverage of the central 90 % of 100 samples at every horizon; nothing of a model without noise.
 

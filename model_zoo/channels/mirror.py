@@ -11,6 +11,9 @@ from sysid_evo.arrays import Array
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 
+STEERING = ("steer",)
+"""Controls that steer unless others are named."""
+
 
 @dataclass(frozen=True)
 class Mirror:
@@ -20,9 +23,9 @@ class Mirror:
     controls: Array
 
     @classmethod
-    def of(cls, system: System, turning: Sequence[str]) -> Mirror | None:
-        """Return the mirror of a planar body whose controls ``turning`` steer it; None if it has none of these."""
-        steering = [name for name in turning if name in system.control_names]
+    def of(cls, system: System, turning: Sequence[str] | None = None) -> Mirror | None:
+        """Return the mirror of a planar body whose controls ``turning`` (`STEERING`) steer it; None if it has none."""
+        steering = [name for name in (turning or STEERING) if name in system.control_names]
         if not isinstance(system.motion, PlanarBody) or not steering:
             return None
         sideways = {system.motion.lateral, system.motion.yaw_rate}

@@ -112,9 +112,9 @@ class NetworkRate(Uncertain):
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         from model_zoo.flows.training import train_flow_further
-        from model_zoo.networks.multistep import FURTHER_RATE, Plan
+        from model_zoo.networks.multistep import Plan
 
-        plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE, input_noise=self.input_noise)
+        plan = Plan.further(updates, self.horizon, self.input_noise)
         physics, physical = self.physics(), self.physical_ if len(self.initial) else self.initial
         network, physical = train_flow_further(
             self.network, dataset, self.lags, plan, rng, physics=physics, physical=physical

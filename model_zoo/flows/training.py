@@ -8,6 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from model_zoo.channels.mirror import Mirror
 from model_zoo.networks.layers import Single
 from model_zoo.networks.multistep import Plan
 from model_zoo.networks.network import Network
@@ -141,8 +142,12 @@ def train_flow_further(
     physics: Physics | None,
     physical: Array,
 ) -> tuple[Network, Array]:
-    """Train a ``network`` and ``physical`` parameters, which `train_flow` found, on all of ``dataset``."""
-    model = Flow(dataset, lags, hidden=[weight.shape[2] for weight in network.weights[:-1]], rng=rng)
+    """Train a ``network`` and ``physical`` parameters, which `train_flow` found, on all of ``dataset``.
+
+    Of a body that is steered the data are seen in the mirror as well: few seconds seldom turn both ways alike.
+    """
+    hidden, mirror = [weight.shape[2] for weight in network.weights[:-1]], Mirror.of(dataset.system)
+    model = Flow(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
     if physics is not None:
         model.know(physics, physical)
     model.begin_with(network)

@@ -34,8 +34,6 @@ class LaggedMembers(StandardisedModel):
         rng: np.random.Generator,
     ) -> None:
         super().__init__(dataset, lags, hidden=hidden, rng=rng, members=members, further=1, mirror=mirror)
-        self.mirror = mirror
-        self.recorded = self.flag
 
     def prepare(self, horizon: int) -> None:
         self.accelerations: Single = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
@@ -50,18 +48,6 @@ class LaggedMembers(StandardisedModel):
         moved = self.motion.integrated(state, self.accelerations[step], self.system.dt, gradient)
         by_state, by_acceleration = moved
         return by_state + self.pulled_through(step, 0, state, by_acceleration)
-
-    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
-        """Mirror half of the windows, if the body has a mirror."""
-        if self.mirror is None:
-            return samples
-        mirrored = rng.random((*samples.shape[1:3], 1), dtype=np.float32) < 0.5
-        self.flag = np.where(mirrored, np.float32(-1.0), np.float32(1.0))
-        signs = np.concatenate([self.mirror.states, self.mirror.controls]).astype(np.float32)
-        return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
-
-    def as_recorded(self) -> None:
-        self.flag = self.recorded
 
 
 def train_members(
@@ -86,10 +72,16 @@ def train_members(
 
 
 def train_further(
-    network: Network, dataset: Dataset, lags: tuple[int, int], plan: Plan, rng: np.random.Generator
+    network: Network,
+    dataset: Dataset,
+    lags: tuple[int, int],
+    plan: Plan,
+    rng: np.random.Generator,
+    *,
+    mirror: Mirror | None,
 ) -> Network:
     """Train the members of ``network``, which `train_members` made, on all of ``dataset``."""
     members, hidden = len(network.weights[0]), [weight.shape[2] for weight in network.weights[:-1]]
-    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=None, rng=rng)
+    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=rng)
     model.begin_with(network)
     return model.network(model.learn_further(dataset, plan, Trainings(rng)))

@@ -24,8 +24,8 @@ from sysid_evo.lags import CarryLayout
 SHARPNESS = 2.5
 """Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
 
-FURTHER_RATE = 2e-3
-"""Learning rate of what has learned and goes on with other data."""
+SINGLE_STEPS = 0.75
+"""Share of the updates of more training that are on single steps."""
 
 TOLD_EVERY = 10
 """Updates between two reports of progress."""
@@ -126,6 +126,12 @@ class Plan:
     input_noise: float = 0.05
     averaging: float = 0.99
     check_every: int = 100
+
+    @classmethod
+    def further(cls, updates: int, horizon: int, input_noise: float) -> Plan:
+        """Return how what has learned goes on for so many ``updates`` with other data."""
+        single = round(SINGLE_STEPS * updates)
+        return cls(single, updates - single, horizon, input_noise=input_noise)
 
     @property
     def total(self) -> int:

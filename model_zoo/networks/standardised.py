@@ -25,8 +25,9 @@ from sysid_evo.motion.gradient_form import motion_gradient
 class StandardisedModel(ABC):
     """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
 
-    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs
-    are ``flag`` (M, B or 1, 1). In every step the network is called ``calls`` times, with other present states. A step
+    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs, one
+    or none, are ``flag`` (M, B or 1, 1): 1 for data as recorded, -1 for data seen in the ``mirror``, where there is
+    one. In every step the network is called ``calls`` times, with other present states. A step
     and its derivative are written by hand, `advance` and `pull_back`.
     """
 
@@ -57,7 +58,9 @@ class StandardisedModel(ABC):
             output_scale=self.rates,
         )
         self.parameters = self.layers.flat(random_network(self.layers.sizes, members, rng))
+        self.mirror = mirror
         self.flag: Single = np.ones((1, 1, further), dtype=np.float32)
+        self.recorded = self.flag
 
     def run(self, samples: Single) -> Single:
         """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
@@ -119,12 +122,17 @@ class StandardisedModel(ABC):
         return self._pulled_to_state(state, by_inputs[..., :seen])
 
     def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
-        """Return what is learned from a batch (L + 1 + H, M, B, nx + nu)."""
-        return samples
+        """Return what is learned from a batch (L + 1 + H, M, B, nx + nu): half of the windows in the mirror."""
+        if self.mirror is None:
+            return samples
+        mirrored = rng.random((*samples.shape[1:3], 1), dtype=np.float32) < 0.5
+        self.flag = np.where(mirrored, np.float32(-1.0), np.float32(1.0))
+        signs = np.concatenate([self.mirror.states, self.mirror.controls]).astype(np.float32)
+        return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
 
     def as_recorded(self) -> None:
         """Expect data as recorded from here on, to be judged by them."""
-        return
+        self.flag = self.recorded
 
     def learn(
         self,

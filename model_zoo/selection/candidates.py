@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sysid_evo.dynamics import DynamicsModel
@@ -27,13 +27,18 @@ class Candidate:
     """A family with its settings.
 
     ``seconds`` is how long one fit takes on one processor with `STEPS` steps of a car, of which the share ``growing``
-    is in proportion to the number of steps. In the fits that only judge it has the settings ``roughly``.
+    is in proportion to the number of steps. In the fits that only judge it has the settings ``roughly``. One that
+    ``refines`` another is the same with more training: it is tried only where the other stands well. Of a ``committee``
+    what it learned without each fold stays beside what it learns from all data, unless it is far worse, and their mean
+    is what is kept: fits to parts of the data differ in what these do not tell (Krogh and Vedelsby 1995).
     """
 
     spec: Spec
     seconds: float = OF_A_PLUGIN
     growing: float = 1.0
     roughly: dict[str, Any] = field(default_factory=dict)
+    refines: Candidate | None = None
+    committee: bool = False
 
     @property
     def name(self) -> str:
@@ -69,6 +74,11 @@ def _networks(state_lags: int, control_lags: int, input_noise: float) -> Candida
     return Candidate(Spec("mlp_ensemble", {**settings, **training}, label), 5.5, 0.1, {"members": 2})
 
 
+SHORT = _one(
+    "nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)", 20.0, 0.3
+)
+"""Hidden states with little training, which tells where more of it may be worth its time."""
+
 SHIPPED: tuple[Candidate, ...] = (
     _one("narx(lag_search=few, terms=32, degree=none)", 0.4, 1.0),
     _networks(0, 5, 1.0),
@@ -80,9 +90,7 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("sindy(lag_search=few)", 0.7, 1.0),
     _networks(0, 5, 0.3),
     _one("linear_state_space(iterations=12, folds=1, most_steps=4000)", 1.5, 0.3),
-    _one(
-        "nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)", 20.0, 0.3
-    ),
+    SHORT,
     _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
     _one("gaussian_process", 3.0, 1.0),
     _one("sindy_discrete", 1.0, 1.0),
@@ -96,6 +104,7 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=2.0)", 4.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=2.0)", 5.5),
     _networks(0, 2, 0.05),
+    Candidate(Spec("nonlinear_state_space"), 100.0, 1.0, refines=SHORT, committee=True),
 )
 """What is tried unless candidates are named, the most telling for their time first."""
 
@@ -132,7 +141,7 @@ def named(texts: Sequence[str]) -> list[Candidate]:
             raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
         models.check(spec)
         listed = [candidate for candidate in SHIPPED if candidate.spec.name == spec.name]
-        found += [Candidate(spec)] if spec.parameters or not listed else listed
+        found += [Candidate(spec)] if spec.parameters or not listed else [replace(one, refines=None) for one in listed]
     return found
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from model_zoo.selection.candidates import Candidate, affordable
 from model_zoo.selection.fitting import Outcome, Task, Work
-from model_zoo.selection.gate import Passed, chosen
+from model_zoo.selection.gate import Passed, chosen, inside
 from sysid_evo.arrays import IntArray
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -22,7 +23,12 @@ MOST_DIVERGED = 0.05
 HOPELESS = 1.25
 """Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
 
+PROMISING = 2.0
+"""Times the error of the best in the first fold, up to which a candidate may be refined."""
+
 UNTRIED = "not tried, the budget is spent on others"
+UNPROMISING = "not tried, what it refines is far behind or not tried itself"
+REFINED = "it is no better than what refines it"
 
 
 @dataclass(frozen=True)
@@ -30,14 +36,15 @@ class Choice:
     """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
 
     The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the
-    gate that was ``passed``, ``models`` what they learned from all data, ``rough`` what they learned without each fold.
+    gate that was ``passed``, ``models`` what they learned from all data, followed by the rest of a committee, ``rough``
+    what they learned without each fold.
     """
 
     errors: list[Errors | None]
     reasons: list[str]
     kept: list[int]
     passed: Passed
-    models: list[DynamicsModel]
+    models: list[list[DynamicsModel]]
     rough: list[list[DynamicsModel]]
 
 
@@ -70,6 +77,10 @@ class Choosing:
         for number, error, reason in zip(going_on, *judged(list(rough.values()), self.judge), strict=True):
             errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
+        for better, number in self._refined.items():
+            if better in usable and number in usable and usable[better].mean <= usable[number].mean:
+                reasons[number] = REFINED
+                del usable[number]
         self._expect(len(usable) > 0, reasons)
 
         def models(number: int) -> list[DynamicsModel]:
@@ -86,29 +97,41 @@ class Choosing:
         ties = [i for i, number in enumerate(numbers) if interval(best, usable[number])[0] <= 0.0]
         group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
-        kept: dict[int, DynamicsModel] = {}
+        kept: dict[int, list[DynamicsModel]] = {}
         for (number, _), outcome in sorted(final.items()):
             if outcome.model is None:
                 reasons[number] = outcome.reason
             else:
-                kept[number] = outcome.model
+                beside = models(number) if self.candidates[number].committee else []
+                kept[number] = self._committee([outcome.model, *beside], gate) if beside else [outcome.model]
         self._expect(len(kept) > 0, reasons)
         return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
 
     def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
 
+    def _committee(self, models: Sequence[DynamicsModel], gate: float) -> list[DynamicsModel]:
+        """Return the first of these models, and those of the others that are inside the gate in the runs of all folds.
+
+        The first has learned from all of them, each of the others from all but one, so that folds which are hard to
+        predict count alike.
+        """
+        self.work.still()
+        errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
+        return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
+
     def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], Outcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
-        What is saved with those that are dropped, see `_thinned`, is spent on the next ones. Returns the outcomes, the
-        errors, and why a candidate is not tried in the other folds; empty if it is.
+        What is saved with those that are dropped, see `_thinned`, is spent on the next ones. What refines another
+        waits until that one is tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
+        folds; empty if it is.
         """
         costs = {number: self._cost(number) for number in range(len(self.candidates))}
         errors: list[Errors | None] = [None for _ in costs]
-        reasons = [UNTRIED for _ in costs]
+        reasons = [UNPROMISING if number in self._refined else UNTRIED for number in costs]
         outcomes: dict[tuple[int, int], Outcome] = {}
-        batch = affordable(costs, self.budget) or [0]
+        batch = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
         while batch:
             outcomes |= self._fits(batch, [0])
             tried = [number for number, _ in sorted(outcomes)]
@@ -116,8 +139,24 @@ class Choosing:
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
-            batch = affordable({n: cost for n, cost in costs.items() if n not in tried}, self.budget - spent)
+            ready = [n for n in costs if n not in tried and self._is_promising(n, errors)]
+            for n in ready:
+                reasons[n] = UNTRIED
+            batch = affordable({n: costs[n] for n in ready}, self.budget - spent)
         return outcomes, errors, reasons
+
+    @cached_property
+    def _refined(self) -> dict[int, int]:
+        """Which candidate another one refines, by the numbers of both."""
+        every = list(self.candidates)
+        return {n: every.index(one.refines) for n, one in enumerate(every) if one.refines in every}
+
+    def _is_promising(self, number: int, errors: Sequence[Errors | None]) -> bool:
+        """Whether a candidate refines none, or one that is not far behind, by the ``errors`` of what is tried."""
+        if number not in self._refined:
+            return True
+        found = errors[self._refined[number]]
+        return found is not None and found.mean <= PROMISING * min(one.mean for one in errors if one is not None)
 
     def _thinned(self, outcomes: Sequence[Outcome], gate: float) -> tuple[list[Errors | None], list[str]]:
         """Return the errors of candidates in the first fold, and why they are not worth the others; empty if they are.

@@ -139,6 +139,12 @@ class MeanOfMembers(DynamicsModel):
             watched=self._earlier_controls,
         )
 
+    def without_noise(self) -> Self:
+        quiet = [model.without_noise() for model in self.members_]
+        if not self.stochastic and all(one is model for one, model in zip(quiet, self.members_, strict=True)):
+            return self
+        return self.of(quiet, self.weights_)
+
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
         """Return the mean with those members trained further that can be; None if none can."""
         further = [model.trained_further(dataset, updates, rng=rng) for model in self.members_]

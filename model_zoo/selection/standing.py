@@ -51,7 +51,7 @@ class Standing:
         known = {number: error for number, error in enumerate(choice.errors) if error is not None}
         order = sorted(known, key=lambda number: known[number].mean)
         share = dict(zip(choice.kept, weights.tolist(), strict=True))
-        kind = {n: structure_of(model) for n, model in zip(choice.kept, choice.models, strict=True)}
+        kind = {n: structure_of(own[0]) for n, own in zip(choice.kept, choice.models, strict=True)}
         above = f"above {choice.passed.gate:.2f} x the best"
         usable = [number for number in order if not choice.reasons[number]]
         ahead = interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()

@@ -129,7 +129,8 @@ class Rate(torch.nn.Module):
         rate: Tensor = self.module(torch.cat([present, self.fixed], dim=1)) * equation.rates
         if equation.system.motion is None:
             return rate
-        turning: Tensor = Turning.apply(state, equation.system)  # type: ignore[no-untyped-call]  # torch gives apply no types
+        turned: Any = Turning  # torch gives apply no types
+        turning: Tensor = turned.apply(state, equation.system)
         return rate + turning
 
 

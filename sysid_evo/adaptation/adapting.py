@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.adaptation.gate import Block, Held, Trial, Verdict, blocks_of, decided, judged
+from sysid_evo.adaptation.gate import AND, NONE, Block, Held, Kind, Trial, Verdict, blocks_of, decided, judged
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.terms import Terms
@@ -17,6 +17,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics.model import DynamicsModel
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.progress import Counter, Progress
+from sysid_evo.registry import models
 
 KINDS = ("linear", "gains", "products")
 """What a correction may be linear in, the simplest first."""
@@ -27,6 +28,8 @@ REFIT = "refit"
 """What a fit of the family to the new seconds alone is called, and one to the training data as well."""
 FURTHER = {f"trained further, {updates} updates": updates for updates in (50, 200, 800)}
 """More training of a model that learns in updates, on the new seconds from where it had ended."""
+_KINDS: tuple[tuple[Kind, Kind], tuple[Kind, Kind]] = ("alone", "beside"), ("further", "mean")
+"""Of another fit and of more training: what its trial is, and that of its mean with a correction."""
 Way: TypeAlias = Callable[[Dataset], DynamicsModel | None]
 """How a model of new seconds is made, other than by a correction; None where that cannot be."""
 
@@ -60,7 +63,8 @@ def adaptation(
 ) -> Adaptation:
     """Learn what ``model`` lacks in ``dataset``; with the ``training`` data, a refit with both is tried as well.
 
-    More training is tried too, of families that can, and a fit to ``dataset`` alone, unless the family fits others.
+    More training is tried too, of families that can, and a fit to ``dataset`` alone, unless the family fits others; and
+    the mean of each of these and the correction that is best. A model that draws noise has no such mean.
 
     Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
     several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
@@ -88,18 +92,22 @@ def adaptation(
                 apart.setdefault(name, []).append(learned)
                 counter.advance()
         trials += [judged(name, plain, each) for name, each in errors.items()]
+    best = min(trials, key=lambda trial: trial.error).name if trials else NONE
+    beside = apart.get(best, []) if not model.n_noise else []
     for name, way in ways.items() if blocks else ():
         shown = _made(way, dataset, blocks, counter.advance)
         if shown is not None:
-            trials.append(judged(name, plain, [errors for _, errors in shown], further=name in FURTHER))
-            apart[name] = [learned for learned, _ in shown]
+            learned_apart, errors_of_way = zip(*shown, strict=True)
+            apart[name] = list(learned_apart)
+            alone, mean = _KINDS[name in FURTHER]
+            trials.append(judged(name, plain, errors_of_way, alone))
+            if beside:
+                means = [_mean(one, other.model) for one, other in zip(beside, learned_apart, strict=True)]
+                seen = [_seen(one, dataset, block) for one, block in zip(means, blocks, strict=True)]
+                trials.append(judged(best + AND + name, plain, seen, mean))
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
-    if verdict.chosen in ways:
-        again = ways[verdict.chosen](dataset)
-        learned = nothing if again is None else replace(nothing, model=again)
-    else:
-        learned = _corrected(model, dataset, pieces, verdict)
+    learned = _again(model, dataset, pieces, verdict, ways)
     return Adaptation(learned, verdict, tuple(apart.get(verdict.chosen, ())))
 
 
@@ -135,15 +143,36 @@ def _ways(model: DynamicsModel, training: Dataset | None, rng: np.random.Generat
     return ways | ({} if training is None else {REFIT: again(training)})
 
 
-def _corrected(model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict) -> Learned:
-    """Return the correction that ``verdict`` chose, learned from everything."""
+def _again(
+    model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict, ways: Mapping[str, Way]
+) -> Learned:
+    """Return what ``verdict`` chose, made of everything."""
+    first, _, second = verdict.chosen.partition(AND)
+    learned = _corrected(model, dataset, pieces, verdict.seconds, first)
+    name = second or first
+    again = ways[name](dataset) if name in ways else None
+    if again is None:
+        return learned
+    return replace(_uncorrected(model, dataset), model=_mean(learned, again) if second else again)
+
+
+def _corrected(model: DynamicsModel, dataset: Dataset, pieces: Pieces, seconds: float, name: str) -> Learned:
+    """Return the correction called ``name``, learned from everything; none if none is."""
     for kind in KINDS:
         for number, ridge in enumerate(RIDGES):
-            if verdict.chosen == _name(kind, ridge):
+            if name == _name(kind, ridge):
                 terms = _terms(kind, model, dataset)
-                path = corrections(model, terms, pieces, RIDGES[: number + 1], verdict.seconds)
+                path = corrections(model, terms, pieces, RIDGES[: number + 1], seconds)
                 return Learned(model, terms, list(path)[-1])
     return _uncorrected(model, dataset)
+
+
+def _mean(corrected: Learned, other: DynamicsModel) -> DynamicsModel:
+    """Return the mean of a corrected model and another one."""
+    adapted: Any = models.get("adapted")
+    average: Any = models.get("average")
+    found: DynamicsModel = average.made_of([adapted.holding(corrected), other])
+    return found
 
 
 def _uncorrected(model: DynamicsModel, dataset: Dataset) -> Learned:
@@ -164,13 +193,18 @@ def _made(
             again = way(block.rest(dataset))
             if again is None:
                 return None
-            pieces = Pieces.of(again, dataset, again.envelope, stride=1)
+            errors = _seen(again, dataset, block)
         except (SysidEvoError, ValueError):
             return None
-        learned = replace(_uncorrected(again, dataset), held=block.part(dataset))
-        found.append((learned, _run(learned, pieces[block.held(pieces.first)])))
+        found.append((replace(_uncorrected(again, dataset), held=block.part(dataset)), errors))
         told()
     return found
+
+
+def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> Held:
+    """Return the errors in ``block`` of a model whose lags are its own."""
+    pieces = Pieces.of(model, dataset, model.envelope, stride=1)
+    return _run(_uncorrected(model, dataset), pieces[block.held(pieces.first)])
 
 
 def _run(learned: Learned, pieces: Pieces) -> Held:

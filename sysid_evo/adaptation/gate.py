@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -20,10 +21,17 @@ BETTER = 0.15
 IN_EACH = 0.05
 """that by which it must be lower in every block,"""
 CONFIDENCE = 0.975
-"""and the probability that it is lower at all, from the differences second by second (Student's t)."""
+"""and the probability that it is lower at all, from the differences second by second (Student's t);"""
+OF_TRAINING = 0.99
+"""that of more training and of means, of which many are tried and each can learn much from little."""
 AS_GOOD = 0.10
 """Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
+AND = " and "
+"""Between the two of a mean."""
+Kind: TypeAlias = Literal["alone", "further", "mean", "beside"]
+"""Whether a trial is a correction or another fit, more training of the model that there was, the mean of such training
+and a correction, or the mean of another fit and a correction."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +51,19 @@ class Held:
 class Trial:
     """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
 
-    ``sure`` says whether it is better than none beyond what chance would do to so short a recording, ``further``
-    whether it is more training of the model that there was.
+    ``sure`` says whether it is better than none beyond what chance would do to so short a recording.
     """
 
     name: str
     error: float
     each: tuple[float, ...]
     sure: bool
-    further: bool = False
+    kind: Kind = "alone"
+
+    @property
+    def other(self) -> str:
+        """The second of a mean."""
+        return self.name.rpartition(AND)[2]
 
     @property
     def good(self) -> bool:
@@ -144,7 +156,7 @@ def blocks_of(first: IntArray, horizon: int) -> list[Block]:
     return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []
 
 
-def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, further: bool = False) -> Trial:
+def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Kind = "alone") -> Trial:
     """Return a trial from what each block shows without and with a correction."""
     pairs = list(zip(plain, corrected, strict=True))
     each = tuple(error_of(after.errors) / max(error_of(before.errors), 1e-12) for before, after in pairs)
@@ -154,29 +166,32 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], *, furth
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains)), further)
+    confidence = OF_TRAINING if kind in ("further", "mean") else CONFIDENCE
+    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains), confidence), kind)
 
 
-def surely_positive(gains: Array) -> bool:
+def surely_positive(gains: Array, confidence: float = CONFIDENCE) -> bool:
     """Whether the mean of ``gains`` (N,) is above zero by more than chance explains."""
     if len(gains) < 3:
         return False
     error = gains.std(ddof=1) / np.sqrt(len(gains))
-    return bool(gains.mean() > stdtrit(len(gains) - 1, CONFIDENCE) * error)
+    return bool(gains.mean() > stdtrit(len(gains) - 1, confidence) * error)
 
 
 def decided(trials: Sequence[Trial]) -> str:
-    """Return the name of the first, which is the simplest, of those that are good and about as good as the best.
+    """Return the name of what is best; "none" if nothing is good.
 
-    "none" if none is good. More training is no simpler and no less simple than a correction: the least of it that is
-    about as good as any is taken if it is better than what is found without it.
+    Of corrections and other fits the first, which is the simplest, of those about as good as the best stands for all.
+    More training, alone and in a mean with a correction, is no simpler and no less simple than these: the best of it is
+    taken if it is better. Where another fit is taken, its mean with a correction takes its place if it is about as
+    good: what learned from few seconds alone knows nothing of what they do not cover.
     """
     good = [trial for trial in trials if trial.good]
-    found = [_simplest([trial for trial in good if trial.further == further]) for further in (False, True)]
-    return min((trial for trial in found if trial is not None), key=lambda trial: trial.error, default=_NOTHING).name
-
-
-def _simplest(good: Sequence[Trial]) -> Trial | None:
-    """Return the first that is about as good as the best; None of none."""
-    least = min((trial.error for trial in good), default=0.0)
-    return next((trial for trial in good if trial.error <= (1.0 + AS_GOOD) * least), None)
+    alone = [trial for trial in good if trial.kind == "alone"]
+    least = min((trial.error for trial in alone), default=0.0)
+    simplest = [trial for trial in alone if trial.error <= (1.0 + AS_GOOD) * least][:1]
+    found = [*simplest, *(trial for trial in good if trial.kind in ("further", "mean"))]
+    best = min(found, key=lambda trial: trial.error, default=_NOTHING)
+    beside = [trial for trial in good if trial.kind == "beside" and trial.other == best.name]
+    safer = [trial for trial in beside if trial.error <= (1.0 + AS_GOOD) * best.error]
+    return safer[0].name if safer else best.name

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from sysid_evo.data import Dataset
 
 
+SHOWN = 12
+"""Ways to adapt that are printed, the best ones."""
+
+
 def adapt(
     model: Annotated[Path, typer.Argument(help="File of a fitted model, as RUN/models/NAME.", show_default=False)],
     data: Annotated[
@@ -80,14 +84,19 @@ def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    table.add_column("correction", no_wrap=True)
-    table.add_column("error / none's", justify="right")
+    table.add_column("way", no_wrap=True)
+    table.add_column("all", justify="right")
     table.add_column("in each block", justify="right")
-    for row in sorted(rows, key=lambda row: float(row["error"])):
+    for row in sorted(rows, key=lambda row: float(row["error"]))[:SHOWN]:
         table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(f"{share:.2f}" for share in row["blocks"]))
     if rows:
         count = len(rows[0]["blocks"])
-        told = f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others:"
-        out.print(told, highlight=False)
+        out.print(
+            f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
+            "errors as a share of that of the model as it was:",
+            highlight=False,
+        )
         out.print(table)
+        if len(rows) > SHOWN:
+            out.print(f"and {len(rows) - SHOWN} that were worse (--json has them)", highlight=False, style="dim")
     out.print(decision, highlight=False, markup=False)

@@ -133,12 +133,6 @@ class DynamicsModel(Dynamics, Estimator):
             raise
         return self
 
-    def variant(self, **parameters: Any) -> Self:
-        """Return a copy with everything that was learned, and other hyper-parameters."""
-        other: Self = self.unfitted().set_params(**parameters)
-        other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
-        return other
-
     def check_parameters(self) -> None:
         """Raise `InvalidArgument` if a hyper-parameter has the wrong type or is out of its ``limits``.
 
@@ -235,6 +229,10 @@ class DynamicsModel(Dynamics, Estimator):
         """Return models that the data allow as well, such as the members of a mean; none by default."""
         return ()
 
+    def without_noise(self) -> Self:
+        """Return this fitted model as it steps without noise; itself if it draws none."""
+        return self.variant(stochastic=False) if self.get_params(deep=False).get("stochastic") else self
+
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
         """Return this fitted model after so many more ``updates`` on ``dataset``; None if it does not learn in such."""
         return None
@@ -244,11 +242,11 @@ class DynamicsModel(Dynamics, Estimator):
 
         The model runs free from every fourth moving sample (of long data fewer, 10,000 in all) for one second, at
         least ten steps. The error is the root mean square divided by the standard deviation of the recording, the
-        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. scikit-learn
-        passes ``y``, which is unused.
+        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. A model that
+        draws noise runs without. scikit-learn passes ``y``, which is unused.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
-        return -simulation_error(self, judging_windows(data, self.n_lags))
+        return -simulation_error(self.without_noise(), judging_windows(data, self.n_lags))
 
     def adapt(
         self,

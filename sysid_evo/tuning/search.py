@@ -83,7 +83,8 @@ class Tuning:
                 f"{', '.join(map(str, horizons))}"
             )
         self.pairs = pairs
-        self.judge = Judge.of(dataset, [Trial.of(held, self.horizons, history_of(pairs)) for _, held in pairs])
+        history = history_of(pairs, self.horizons)
+        self.judge = Judge.of(dataset, [Trial.of(held, self.horizons, history) for _, held in pairs])
         self.file = None if file is None else Path(file)
         self.seeds = np.random.default_rng(seed).integers(2**32, size=len(pairs)).tolist()
 

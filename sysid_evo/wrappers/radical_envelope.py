@@ -89,10 +89,11 @@ class RadicalEnvelope:
 
     def free(self, system: System) -> tuple[Array, Array]:
         """Return 1.0 for each state (nx,) and each control (nu,) that meets noise, 0.0 for those of the base set."""
-        return tuple(
+        states, controls = (
             np.array([0.0 if channel.name in self.base else 1.0 for channel in channels])
             for channels in (system.states, system.controls)
-        )  # type: ignore[return-value]  # two of them
+        )
+        return states, controls
 
     @property
     def perturbs(self) -> bool:

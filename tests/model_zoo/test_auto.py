@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from model_zoo.auto import Auto
-from model_zoo.selection.candidates import PROCESSORS, SHARE, SHIPPED, Candidate, affordable, offered, structure_of
-from model_zoo.selection.choosing import UNTRIED, Choosing
+from model_zoo.selection.candidates import (
+    offered,
+    structure_of,
+)
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
 from sysid_evo.cross_validation import balanced, folds_of
@@ -23,7 +25,7 @@ from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
-from sysid_evo.registry import Spec, make_model, models, register_model
+from sysid_evo.registry import make_model, models, register_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 
@@ -141,7 +143,7 @@ def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason(
 
 def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_turn() -> None:
     """With a wide gate the same candidate is judged in all turns."""
-    for gate, remark in ((1.25, "5.5 x the best in the first of 3 turns"), (5.0, "above")):
+    for gate, remark in ((1.25, "5.2 x the best in the first of 3 turns"), (5.0, "above")):
         model = make_model("auto", candidates=FEW, gate=gate)
         model.fit(example_dataset(), rng=0)
         row = next(row for row in model.standing() if row["candidate"] == "linear(state_lags=0)")
@@ -197,41 +199,8 @@ def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> N
     assert horizons_of(single, [10, 20, 60]) == [10, 20]
 
 
-def test_all_that_is_shipped_is_offered_to_a_car() -> None:
-    found, left_out = offered(example_dataset().system)
-    assert [one.spec for one in found] == [one.spec for one in SHIPPED]
-    assert not left_out
-
-
-@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
-def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs: int, budget: float) -> None:
-    names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
-    system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
-    found, _ = offered(system)
-    costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
-    tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
-    assert "nonlinear_state_space" in tried
-
-
-@pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
-def test_a_budget_is_spent_by_expected_time_and_what_falls_behind_makes_room_for_others(
-    budget: float, tried: str
-) -> None:
-    """Each is expected to take so many seconds four times: in three folds and for all data; b falls behind in one."""
-    data = example_dataset()
-    pairs = folds_of(data, 3)
-    specs = {"a": (FEW[0], 1.0), "b": ("linear(state_lags=0)", 1.0)}
-    specs |= {"c": ("linear(state_lags=1, ridge=0.1)", 0.9), "d": ("linear(state_lags=2)", 0.7)}
-    candidates = [Candidate(Spec.parse(f"{name}={text}"), cost, 0.0) for name, (text, cost) in specs.items()]
-    judge = Judge.of(data, [Trial.of(held, [10], 3) for _, held in pairs])
-    choosing = Choosing(data, pairs, judge, candidates, np.zeros((4, 4), dtype=np.int64), budget, Work(None, budget))
-    choice = choosing.choice(1.25, lambda models: learned().of(models, weights_of(["one"] * len(models))))
-    assert "".join(one.name for one, error in zip(candidates, choice.errors, strict=True) if error) == tried
-    untried = [reason for error, reason in zip(choice.errors, choice.reasons, strict=True) if error is None]
-    assert all(reason == UNTRIED for reason in untried)
-
-
 def test_a_plugin_that_declares_a_structure_is_a_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered(example_dataset().system)  # imports the families: what registers in the copy alone is lost with it
     monkeypatch.setattr(models, "_entries", dict(models._entries))
 
     @register_model("made_up_zero")

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.networks.multistep import FURTHER_RATE, Plan
+from model_zoo.channels.mirror import Mirror
+from model_zoo.networks.multistep import Plan
 from model_zoo.networks.standardised import StandardisedModel
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
@@ -57,24 +58,48 @@ def test_every_parameter_learns_and_the_model_stays_what_it_was(family: str, tra
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_it_is_trained_so_long_at_the_lower_rate_on_runs_of_its_own_length(
+def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in_the_mirror(
     family: str, training: Dataset, there: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plans = list[Plan]()
+    plans, signs = list[Plan](), list[list[float]]()
     model: Any = make_model(family, **FAMILIES[family]).fit(training, rng=np.random.default_rng(0))
     original = StandardisedModel.learn_further
 
     def remembered(self: Any, dataset: Dataset, plan: Plan, trainings: Any) -> Any:
         plans.append(plan)
+        signs.append(self.mirror.states.tolist())
         assert dataset is there
         return original(self, dataset, plan, trainings)
 
     monkeypatch.setattr(StandardisedModel, "learn_further", remembered)
     model.trained_further(there, 7, rng=np.random.default_rng(1))
     (plan,) = plans
-    assert (plan.one_step_updates, plan.updates, plan.horizon) == (0, 7, 5)
-    assert plan.learning_rate == FURTHER_RATE
+    assert (plan.one_step_updates, plan.updates, plan.horizon) == (5, 2, 5)
+    assert plan.learning_rate == Plan(1, 1, 1).learning_rate
     assert plan.input_noise == model.input_noise
+    assert signs == [[1.0, -1.0, -1.0]]
+
+
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode"])
+def test_left_turns_teach_something_of_right_turns(
+    family: str, training: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model: Any = make_model(family, **{**FAMILIES[family], "one_step_updates": 300, "updates": 20}).fit(training, rng=0)
+    other, steps, rng = FloorCar(turn=2.0), 300, np.random.default_rng(3)
+    controls = np.repeat(rng.uniform([0.3, 0.2], 1.0, (steps // 5, 2)), 5, axis=0)
+    left = recorded(other, controls)
+    right = recorded(other, controls * [1.0, -1.0])
+    seen_in_the_mirror = model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+    monkeypatch.setattr(Mirror, "of", lambda *_: None)
+    assert seen_in_the_mirror > 0.93 * model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+
+
+def recorded(car: FloorCar, controls: Array) -> Dataset:
+    """Return what the car does from rest under ``controls`` (H, 2)."""
+    states = np.zeros((len(controls) + 1, 3))
+    for k, control in enumerate(controls):
+        states[k + 1] = car.step(states[k : k + 1], control[None])[0]
+    return Dataset.from_arrays(car.system, states, controls)
 
 
 def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(training: Dataset, there: Dataset) -> None:

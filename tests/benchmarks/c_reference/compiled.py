@@ -61,4 +61,5 @@ class Compiled:
 
 
 def _pointer(array: Any) -> ctypes.c_void_p:
-    return array.ctypes.data_as(ctypes.c_void_p)  # type: ignore[no-any-return]  # NumPy's own type
+    pointer: ctypes.c_void_p = array.ctypes.data_as(ctypes.c_void_p)
+    return pointer

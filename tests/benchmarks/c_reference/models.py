@@ -7,6 +7,7 @@ populations that drive on them are kept in a folder, so that later runs time the
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,9 @@ FAMILIES = {
 def dynamics(name: str, folder: Path, *, seconds: float = 360.0) -> Dynamics:
     """Return the fitted family, or the emulated car; what is not in ``folder`` yet is made first."""
     if name == CAR:
-        return find_robot(CAR).dynamics  # type: ignore[no-any-return,attr-defined]  # an emulated robot has some
+        robot: Any = find_robot(CAR)
+        car: Dynamics = robot.dynamics
+        return car
     path = folder / name
     if not path.with_suffix(".json").exists():
         if not (folder / "recording").exists():

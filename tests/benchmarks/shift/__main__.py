@@ -73,7 +73,7 @@ def simulated(model: DynamicsModel, measured: MeasuredCases) -> Array:
     missing = max(0, model.n_lags - w.past_controls.shape[1])
     states = np.concatenate([np.repeat(w.past_states[:, :1], missing, axis=1), w.past_states], axis=1)
     controls = np.concatenate([np.repeat(w.past_controls[:, :1], missing, axis=1), w.past_controls], axis=1)
-    return model.simulate(states, controls, w.controls)
+    return model.without_noise().simulate(states, controls, w.controls)
 
 
 def recursive(model: DynamicsModel, test: Dataset, measured: MeasuredCases) -> Array:

@@ -2,6 +2,7 @@
 
 from tests.mutation.change import Change
 from tests.mutation.changes import (
+    adaptation,
     clusters,
     comparing,
     conditions,
@@ -33,6 +34,7 @@ ALL: tuple[Change, ...] = (
     *figures.CHANGES,
     *studies.CHANGES,
     *clusters.CHANGES,
+    *adaptation.CHANGES,
     *conditions.CHANGES,
     *intervals.CHANGES,
 )

@@ -1,230 +1,19 @@
-"""Models of another condition: what the gate believes, more training, the spread."""
+"""Models of another condition: more training, means, the spread."""
 
 from tests.mutation.change import Change
 
-GATE = "sysid_evo/adaptation/gate.py"
-ADAPTING = "sysid_evo/adaptation/adapting.py"
 ELSEWHERE = "model_zoo/validation/elsewhere.py"
 ADAPTED = "model_zoo/adapted.py"
 MEAN = "model_zoo/selection/mean.py"
 MLP_ENSEMBLE = "model_zoo/mlp_ensemble.py"
 NETWORK_RATE = "model_zoo/flows/network_rate.py"
-TEST_WHAT_THE_GATE_SAYS = "tests/sysid_evo/adaptation/test_what_the_gate_says.py"
-TEST_GATE = "tests/sysid_evo/adaptation/test_gate.py"
+FLOW_TRAINING = "model_zoo/flows/training.py"
+MULTISTEP = "model_zoo/networks/multistep.py"
+AVERAGE = "model_zoo/average.py"
 TEST_CALIBRATED_ELSEWHERE = "tests/model_zoo/test_calibrated_elsewhere.py"
 TEST_TRAINED_FURTHER = "tests/model_zoo/test_trained_further.py"
 
 CHANGES = (
-    Change(
-        "better in one block is enough",
-        GATE,
-        "return max(self.each) <= 1.0 - IN_EACH",
-        "return min(self.each) <= 1.0 - IN_EACH",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "a tenth is enough",
-        GATE,
-        "BETTER = 0.15",
-        "BETTER = 0.14",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "three percent in each block are enough",
-        GATE,
-        "IN_EACH = 0.05",
-        "IN_EACH = 0.045",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "a correction is sure at 97 % of Student's t",
-        GATE,
-        "CONFIDENCE = 0.975",
-        "CONFIDENCE = 0.97",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "two seconds are sure",
-        GATE,
-        "if len(gains) < 3:",
-        "if len(gains) < 2:",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the error of a mean is that of n",
-        GATE,
-        "gains.std(ddof=1)",
-        "gains.std()",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "chance and blocks are exchanged in what is said",
-        GATE,
-        '"which may be chance" if best.everywhere',
-        '"which may be chance" if not best.everywhere',
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "worse is better in what is said",
-        GATE,
-        "'better' if change > 0 else 'worse'",
-        "'better' if change < 0 else 'worse'",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the best is said, not what was taken",
-        GATE,
-        "if taken is None else taken",
-        "if taken is None else min(self.trials, key=lambda trial: trial.error)",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "a window that reaches over the edge is held back",
-        GATE,
-        "(first >= self.low) & (first + self.horizon <= self.high)",
-        "(first >= self.low) & (first <= self.high)",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "a window that reaches into the block is learned from",
-        GATE,
-        "(first + self.horizon <= self.low) | (first >= self.high)",
-        "(first <= self.low) | (first >= self.high)",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the second episode counts from the first",
-        GATE,
-        "begin += len(episode)",
-        "begin += 0",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the part before a block is left out",
-        GATE,
-        "((0, low), (high, len(episode))) if b > a",
-        "((high, len(episode)),) if b > a",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "blocks begin where the first window does",
-        GATE,
-        "edges[0], edges[-1] = 0, int(first.max()) + horizon",
-        "edges[0], edges[-1] = int(first.min()), int(first.max())",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "blocks without windows are blocks",
-        GATE,
-        "if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []",
-        "",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "seconds that one of both has count",
-        GATE,
-        "first.keys() & second.keys()",
-        "first.keys()",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the last that is about as good is taken",
-        GATE,
-        "<= (1.0 + AS_GOOD) * least), None)",
-        "<= (1.0 + 3 * AS_GOOD) * least), None)",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "training further is never better",
-        GATE,
-        "for further in (False, True)]",
-        "for further in (False,)]",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "rest counts as motion",
-        ADAPTING,
-        "int(rows[:-1].sum())",
-        "len(rows[:-1])",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "new seconds count once",
-        ADAPTING,
-        "copies = max(1, round(training.n_steps / new.n_steps))",
-        "copies = 1",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
-    Change(
-        "the old data are left out of a refit",
-        ADAPTING,
-        "training.with_episodes([*training, *again])",
-        "training.with_episodes(again)",
-        (
-            TEST_WHAT_THE_GATE_SAYS,
-            TEST_GATE,
-        ),
-    ),
     Change(
         "the base takes over the spread of another condition",
         ELSEWHERE,
@@ -311,18 +100,32 @@ CHANGES = (
         (TEST_TRAINED_FURTHER,),
     ),
     Change(
-        "further training at the first rate",
+        "further training without a mirror",
         MLP_ENSEMBLE,
-        "plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE,",
-        "plan = Plan(0, updates, self.horizon,",
+        "train_further(self.network, dataset, self.lags, plan, rng, mirror=mirror)",
+        "train_further(self.network, dataset, self.lags, plan, rng, mirror=None)",
         (TEST_TRAINED_FURTHER,),
     ),
     Change(
-        "further training of a flow at the first rate",
-        NETWORK_RATE,
-        "plan = Plan(0, updates, self.horizon, learning_rate=FURTHER_RATE,",
-        "plan = Plan(0, updates, self.horizon,",
+        "further training of a flow without a mirror",
+        FLOW_TRAINING,
+        "further=0 if mirror is None else 1, mirror=mirror)",
+        "further=0 if mirror is None else 1)",
         (TEST_TRAINED_FURTHER,),
+    ),
+    Change(
+        "more training is on single steps alone",
+        MULTISTEP,
+        "single = round(SINGLE_STEPS * updates)",
+        "single = updates",
+        (TEST_TRAINED_FURTHER,),
+    ),
+    Change(
+        "the mean of fitted models has the envelope of the first",
+        AVERAGE,
+        "np.stack([envelopes[:, 0].min(axis=0), envelopes[:, 1].max(axis=0)])",
+        "envelopes[0]",
+        ("tests/model_zoo/test_average.py",),
     ),
     Change(
         "physical parameters stay",
@@ -355,8 +158,8 @@ CHANGES = (
     Change(
         "a flow learns no noise",
         NETWORK_RATE,
-        "learning_rate=FURTHER_RATE, input_noise=self.input_noise)",
-        "learning_rate=FURTHER_RATE)",
+        "Plan.further(updates, self.horizon, self.input_noise)",
+        "Plan.further(updates, self.horizon, 0.0)",
         (TEST_TRAINED_FURTHER,),
     ),
 )

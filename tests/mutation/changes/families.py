@@ -5,6 +5,7 @@ from tests.mutation.change import Change
 VERDICTS = "tests/model_zoo/test_verdicts.py"
 VALIDATION = "tests/model_zoo/test_validation.py"
 AUTO = "tests/model_zoo/test_auto.py"
+TRIES = "tests/model_zoo/test_what_auto_tries.py"
 
 CHANGES = (
     Change(
@@ -20,6 +21,27 @@ CHANGES = (
         "if error <= (1.0 + AS_GOOD) * lowest)",
         "if error >= 0.0)",
         (AUTO,),
+    ),
+    Change(
+        "what is far behind is refined all the same",
+        "model_zoo/selection/choosing.py",
+        "found.mean <= PROMISING * min(one.mean for one in errors if one is not None)",
+        "found.mean > 0.0",
+        (AUTO, TRIES),
+    ),
+    Change(
+        "free runs are judged without the history that hidden states are found in",
+        "sysid_evo/judging.py",
+        "(typical - max(horizons)) // HISTORY_SHARE",
+        "typical // 20",
+        (AUTO, TRIES),
+    ),
+    Change(
+        "a committee weighs as much as each of its models would alone",
+        "model_zoo/auto.py",
+        "np.full(len(own), share / len(own))",
+        "np.full(len(own), share)",
+        (AUTO, TRIES),
     ),
     Change(
         "what progress raises counts as a candidate that failed",

@@ -31,6 +31,10 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     assert "products, ridge" in done.stdout
     assert "better than none on 3 blocks it did not learn from" in " ".join(done.stdout.split())
     assert "Free runs over 3 blocks, 30 s in all, each by what was learned" in " ".join(done.stdout.split())
+    (more,) = [line for line in done.stdout.splitlines() if "that were worse (--json has them)" in line]
+    shown = [line for line in done.stdout.splitlines() if line.count(", ridge") or line.startswith("fit anew")]
+    assert int(more.split()[1]) == 14 - 12
+    assert len([line for line in shown if "better than none" not in line]) == 12
     assert max(map(len, done.stdout.splitlines())) <= 80
     test = drive(FloorCar(thrust=1.8, turn=2.0), seconds=20.0, seed=9)
     assert load_model(call.folder / "there").score(test) > 0.6 * load_model(folder / "base").score(test)
@@ -50,3 +54,17 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(folder:
     assert not told["corrected"]
     assert "refit" in [row["correction"] for row in told["tried"]]
     assert all(len(row["blocks"]) == 3 for row in told["tried"])
+
+
+def test_a_network_that_is_trained_further_fits_eighty_columns(folder: Path, call: Caller) -> None:
+    model = make_model("mlp_ensemble", members=2, hidden=[4], one_step_updates=20, updates=2, horizon=5, state_lags=0,
+                       control_lags=0)  # fmt: skip
+    save_model(model.fit(drive(FloorCar(), seconds=20.0, seed=1), rng=0), folder / "network")
+    done = call("adapt", folder / "network", "--data", folder / "same", "--out", "there")
+    assert done.code == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    ways = [line for line in lines if "ridge" in line or "updates" in line]
+    assert ways
+    table = [line for line in ways if "better than" not in line and "worse than" not in line]
+    assert all(len(line.split("  ")[-1]) == 4 for line in table), table

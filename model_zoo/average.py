@@ -1,0 +1,105 @@
+"""The mean of families that somebody names, none of them weighed: what `auto` is without its choice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from model_zoo.selection.mean import MeanOfMembers
+from sysid_evo import Dataset, DynamicsModel, make_model, register_model
+from sysid_evo.cross_validation import folds_of
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.progress import Counter, Progress
+from sysid_evo.registry import Spec, models
+from sysid_evo.system import System
+
+FAMILIES = ("narx", "k_neighbours")
+FOLDS = 3
+PARTS = 100
+"""Parts in which the fit of one family is told."""
+
+
+@register_model("average")
+class Average(MeanOfMembers):
+    """The mean of the next states of ``families``, each fitted to all the data, with equal weights.
+
+    ``families`` are named with their settings, such as ``[narx, neural_ode(updates=200)]``; `narx` and `k_neighbours`
+    by default. For a given state the next one is affine in the acceleration, so that the mean of next states is that of
+    accelerations. Every member starts each step from the mean, and keeps its own memory beside it. Nothing is chosen
+    and nothing weighed: `auto` does that.
+
+    With ``stochastic`` every step adds normal noise: the members' disagreement and the one-step residual on three
+    held-out blocks, scaled so that 90 % intervals hold 90 % of free runs of one second there.
+    """
+
+    knowledge = "grey"
+    periodic = True
+    presets: ClassVar[dict[str, dict[str, Any]]] = {}
+
+    families: list[str] | None = None
+    stochastic: bool = False
+    rest_hold: bool = False
+    most_steps: int | None = 100_000
+
+    def check_parameters(self) -> None:
+        super().check_parameters()
+        if not self._named():
+            raise InvalidArgument("families: expected at least one family, got none")
+        for spec in self._named():
+            if spec.name == "average":
+                raise InvalidArgument("families: expected other families, got average, which would hold itself")
+            models.check(spec)
+
+    def check_system(self, system: System) -> None:
+        for spec, model in zip(self._named(), self._unfitted(), strict=True):
+            model.check_system(system)
+            if system.periods and not model.periodic:
+                turning = ", ".join(channel.name for channel in system.states if channel.period)
+                raise IncompatibleSystem(f"families: {spec.text} is not periodic, and {turning} comes round")
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        pairs = folds_of(dataset, FOLDS) if self.stochastic else []
+        counter = Counter(progress, PARTS * len(self._named()) * (1 + len(pairs)) + 1)
+
+        def fitted(data: Dataset) -> list[DynamicsModel]:
+            return [model.fit(data, rng=rng, progress=_share(counter)) for model in self._unfitted()]
+
+        self._hold(fitted(dataset))
+        if self.stochastic:
+            means = [(self.of(parts, self.weights_), held) for parts, held in ((fitted(a), b) for a, b in pairs)]
+            self.calibrate(means, rng, lambda: counter.advance(0))
+        return self
+
+    @classmethod
+    def made_of(cls, fitted: Sequence[DynamicsModel]) -> Self:
+        """Return the mean of ``fitted`` models of one system as a fitted model."""
+        mean = cls()
+        mean._hold(fitted)
+        envelopes = np.array([model.envelope_ for model in fitted])
+        mean.system_, mean.pairs_ = fitted[0].system, fitted[0].pairs_
+        mean.envelope_ = np.stack([envelopes[:, 0].min(axis=0), envelopes[:, 1].max(axis=0)])
+        return mean
+
+    def _hold(self, fitted: Sequence[DynamicsModel]) -> None:
+        self.become(fitted, np.full(len(fitted), 1.0 / len(fitted)))
+
+    def _named(self) -> list[Spec]:
+        return [Spec.parse(text) for text in (FAMILIES if self.families is None else self.families)]
+
+    def _unfitted(self) -> list[DynamicsModel]:
+        return [make_model(spec) for spec in self._named()]
+
+    def uses(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(spec.name for spec in self._named()))
+
+
+def _share(counter: Counter) -> Progress:
+    """Return what tells ``counter`` how far the fit of one family is, in `PARTS` parts."""
+    begun = counter.done
+
+    def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
+        counter.advance(max(0, begun + PARTS * min(done, total) // max(1, total) - counter.done))
+
+    return progress
