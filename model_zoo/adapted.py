@@ -36,9 +36,9 @@ class Adapted(DynamicsModel):
     free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
     must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
     its base. More training of a base that learns in updates, and a fit of its family to these data alone, are judged
-    alike, and so are the means of these and the best correction: such a mean is a base of the family ``average``.
-    `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on the blocks, each run
-    through by what was learned without it.
+    alike (of training more is asked), and so are the means of these and the best correction: such a mean is a base of
+    the family ``average``. `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on
+    the blocks, each run through by what was learned without it.
     """
 
     knowledge = "dark grey"

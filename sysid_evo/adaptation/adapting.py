@@ -8,7 +8,19 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.adaptation.gate import AND, NONE, Block, Held, Kind, Trial, Verdict, blocks_of, decided, judged
+from sysid_evo.adaptation.gate import (
+    AND,
+    NONE,
+    Block,
+    Held,
+    Kind,
+    Trial,
+    Verdict,
+    blocks_of,
+    decided,
+    failed,
+    judged,
+)
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.terms import Terms
@@ -64,7 +76,8 @@ def adaptation(
     """Learn what ``model`` lacks in ``dataset``; with the ``training`` data, a refit with both is tried as well.
 
     More training is tried too, of families that can, and a fit to ``dataset`` alone, unless the family fits others; and
-    the mean of each of these and the correction that is best. A model that draws noise has no such mean.
+    the mean of each of these and the correction that is best. A model that draws noise has no such mean. What is no
+    better in one block, and its mean neither, is not made for the others: it could not be believed any more.
 
     Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
     several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
@@ -95,16 +108,13 @@ def adaptation(
     best = min(trials, key=lambda trial: trial.error).name if trials else NONE
     beside = apart.get(best, []) if not model.n_noise else []
     for name, way in ways.items() if blocks else ():
-        shown = _made(way, dataset, blocks, counter.advance)
+        shown = _shown(way, dataset, blocks, plain, beside, counter.advance)
         if shown is not None:
-            learned_apart, errors_of_way = zip(*shown, strict=True)
-            apart[name] = list(learned_apart)
+            apart[name], of_way, of_mean = shown
             alone, mean = _KINDS[name in FURTHER]
-            trials.append(judged(name, plain, errors_of_way, alone))
+            trials.append(judged(name, plain, of_way, alone))
             if beside:
-                means = [_mean(one, other.model) for one, other in zip(beside, learned_apart, strict=True)]
-                seen = [_seen(one, dataset, block) for one, block in zip(means, blocks, strict=True)]
-                trials.append(judged(best + AND + name, plain, seen, mean))
+                trials.append(judged(best + AND + name, plain, of_mean, mean))
     error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
     learned = _again(model, dataset, pieces, verdict, ways)
@@ -180,25 +190,36 @@ def _uncorrected(model: DynamicsModel, dataset: Dataset) -> Learned:
     return Learned(model, terms, np.zeros(terms.shape))
 
 
-def _made(
-    way: Way, dataset: Dataset, blocks: Sequence[Block], told: Callable[[], None]
-) -> list[tuple[Learned, Held]] | None:
-    """Return what is made of the rest of each block and its errors there; None if that is too short, or cannot be.
+def _shown(
+    way: Way,
+    dataset: Dataset,
+    blocks: Sequence[Block],
+    plain: Sequence[Held],
+    beside: Sequence[Learned],
+    told: Callable[[], None],
+) -> tuple[list[Learned], list[Held], list[Held]] | None:
+    """Return what is made of the rest of each block, its errors there, and those of its means with ``beside``.
 
-    Its lags may be others than those of the model that is adapted.
+    Without ``beside`` there are no means. The last block is one after which neither can be good any more, by the
+    errors without a correction, ``plain``. None if the rest of a block is too short, or a model cannot be made this
+    way. Its lags may be others than those of the model that is adapted.
     """
-    found = []
-    for block in blocks:
+    made, of_way, of_mean = list[Learned](), list[Held](), list[Held]()
+    for number, block in enumerate(blocks):
         try:
             again = way(block.rest(dataset))
             if again is None:
                 return None
-            errors = _seen(again, dataset, block)
+            of_way.append(_seen(again, dataset, block))
+            if beside:
+                of_mean.append(_seen(_mean(beside[number], again), dataset, block))
         except (SysidEvoError, ValueError):
             return None
-        found.append((replace(_uncorrected(again, dataset), held=block.part(dataset)), errors))
+        made.append(replace(_uncorrected(again, dataset), held=block.part(dataset)))
         told()
-    return found
+        if failed(plain, of_way) and (not beside or failed(plain, of_mean)):
+            break
+    return made, of_way, of_mean
 
 
 def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> Held:

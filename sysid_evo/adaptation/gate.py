@@ -22,8 +22,9 @@ IN_EACH = 0.05
 """that by which it must be lower in every block,"""
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t);"""
-OF_TRAINING = 0.99
-"""that of more training and of means, of which many are tried and each can learn much from little."""
+BETTER_OF_TRAINING, CONFIDENCE_OF_TRAINING = 1.0, 0.99
+"""those of more training and of means, of which many are tried and each can learn much from little: this share is
+divided by the root of the seconds that are compared (19 % of 28, 38 % of 7), and is `BETTER` at least."""
 AS_GOOD = 0.10
 """Share of the lowest error by which a simpler correction may be worse."""
 NONE = "none"
@@ -51,7 +52,8 @@ class Held:
 class Trial:
     """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
 
-    ``sure`` says whether it is better than none beyond what chance would do to so short a recording.
+    The blocks are fewer where it was given up before the last, since it had `failed` in one. ``sure`` says whether it
+    is better than none beyond what chance would do to so short a recording, ``asked`` by what share it must be.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Trial:
     each: tuple[float, ...]
     sure: bool
     kind: Kind = "alone"
+    asked: float = BETTER
 
     @property
     def other(self) -> str:
@@ -68,7 +71,7 @@ class Trial:
     @property
     def good(self) -> bool:
         """Whether it is better by enough, surely, and in every block."""
-        return self.sure and self.error <= 1.0 - BETTER and self.everywhere
+        return self.sure and self.error <= 1.0 - self.asked and self.everywhere
 
     @property
     def everywhere(self) -> bool:
@@ -98,13 +101,14 @@ class Verdict:
         if not self.trials:
             return f"no correction: {self.seconds:.0f} s in motion are too short to hold a block back"
         taken = next((trial for trial in self.trials if trial.name == self.chosen), None)
-        best = min(self.trials, key=lambda trial: trial.error) if taken is None else taken
+        whole = [trial for trial in self.trials if len(trial.each) == self.blocks]
+        best = min(whole, key=lambda trial: trial.error) if taken is None else taken
         change = 100.0 * (1.0 - best.error)
         seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
         if taken is not None:
             return f"{taken.name}: {seen} it did not learn from"
-        why = f"{100 * BETTER:.0f} % are asked"
-        if change >= 100.0 * BETTER:
+        why = f"{100 * best.asked:.0f} % are asked"
+        if change >= 100.0 * best.asked:
             why = "which may be chance" if best.everywhere else "but not on each of them"
         return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
@@ -157,17 +161,30 @@ def blocks_of(first: IntArray, horizon: int) -> list[Block]:
 
 
 def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Kind = "alone") -> Trial:
-    """Return a trial from what each block shows without and with a correction."""
-    pairs = list(zip(plain, corrected, strict=True))
-    each = tuple(error_of(after.errors) / max(error_of(before.errors), 1e-12) for before, after in pairs)
+    """Return a trial from what the blocks show without and with a correction, which may know the first ones only."""
+    pairs = list(zip(plain, corrected, strict=False))
+    each = tuple(_share(before, after) for before, after in pairs)
     whole = error_of(np.concatenate([after.errors for _, after in pairs]))
     before = error_of(np.concatenate([before.errors for before, _ in pairs]))
     gains = []
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    confidence = OF_TRAINING if kind in ("further", "mean") else CONFIDENCE
-    return Trial(name, whole / max(before, 1e-12), each, surely_positive(np.array(gains), confidence), kind)
+    asked, confidence = BETTER, CONFIDENCE
+    if kind in ("further", "mean"):
+        asked, confidence = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), CONFIDENCE_OF_TRAINING
+    sure = surely_positive(np.array(gains), confidence)
+    return Trial(name, whole / max(before, 1e-12), each, sure, kind, float(asked))
+
+
+def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
+    """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
+    return any(_share(*pair) > 1.0 - IN_EACH for pair in zip(plain, corrected, strict=False))
+
+
+def _share(before: Held, after: Held) -> float:
+    """Return the error in a block as a share of that without a correction."""
+    return error_of(after.errors) / max(error_of(before.errors), 1e-12)
 
 
 def surely_positive(gains: Array, confidence: float = CONFIDENCE) -> bool:

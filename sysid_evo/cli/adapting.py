@@ -72,7 +72,10 @@ def adapt(
 
 
 def seen(adapted: Any) -> list[dict[str, Any]]:
-    """Return what was tried: its error as a share of that without a correction, over all blocks and in each."""
+    """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
+
+    They are fewer blocks where it was given up after one that showed it to be no good.
+    """
     return [
         {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
         for name, shares in zip(adapted.tried_, adapted.gate_, strict=True)
@@ -87,10 +90,11 @@ def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
     table.add_column("way", no_wrap=True)
     table.add_column("all", justify="right")
     table.add_column("in each block", justify="right")
+    count = max((len(row["blocks"]) for row in rows), default=0)
     for row in sorted(rows, key=lambda row: float(row["error"]))[:SHOWN]:
-        table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(f"{share:.2f}" for share in row["blocks"]))
+        shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))
+        table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(shares))
     if rows:
-        count = len(rows[0]["blocks"])
         out.print(
             f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
             "errors as a share of that of the model as it was:",

@@ -6,6 +6,7 @@ GATE = "sysid_evo/adaptation/gate.py"
 ADAPTING = "sysid_evo/adaptation/adapting.py"
 TEST_WHAT_THE_GATE_SAYS = "tests/sysid_evo/adaptation/test_what_the_gate_says.py"
 TEST_ADAPTED = "tests/model_zoo/test_adapted.py"
+TEST_GIVEN_UP = "tests/model_zoo/test_given_up.py"
 TEST_GATE = "tests/sysid_evo/adaptation/test_gate.py"
 
 CHANGES = (
@@ -222,16 +223,58 @@ CHANGES = (
     Change(
         "more training is believed as a correction is",
         GATE,
-        "OF_TRAINING = 0.99",
-        "OF_TRAINING = 0.985",
+        "CONFIDENCE_OF_TRAINING = 1.0, 0.99",
+        "CONFIDENCE_OF_TRAINING = 1.0, 0.985",
         (TEST_GATE,),
     ),
     Change(
         "a mean is believed as a correction is",
         GATE,
-        'OF_TRAINING if kind in ("further", "mean") else CONFIDENCE',
-        'OF_TRAINING if kind == "further" else CONFIDENCE',
+        'if kind in ("further", "mean"):',
+        'if kind == "further":',
         (TEST_GATE,),
+    ),
+    Change(
+        "what is asked of more training shrinks with the seconds",
+        GATE,
+        "/ np.sqrt(max(1, len(gains)))",
+        "/ max(1, len(gains))",
+        (TEST_GATE,),
+    ),
+    Change(
+        "what is asked of more training is asked of it alone",
+        GATE,
+        "self.error <= 1.0 - self.asked",
+        "self.error <= 1.0 - BETTER",
+        (TEST_GATE,),
+    ),
+    Change(
+        "a trial that was given up is the best",
+        GATE,
+        "[trial for trial in self.trials if len(trial.each) == self.blocks]",
+        "self.trials",
+        (TEST_WHAT_THE_GATE_SAYS,),
+    ),
+    Change(
+        "what has failed must have done so in all blocks",
+        GATE,
+        "return any(_share(*pair)",
+        "return all(_share(*pair)",
+        (TEST_GATE,),
+    ),
+    Change(
+        "a way is given up though its mean may be good",
+        ADAPTING,
+        "if failed(plain, of_way) and (not beside or failed(plain, of_mean)):",
+        "if failed(plain, of_way):",
+        (TEST_GIVEN_UP,),
+    ),
+    Change(
+        "a way is never given up",
+        ADAPTING,
+        "if failed(plain, of_way) and (not beside or failed(plain, of_mean)):",
+        "if False:",
+        (TEST_GIVEN_UP,),
     ),
     Change(
         "means are never better",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.gate import Held, Kind, Trial, blocks_of, decided, judged, surely_positive
+from sysid_evo.adaptation.gate import Held, Kind, Trial, blocks_of, decided, failed, judged, surely_positive
 
 from .cars import FloorCar, drive
 
@@ -120,3 +120,21 @@ def test_fewer_seconds_must_show_more() -> None:
     assert not surely_positive(gains)
     assert surely_positive(np.tile(gains, 5))
     assert not surely_positive(np.array([1.0, 1.0]))
+
+
+@pytest.mark.parametrize(("seconds", "share"), [(4, 0.5), (25, 0.2), (100, 0.15)])
+def test_of_more_training_more_is_asked_the_fewer_seconds_are_compared(seconds: int, share: float) -> None:
+    plain = [held(np.ones((2 * seconds, 5, 2)))]
+    better = [held(np.full((2 * seconds, 5, 2), 0.6))]
+    kinds: tuple[Kind, ...] = ("alone", "beside", "further", "mean")
+    assert [judged("a", plain, better, kind).asked for kind in kinds] == pytest.approx([0.15, 0.15, share, share])
+    for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
+        assert Trial("a", error, (0.5,), True, "further", share).good == good
+
+
+@pytest.mark.parametrize(("last", "no_good"), [(0.949, False), (0.951, True)])
+def test_what_is_hardly_better_in_one_block_has_failed_in_those_that_it_knows(last: float, no_good: bool) -> None:
+    plain = [np.ones((8, 5, 2))] * 3
+    seen = [held(0.2 * plain[0]), held(last * plain[1])]
+    assert failed(list(map(held, plain)), seen) == no_good
+    assert judged("a", list(map(held, plain)), seen).each == pytest.approx((0.2, last))

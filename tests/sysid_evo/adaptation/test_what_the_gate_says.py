@@ -47,6 +47,15 @@ WORST = trial("products", 1.3, (1.3, 1.3, 1.3))
             "which may be chance",
         ),
         (
+            (WORST, Trial("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)),
+            "no correction: the best, mean, is 30 % better than none on 3 blocks it did not learn from; 35 % are asked",
+        ),
+        (
+            (trial("given up", 0.4, (0.2, 0.96)), trial("gains", 0.9, (0.9, 0.9, 0.9))),
+            "no correction: the best, gains, is 10 % better than none on 3 blocks it did not learn from; "
+            "15 % are asked",
+        ),
+        (
             (WORST, trial("gains", 0.6, (0.2, 0.6, 1.0))),
             "no correction: the best, gains, is 40 % better than none on 3 blocks it did not learn from; "
             "but not on each of them",
