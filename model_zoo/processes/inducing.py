@@ -9,7 +9,7 @@ from sysid_evo.arrays import Array, IntArray
 POOL = 3000
 """Random steps among which is chosen."""
 LEAST = 1e-10
-"""Variance, as a share of the prior's, below which a step is as good as known."""
+"""Variance, as a share of the prior's, up to which a step is as good as known: what is left of it is rounding."""
 
 
 def inducing_rows(inputs: Array, lengths: Array, count: int, rng: np.random.Generator) -> IntArray:
@@ -29,9 +29,11 @@ def inducing_rows(inputs: Array, lengths: Array, count: int, rng: np.random.Gene
         row = number if number < few else int(np.argmax(left.sum(axis=0)))  # of those taken, -1 is left
         chosen.append(row)
         for known, factor, length in zip(left, factors, lengths, strict=True):
+            if known[row] <= LEAST:
+                continue
             apart = (near - near[row]) / length
             covariance = np.exp(-0.5 * np.einsum("ij,ij->i", apart, apart))
-            factor[number] = (covariance - factor[:number, row] @ factor[:number]) / np.sqrt(max(known[row], LEAST))
+            factor[number] = (covariance - factor[:number, row] @ factor[:number]) / np.sqrt(known[row])
             known -= factor[number] ** 2
         np.maximum(left, 0.0, out=left)
         left[:, chosen] = -1.0

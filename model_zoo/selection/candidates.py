@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from model_zoo.selection.mean import MeanOfMembers
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
 from sysid_evo.registry import Spec, models
@@ -79,6 +80,15 @@ SHORT = _one(
 )
 """Hidden states with little training, which tells where more of it may be worth its time."""
 
+PROCESS = _one("gaussian_process", 3.0, 1.0)
+THREE = 3
+PROCESSES = Candidate(
+    Spec("average", {"families": [PROCESS.name] * THREE}, f"average of {THREE} {PROCESS.name}"),
+    THREE * PROCESS.seconds,
+    refines=PROCESS,
+)
+"""Which steps a sparse process is made of is drawn: where one does well, the mean of three that differ does better."""
+
 SHIPPED: tuple[Candidate, ...] = (
     _one("narx(lag_search=few, terms=32, degree=none)", 0.4, 1.0),
     _networks(0, 5, 1.0),
@@ -92,7 +102,7 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("linear_state_space(iterations=12, folds=1, most_steps=4000)", 1.5, 0.3),
     SHORT,
     _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 4.0),
-    _one("gaussian_process", 3.0, 1.0),
+    PROCESS,
     _one("sindy_discrete", 1.0, 1.0),
     _one("single_track(residual=true, starts=3, windows=120, residual_points=60)", 3.0, 0.3),
     _networks(0, 0, 3.0),
@@ -104,6 +114,7 @@ SHIPPED: tuple[Candidate, ...] = (
     _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=2.0)", 4.0),
     _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=2.0)", 5.5),
     _networks(0, 2, 0.05),
+    PROCESSES,
     Candidate(Spec("nonlinear_state_space"), 100.0, 1.0, refines=SHORT, committee=True),
 )
 """What is tried unless candidates are named, the most telling for their time first."""
@@ -140,7 +151,7 @@ def named(texts: Sequence[str]) -> list[Candidate]:
         if spec.name == "auto":
             raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
         models.check(spec)
-        listed = [candidate for candidate in SHIPPED if candidate.spec.name == spec.name]
+        listed = [one for one in SHIPPED if one.spec.name == spec.name and one is not PROCESSES]
         found += [Candidate(spec)] if spec.parameters or not listed else [replace(one, refines=None) for one in listed]
     return found
 
@@ -164,9 +175,13 @@ def unusable(candidate: Candidate, system: System) -> str:
 def structure_of(model: DynamicsModel) -> str:
     """Return the class of structure in which a fitted ``model`` is weighed.
 
-    That is the ``structure`` of its family, of networks with or without a memory of earlier samples. A family that
-    declares none counts as physics if it assumes a good deal of it, and as another structure if it does not.
+    That is the ``structure`` of its family, of networks with or without a memory of earlier samples; of a mean, that of
+    its members if it is one. A family that declares none counts as physics if it assumes a good deal of it, and as
+    another structure if it does not.
     """
+    if isinstance(model, MeanOfMembers):
+        inside = {structure_of(member) for member in model.members_}
+        return inside.pop() if len(inside) == 1 else "several structures"
     declared = type(model).structure or ("physics" if model.knowledge in ("grey", "white") else "other")
     if declared != "network":
         return declared

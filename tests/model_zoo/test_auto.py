@@ -123,6 +123,8 @@ def test_weights_are_equal_in_each_class_of_structure_and_across_the_classes() -
         ("nearest_neighbour", "neighbours"),
         ("parametrised(generations=1)", "physics"),
         ("linear_state_space(iterations=1, folds=1, order=3)", "state space"),
+        ("average(families=[nearest_neighbour, nearest_neighbour])", "neighbours"),
+        ("average(families=[nearest_neighbour, linear])", "several structures"),
     ],
 )
 def test_every_model_has_a_class_of_structure(spec: str, structure: str) -> None:

@@ -55,3 +55,11 @@ def test_each_next_row_is_the_one_of_which_least_is_known_in_all_channels() -> N
 def test_inputs_that_are_all_the_same_are_no_trouble() -> None:
     rows = inducing_rows(np.zeros((30, 2)), np.ones((1, 2)), 10, np.random.default_rng(0))
     assert len(set(rows.tolist())) == 10
+
+
+def test_where_nothing_is_left_unknown_rounding_is_not_taken_for_it() -> None:
+    """A process that hardly varies is known from few rows: the other one goes on as if it were alone."""
+    inputs, lengths = np.random.default_rng(0).uniform(0.0, 1.0, (900, 2)), np.array([[2.0, 2.0], [0.02, 0.02]])
+    both = inducing_rows(inputs, lengths, 800, np.random.default_rng(1))
+    alone = inducing_rows(inputs, lengths[1:], 800, np.random.default_rng(1))
+    assert len(np.intersect1d(both, alone)) > 790

@@ -122,6 +122,12 @@ def test_what_is_named_is_tried_even_if_it_refines_another() -> None:
     assert not any(one.refines for one in found)
 
 
+def test_an_average_that_is_named_alone_is_that_of_its_own_families() -> None:
+    (found,) = named(["average"])
+    assert found.spec.parameters == {}
+    assert any(one.spec.name == "average" and one.refines for one in SHIPPED)
+
+
 def test_a_refinement_that_is_shipped_stands_behind_what_it_refines() -> None:
     for number, one in enumerate(SHIPPED):
         assert one.refines is None or one.refines in SHIPPED[:number]
