@@ -43,12 +43,13 @@ class Auto(MeanOfMembers):
     behind the first time (1.25 times the gate, and significantly) is not tried again. What fails or diverges is dropped
     with its reason, and so is what is more than ``gate`` times as far off as the best; the gate is narrowed where the
     mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
-    the best stays (paired bootstrap). A state space that stands well is trained fully, and takes the place of the one
-    with little training if it is better. Those kept learn again from all data; what a fully trained state space has
-    learned without each fold stays beside that, unless it is far worse. Their weights are equal in each class of
-    structure (networks that see earlier samples, networks that do not, polynomials, neighbours, physics), and equal
-    across the classes. For a given state the next one is affine in the acceleration, so that the mean of next states is
-    that of accelerations. Every member starts each step from the mean, and keeps its own memory beside it.
+    the best stays (paired bootstrap). A state space that stands well is trained fully, of a Gaussian process that does
+    three are averaged, and each takes the place of the first one if it is better. Those kept learn again from all data;
+    what a fully trained state space has learned without each fold stays beside that, unless it is far worse. Their
+    weights are equal in each class of structure (networks that see earlier samples, networks that do not, polynomials,
+    neighbours, physics), and equal across the classes. For a given state the next one is affine in the acceleration, so
+    that the mean of next states is that of accelerations. Every member starts each step from the mean, and keeps its
+    own memory beside it.
 
     ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they are
     *expected* to take and by no clock; what is saved with those that fall behind is spent on more. The same data, seed
