@@ -97,7 +97,7 @@ def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
     if rows:
         out.print(
             f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
-            "errors as a share of that of the model as it was:",
+            "errors as a share of that of the model as it was (-: given up before):",
             highlight=False,
         )
         out.print(table)
