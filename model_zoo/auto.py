@@ -45,11 +45,11 @@ class Auto(MeanOfMembers):
     mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
     the best stays (paired bootstrap). A state space that stands well is trained fully, of a Gaussian process that does
     three are averaged, and each takes the place of the first one if it is better. Those kept learn again from all data;
-    what a fully trained state space has learned without each fold stays beside that, unless it is far worse. Their
-    weights are equal in each class of structure (networks that see earlier samples, networks that do not, polynomials,
-    neighbours, physics), and equal across the classes. For a given state the next one is affine in the acceleration, so
-    that the mean of next states is that of accelerations. Every member starts each step from the mean, and keeps its
-    own memory beside it.
+    what a fully trained state space has learned without each fold stays beside that, unless it is far worse. Each
+    class of structure (networks that see earlier samples, networks that do not, polynomials, neighbours, physics)
+    weighs as the root of how many of it are kept, and these weigh alike. For a given state the next one is affine in
+    the acceleration, so that the mean of next states is that of accelerations. Every member starts each step from the
+    mean, and keeps its own memory beside it.
 
     ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they are
     *expected* to take and by no clock; what is saved with those that fall behind is spent on more. The same data, seed
@@ -64,6 +64,7 @@ class Auto(MeanOfMembers):
 
     knowledge = "grey"
     periodic = True
+    chooses = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0}, "paper": {"budget": 900.0}}
     searched: ClassVar[dict[str, Searched]] = {"gate": Within(1.0, 2.0)}
     limits: ClassVar[dict[str, Limit]] = {

@@ -25,12 +25,14 @@ class Passed:
 
 
 def weights_of(structures: Sequence[str]) -> Array:
-    """Return the weights (M,) of members of these classes: equal across the classes, and within each; their sum is 1.
+    """Return the weights (M,) of members of these classes: a class counts as the root of how many are in it.
 
-    Structurally different models err in different ways, seeds and settings of one in the same.
+    Within a class they are equal; their sum is 1. Structurally different models err in different ways, seeds and
+    settings of one mostly in the same: a class of many says more than a class of one, and less than as many classes.
     """
     count = Counter(structures)
-    return np.array([1.0 / (len(count) * count[structure]) for structure in structures])
+    found = np.array([1.0 / np.sqrt(count[structure]) for structure in structures])
+    return np.asarray(found / found.sum())
 
 
 def inside(errors: Sequence[float], gate: float) -> list[int]:

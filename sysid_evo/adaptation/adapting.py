@@ -149,7 +149,7 @@ def _ways(model: DynamicsModel, training: Dataset | None, rng: np.random.Generat
         return lambda data: refitted(model, old, data, rng)
 
     ways = {name: further(updates) for name, updates in FURTHER.items()}
-    ways |= {} if model.uses() else {ANEW: again(None)}
+    ways |= {} if model.uses() or model.chooses else {ANEW: again(None)}
     return ways | ({} if training is None else {REFIT: again(training)})
 
 

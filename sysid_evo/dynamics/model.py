@@ -70,6 +70,8 @@ class DynamicsModel(Dynamics, Estimator):
 
     A family is ``cheap`` if it is fitted within about a second: advice on it may then fit copies to parts of the data.
 
+    A family that ``chooses`` among others fits many of them: it is not fitted anew for an adaptation.
+
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error. Arrays without names do as well, as in
@@ -96,6 +98,7 @@ class DynamicsModel(Dynamics, Estimator):
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
     cheap: ClassVar[bool] = False
+    chooses: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0

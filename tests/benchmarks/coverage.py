@@ -40,10 +40,10 @@ def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
 
 def uncertain(name: str, preset: str) -> DynamicsModel:
     """Return a family with its preset that is to learn its spread."""
-    from sysid_evo.registry import make_model, models
+    from evaluation.comparison.model_cells import with_preset
+    from sysid_evo.registry import Spec, make_model
 
-    family = models.get(name)
-    return make_model(name, **dict(family.presets.get(preset, {})), stochastic=True)  # type: ignore[attr-defined]  # a class
+    return make_model(with_preset(Spec(name, {"stochastic": True}), preset))
 
 
 def line(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.comparison.model_cells import with_preset
 from hardware.robot import Robot
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import RecurrentNetwork
@@ -23,7 +24,7 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import Engine, rollout
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model, make_robot, models, robots
+from sysid_evo.registry import Spec, make_model, make_robot, models, robots
 from sysid_evo.tasks import PointToPoint
 from tests.benchmarks.rollout.families import recording
 
@@ -68,8 +69,7 @@ def made(name: str, dataset: Dataset) -> Dynamics | None:
     if name in robots.names():
         robot: Robot = make_robot(name)
         return robot.dynamics
-    quick = dict(models.get(name).presets.get("quick", {}))  # type: ignore[attr-defined]  # a class, not any factory
-    return make_model(name, **quick).fit(dataset, rng=np.random.default_rng(0))
+    return make_model(with_preset(Spec(name), "quick")).fit(dataset, rng=np.random.default_rng(0))
 
 
 def main() -> None:

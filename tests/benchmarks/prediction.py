@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.comparison.model_cells import with_preset
 from evaluation.prediction import (
     Interval,
     MeasuredCases,
@@ -37,7 +38,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_model, make_robot, models
+from sysid_evo.registry import Spec, make_model, make_robot, models
 from sysid_evo.system import Channel, System
 from tests.benchmarks.coverage import coverage
 from tests.benchmarks.peers import LaggedOneStepEnsemble
@@ -78,10 +79,10 @@ def new_model(name: str, preset: str) -> DynamicsModel:
         return LaggedOneStepEnsemble()
     if name == PERSISTENCE:
         return Persistence()
-    options = dict(models.get(name).presets.get(preset, {}))  # type: ignore[attr-defined]  # a class
-    if "stochastic" in models.get(name)().get_params():  # type: ignore[attr-defined]  # a class
-        options["stochastic"] = True  # so that its intervals are calibrated; errors are those without noise
-    return make_model(name, **options)
+    spec = with_preset(Spec(name), preset)
+    if "stochastic" in make_model(spec).get_params():
+        spec = spec.with_parameters(stochastic=True)  # so that its intervals are calibrated; errors are without noise
+    return make_model(spec)
 
 
 def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> Array | None:

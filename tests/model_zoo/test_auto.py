@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from model_zoo.auto import Auto
+from model_zoo.linear import Linear
 from model_zoo.selection.candidates import (
     offered,
     structure_of,
 )
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
+from sysid_evo.adaptation.adapting import ANEW, adaptation
 from sysid_evo.cross_validation import balanced, folds_of
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
@@ -109,9 +111,9 @@ def test_a_member_with_a_memory_and_noise_of_its_own_keeps_both() -> None:
         assert carry[0, [6, 10]].tolist() == [total, total]
 
 
-def test_weights_are_equal_in_each_class_of_structure_and_across_the_classes() -> None:
-    found = weights_of(["network with lags", "polynomial", "network with lags", "neighbours"])
-    np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 6, 1 / 3])
+def test_a_class_of_structure_weighs_as_the_root_of_how_many_are_in_it_and_these_weigh_alike() -> None:
+    found = weights_of(["network", "polynomial", "network", "neighbours", "network", "network"])
+    np.testing.assert_allclose(found, [1 / 8, 1 / 4, 1 / 8, 1 / 4, 1 / 8, 1 / 8])
 
 
 @pytest.mark.parametrize(
@@ -293,3 +295,18 @@ def test_the_model_is_the_same_for_any_number_of_processes() -> None:
         assert there is not None
         for mine, other in zip(here.weights_, there.weights_, strict=True):  # type: ignore[attr-defined]  # a network
             np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize("chooses", [True, False])
+def test_what_chooses_among_families_does_not_choose_anew_for_an_adaptation(chooses: bool) -> None:
+    class Choosing(Linear):
+        pass
+
+    Choosing.chooses = chooses
+    data = example_dataset()
+    few = data.with_episodes([data.episodes[0][:200]])
+    model = Choosing().fit(few, rng=0)
+    tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).verdict.trials]
+    assert tried
+    assert (ANEW in tried) == (not chooses)
+    assert Auto.chooses

@@ -8,6 +8,7 @@ import pytest
 from model_zoo.auto import Auto
 from model_zoo.average import Average
 from model_zoo.selection.candidates import (
+    NUMBERS,
     PROCESSORS,
     SHARE,
     SHIPPED,
@@ -41,6 +42,18 @@ def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(ou
     costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
     tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
     assert "nonlinear_state_space" in tried
+
+
+@pytest.mark.parametrize(("roughly", "seconds"), [({"members": 2}, 5.0), ({"members": 4}, 8.0), ({}, 8.0)])
+def test_a_fit_that_only_judges_is_expected_to_take_less_only_where_it_has_fewer_members(
+    roughly: dict[str, int], seconds: float
+) -> None:
+    """A quarter of the time of four members is not theirs."""
+    one = Candidate(Spec("mlp_ensemble", {"members": 4}), 8.0, 0.0, roughly)
+    system = example_dataset().system
+    size = (system.nx + system.nu) / NUMBERS
+    assert one.seconds_for(system, 100, rough=True) == pytest.approx(size * seconds)
+    assert one.seconds_for(system, 100, rough=False) == pytest.approx(size * 8.0)
 
 
 def choice_among(candidates: list[Candidate], budget: float = 100.0) -> Choice:

@@ -27,13 +27,14 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from evaluation.comparison.model_cells import with_preset
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
 from evaluation.prediction.bootstrap import interval
 from evaluation.prediction.cases import MeasuredCases
 from model_zoo.selection.candidates import SHIPPED, unusable
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.registry import Spec, make_model, make_robot, models
+from sysid_evo.registry import Spec, make_model, make_robot
 from sysid_evo.store import load_model, save_model
 from tests.benchmarks.choosing.systems import SIMULATED
 from tests.benchmarks.prediction import SECOND, TEST_EPISODE, pooled
@@ -111,7 +112,7 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
     def line(rows: list[ModelPrediction]) -> str:
         return "  ".join(f"{pooled(rows, horizon)[0]:.3f}" for horizon in horizons)
 
-    auto = Spec("auto", models.get("auto").presets.get(preset, {}))  # type: ignore[attr-defined]  # a class
+    auto = with_preset(Spec("auto"), preset)
     found = []
     for seed in range(seeds):
         row, model, took = fits.score(auto, seed)

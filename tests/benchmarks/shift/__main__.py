@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.comparison.model_cells import with_preset
 from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
 from evaluation.prediction.bootstrap import BlockErrors, interval
 from sysid_evo.adaptation import SelfCorrection
@@ -36,7 +37,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
-from sysid_evo.registry import make_model, models
+from sysid_evo.registry import Spec, make_model
 from sysid_evo.store import load_model, save_model
 from tests.benchmarks.shift.driving import drive_changed_cars
 from tests.benchmarks.shift.recordings import GROUPS, Case, cases
@@ -47,7 +48,7 @@ HORIZONS = (1, 10, 20, 60)
 
 def new_model(name: str, preset: str) -> DynamicsModel:
     """Return a family with its preset."""
-    return make_model(name, **dict(models.get(name).presets.get(preset, {})))  # type: ignore[attr-defined]  # a class
+    return make_model(with_preset(Spec(name), preset))
 
 
 def resampled(measured: MeasuredCases, predicted: Array) -> dict[int, Array]:

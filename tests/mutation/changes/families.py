@@ -30,10 +30,31 @@ CHANGES = (
         (TRIES,),
     ),
     Change(
+        "half the members are expected to take half the time",
+        "model_zoo/selection/candidates.py",
+        "share = ALONE + (1.0 - ALONE) * members / most",
+        "share = members / most",
+        (TRIES,),
+    ),
+    Change(
         "all members of a mean weigh alike, whatever their structure",
         "model_zoo/selection/gate.py",
-        "1.0 / (len(count) * count[structure])",
-        "1.0 / len(structures)",
+        "1.0 / np.sqrt(count[structure])",
+        "1.0",
+        (AUTO,),
+    ),
+    Change(
+        "all classes weigh alike, however many are in them",
+        "model_zoo/selection/gate.py",
+        "1.0 / np.sqrt(count[structure])",
+        "1.0 / count[structure]",
+        (AUTO,),
+    ),
+    Change(
+        "all families are tried anew for an adaptation",
+        "model_zoo/auto.py",
+        "    chooses = True\n",
+        "",
         (AUTO,),
     ),
     Change(
