@@ -101,12 +101,18 @@ def session() -> Iterator[Session]:
 @pytest.fixture
 def page(session: Session, visitor: Visitor) -> Page:
     page = visitor.open(session.page.url)
-    for _ in range(10):  # a machine that is busy with other tests loses the robot now and then
+    wait_until_ready(page)
+    return page
+
+
+def wait_until_ready(page: Page) -> None:
+    """Wait until a key would start a trial; a machine that is busy with other tests loses the robot now and then."""
+    for _ in range(10):
         wait(page, f"{READY} || {LOST}")
         if page.evaluate(READY):
-            break
+            return
         page.keyboard.press("KeyR")
-    return page
+    pytest.fail("the robot was lost ten times before a trial began")
 
 
 def wait(page: Page, condition: str) -> None:
@@ -200,7 +206,7 @@ def test_r_begins_a_new_trial_and_a_held_key_does_not_start_it(session: Session,
 
 def test_the_buttons_on_the_page_drive_while_they_are_touched(session: Session, visitor: Visitor) -> None:
     page = visitor.open(session.page.url, width=400, is_mobile=True)
-    wait(page, READY)
+    wait_until_ready(page)
     page.get_by_label("backward").hover()
     page.mouse.down()
     wait(page, f"{SPEED} < -0.5")
@@ -236,7 +242,7 @@ def test_everything_fits_and_nothing_moves_while_the_figures_change(visitor: Vis
         width, height = size
         page = visitor.open(session.page.url, width=width, height=height)
         parts = page.locator("#scene, header, dl, #pad, #again")
-        wait(page, READY)
+        wait_until_ready(page)
         places = [parts.evaluate_all(PLACES)]
         page.keyboard.down("ArrowUp")
         wait(page, f"{SPEED} > 0.5")
@@ -254,5 +260,5 @@ def test_everything_fits_and_nothing_moves_while_the_figures_change(visitor: Vis
     car, goal = (np.array(colour) / 255.0 for colour in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)))
     assert (np.abs(pixels - car).max(axis=2) < 0.03).sum() > 60
     assert (np.abs(pixels - goal).max(axis=2) < 0.03).sum() > 100
-    assert [trial.number for trial in session.trials] == [1]
-    assert session.trials[0].fitness is not None
+    assert [trial.fitness for trial in session.trials[:-1]] == [None] * (len(session.trials) - 1)
+    assert session.trials[-1].fitness is not None

@@ -47,7 +47,7 @@ class Processes:
             "--dashboard-address", f"{HOST}:0", "--no-jupyter", "--scheduler-file", str(self.file),
         )  # fmt: skip
         deadline = time.monotonic() + LIMIT
-        while not self.file.exists():
+        while not self._written():
             assert self.scheduler.poll() is None
             assert time.monotonic() < deadline
             time.sleep(0.02)
@@ -81,6 +81,13 @@ class Processes:
             process.wait(LIMIT)
         self.workers.clear()
         self.scheduler = None
+
+    def _written(self) -> bool:
+        """Whether the scheduler has written all of its file, which is there from when it begins to."""
+        try:
+            return bool(self.address)
+        except (FileNotFoundError, json.JSONDecodeError):
+            return False
 
     def _run(
         self, program: str, *options: str, environment: Mapping[str, str] | None = None
