@@ -244,3 +244,140 @@ def pneumatic(p, u):
             second += dt * (p[3] * through - p[5] * (second - 1e5))
         y[k + 1] = second
     return y
+
+
+@njit
+def stirred_tank(p, u):
+    """A reaction that gives off heat in a cooled, stirred tank (dimensionless); the temperature is measured.
+
+    p: rate (Damkoehler number), heat of reaction, activation energy, cooling, how far the coolant goes with u.
+    """
+    y = np.zeros(len(u) + 1)
+    turned, warm = 0.15, 0.6
+    y[0] = warm
+    dt = 0.2 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            rate = p[0] * (1.0 - turned) * np.exp(warm / (1.0 + warm / p[2]))
+            turned += dt * (rate - turned)
+            warm += dt * (p[1] * rate - warm - p[3] * (warm - p[4] * u[k]))
+        y[k + 1] = warm
+    return y
+
+
+@njit
+def flexible_arm(p, u):
+    """A motor that lifts a heavy arm through an elastic joint; the angle of the motor is measured.
+
+    p: inertias of motor and arm, stiffness, friction of motor and arm, weight of the arm, torque per control.
+    """
+    y = np.zeros(len(u) + 1)
+    a = v = b = w = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            joint = p[2] * (a - b)
+            v += dt * (p[6] * u[k] - p[3] * v - joint) / p[0]
+            w += dt * (joint - p[4] * w - p[5] * np.sin(b)) / p[1]
+            a += dt * v
+            b += dt * w
+        y[k + 1] = a
+    return y
+
+
+@njit
+def quarter_car(p, u):
+    """A wheel that follows a road and can leave it, a body on a spring and a damper of two slopes; the body's height.
+
+    p: stiffness and mass ratio of the tyre, stiffness of the spring, slopes of the damper (in, out), height of road.
+    """
+    y = np.zeros(len(u) + 1)
+    body = v = wheel = w = 0.0
+    dt = 0.02 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            gap, speed = wheel - body, w - v
+            strut = p[2] * gap + (p[3] if speed > 0.0 else p[4]) * speed
+            tyre = max(p[0] * (p[5] * u[k] - wheel) + (1.0 + p[1]) * 9.81, 0.0) - (1.0 + p[1]) * 9.81
+            v += dt * strut
+            w += dt * (tyre - strut) / p[1]
+            body += dt * v
+            wheel += dt * w
+        y[k + 1] = body
+    return y
+
+
+@njit
+def three_tanks(p, u):
+    """Three tanks in a row, joined below, with water running both ways; the level of the last one is measured.
+
+    p: inflow, pipes between the first two and the last two, outlet, and the level at which a pipe is laminar.
+    """
+    y = np.zeros(len(u) + 1)
+    a = b = c = 0.0
+    dt = 0.5 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            first = p[1] * (a - b) / np.sqrt(abs(a - b) + p[4])
+            second = p[2] * (b - c) / np.sqrt(abs(b - c) + p[4])
+            a = max(a + dt * (0.5 * p[0] * (u[k] + 1.0) - first), 0.0)
+            b = max(b + dt * (first - second), 0.0)
+            c = max(c + dt * (second - p[3] * np.sqrt(c)), 0.0)
+        y[k + 1] = c
+    return y
+
+
+@njit
+def dead_sensor(p, u):
+    """An oscillator with a spring that softens, behind a lag, seen by a sensor that does not notice small movements.
+
+    p: lag, stiffness, damping, by how much the spring softens, push, half the width of what is not noticed.
+    """
+    y = np.zeros(len(u) + 1)
+    a = x = v = 0.0
+    dt = 0.05 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            a += dt * (u[k] - a) / p[0]
+            v += dt * (p[4] * a - p[2] * v - p[1] * x / np.sqrt(1.0 + p[3] * x * x))
+            x += dt * v
+        y[k + 1] = max(x - p[5], 0.0) + min(x + p[5], 0.0)
+    return y
+
+
+@njit
+def magnet(p, u):
+    """A coil that pulls an armature against a spring, the nearer the stronger; the position is measured.
+
+    p: resistance by inductance, voltage by inductance, force, gap at rest, stiffness, damping.
+    """
+    y = np.zeros(len(u) + 1)
+    x = v = i = 0.0
+    dt = 0.005 / 20.0
+    for k in range(len(u)):
+        for _ in range(20):
+            i += dt * (0.5 * p[1] * (u[k] + 1.0) - p[0] * i)
+            v += dt * (p[2] * i * i / (p[3] - x) ** 2 - p[5] * v - p[4] * x)
+            x = min(x + dt * v, 0.9 * p[3])
+        y[k + 1] = x
+    return y
+
+
+@njit
+def bioreactor(p, u):
+    """Cells that eat a substrate, of which too much harms them, and are diluted; the mass of cells is measured.
+
+    p: highest growth, half saturation, harm, yield, what is fed, mean dilution and by how much the control changes it.
+    """
+    y = np.zeros(len(u) + 1)
+    cells, food = 4.0, 2.0
+    y[0] = cells
+    dt = 0.25 / 20.0
+    for k in range(len(u)):
+        dilution = p[5] + p[6] * u[k]
+        for _ in range(20):
+            growth = p[0] * food / (p[1] + food + food * food / p[2]) * cells
+            cells += dt * (growth - dilution * cells)
+            food = max(food + dt * (dilution * (p[4] - food) - growth / p[3]), 0.0)
+        y[k + 1] = cells
+    return y

@@ -1,0 +1,90 @@
+"""What `auto` would be if it weighed classes of structure otherwise, with the same fits.
+
+    python -m tests.benchmarks.choosing.weights [RECORDING ...] [--preset standard] [--seeds 2]
+
+RECORDING is one of `tests.benchmarks.choosing`. Candidates are fitted once for each seed, in folds and to all data;
+which of them are kept and what they weigh is then decided for every rule, as the rule has a say in both: the gate is
+narrowed by errors of means. A class of n members weighs n to the power of 1 - P: with P = 0 members count alike
+whatever they are, with 1 classes do, and `auto` takes 1/2. With a gate of 1 the best candidate on what was held out is
+all that is kept. N is that of `tests.benchmarks.prediction` after 1, 10, 20 and 60 steps, the mean over the seeds; what
+follows is N / N with the rule that `auto` has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from unittest.mock import patch
+
+import numpy as np
+
+from evaluation.comparison.model_cells import with_preset
+from evaluation.prediction import ModelPrediction, assess_model
+from model_zoo.selection.fitting import Outcome, Task, Work
+from sysid_evo.arrays import Array
+from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.registry import Spec, make_model
+from tests.benchmarks.choosing.__main__ import Fits
+from tests.benchmarks.prediction import TEST_EPISODE, pooled
+
+POWERS = (0.5, 0.0, 0.25, 0.75, 1.0)
+OWN = f"{POWERS[0]:g}"
+ALONE = "best alone"
+
+
+def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
+    """Return what `auto` becomes by every rule."""
+    memory: dict[tuple[int, int], Outcome] = {}
+
+    class Remembering(Work):
+        def outcomes(self, tasks: Sequence[Task]) -> dict[tuple[int, int], Outcome]:
+            memory.update(super().outcomes([task for task in tasks if task.key not in memory]))
+            return {task.key: memory[task.key] for task in tasks}
+
+    def become(power: float, **changed: float) -> DynamicsModel:
+        def weights(structures: Sequence[str]) -> Array:
+            count = Counter(structures)
+            found = np.array([count[structure] ** -power for structure in structures])
+            return np.asarray(found / found.sum())
+
+        spec = with_preset(Spec("auto"), preset)
+        model = make_model(Spec(spec.name, {**spec.parameters, **changed}))
+        with patch("model_zoo.auto.Work", Remembering), patch("model_zoo.auto.weights_of", weights):
+            return model.fit(fits.training, rng=np.random.default_rng(seed))
+
+    return {**{f"{power:g}": become(power) for power in POWERS}, ALONE: become(POWERS[0], gate=1.0)}
+
+
+def benchmark(name: str, preset: str, seeds: int) -> None:
+    """Write what the rules reach on one recording."""
+    write, fits = sys.stdout.write, Fits(name, None)
+    horizons = [horizon for horizon in fits.cases.horizons if horizon is not None]
+    write(f"\n{name}: N after {', '.join(map(str, horizons))} steps\n")
+    rows: dict[str, list[ModelPrediction]] = {}
+    for seed in range(seeds):
+        for rule, model in replayed(fits, preset, seed).items():
+            rows.setdefault(rule, []).append(assess_model(f"{rule}-{seed}", model, fits.cases, family="auto"))
+            write(f"  seed {seed}, {rule}: {model.fit_note}\n")
+            sys.stdout.flush()
+    for rule, found in rows.items():
+        each = [pooled(found, horizon)[0] for horizon in horizons]
+        ratios = [one / pooled(rows[OWN], horizon)[0] for one, horizon in zip(each, horizons, strict=True)]
+        shown = ("  ".join(f"{one:.3f}" for one in numbers) for numbers in (each, ratios))
+        write(f"  {'   x '.join(shown)}   {rule if rule == ALONE else f'P = {rule}'}\n")
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="*", metavar="RECORDING")
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--seeds", type=int, default=2)
+    arguments = parser.parse_args()
+    for name in arguments.recordings or TEST_EPISODE:
+        benchmark(name, arguments.preset, arguments.seeds)
+
+
+if __name__ == "__main__":
+    main()
