@@ -235,8 +235,11 @@ def run(
 def trajectories(
     tape: list[Any], survived: Any, pose: Array, task: Task, system: System, trials: int
 ) -> tuple[Trajectory, ...]:
-    """Return what was recorded in ``tape`` (states, controls and poses, flat) of each rollout that took a step."""
-    states, controls, poses = (array.astype(np.float64) for array in tape)
+    """Return what was recorded in ``tape`` (states, controls and poses, flat) of each rollout that took a step.
+
+    What comes after the last step, and the pose before the first, may be anything.
+    """
+    states, controls, poses = tape
     states = states.reshape(-1, task.horizon + 1, system.nx)
     controls = controls.reshape(-1, task.horizon, system.nu)
     poses = poses.reshape(len(states), task.horizon + 1, -1) if pose.shape[1] else None
@@ -246,8 +249,8 @@ def trajectories(
             continue
         where = None
         if poses is not None:
-            where = poses[i, : steps + 1]
-            where[0] = pose[i % trials]
+            where = np.concatenate([pose[i % trials][None], poses[i, 1 : steps + 1].astype(np.float64)])
         name = f"candidate-{i // trials}-trial-{i % trials}"
-        found.append(Trajectory(states[i, : steps + 1], controls[i, :steps], system.dt, where, name))
+        state, control = states[i, : steps + 1].astype(np.float64), controls[i, :steps].astype(np.float64)
+        found.append(Trajectory(state, control, system.dt, where, name))
     return tuple(found)

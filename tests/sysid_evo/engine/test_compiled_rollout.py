@@ -13,6 +13,7 @@ from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller, RecurrentNetwork
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import Engine, Rollouts, rollout
+from sysid_evo.engine.compiled.run import trajectories
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, Task
@@ -71,6 +72,20 @@ def test_trials_that_their_task_ends_stand_still(climb: System, engine: Engine) 
     assert isinstance(exact.task_state, LadderState)
     np.testing.assert_array_equal(fast.task_state.steps, exact.task_state.steps)
     assert len(np.unique(fast.survived)) > 2
+
+
+def test_what_stands_in_memory_after_the_last_step_does_not_matter(climb: System) -> None:
+    """Only what was written is read: a number that is none warns when it is cast."""
+    task = CompiledLadder(horizon=3)
+    none = np.array([0x7FA00000], np.uint32).view(np.float32)[0]
+    states, controls, poses = (np.full(shape, none, np.float32) for shape in ((2, 4, 1), (2, 3, 1), (2, 4, 2)))
+    states[0, :3, 0], controls[0, :2, 0], poses[0, 1:3] = [0.0, 1.0, 2.0], [1.0, 1.0], [[3.0, 4.0], [5.0, 6.0]]
+    tape = [array.reshape(-1) for array in (states, controls, poses)]
+    (found,) = trajectories(tape, np.array([2, 0]), np.array([[1.0, 2.0]]), task, climb, 1)
+    np.testing.assert_array_equal(found.states[:, 0], [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(found.controls[:, 0], [1.0, 1.0])
+    np.testing.assert_array_equal(found.pose, [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    assert found.states.dtype == found.controls.dtype == np.float64
 
 
 @pytest.mark.parametrize("engine", FAST)
