@@ -12,6 +12,7 @@ from model_zoo.selection.candidates import (
     PROCESSORS,
     SHARE,
     SHIPPED,
+    STEPS,
     Candidate,
     affordable,
     named,
@@ -54,6 +55,22 @@ def test_a_fit_that_only_judges_is_expected_to_take_less_only_where_it_has_fewer
     size = (system.nx + system.nu) / NUMBERS
     assert one.seconds_for(system, 100, rough=True) == pytest.approx(size * seconds)
     assert one.seconds_for(system, 100, rough=False) == pytest.approx(size * 8.0)
+
+
+def test_a_small_system_takes_less_time_by_the_share_that_goes_with_its_states_and_controls() -> None:
+    """With one state and one control instead of three and two."""
+    system, car = System(("y",), ("u",), dt=0.1), System(("a", "b", "c"), ("u", "v"), dt=0.1)
+    for share, less in ((0.0, 1.0), (0.3, 0.82), (1.0, 0.4)):
+        one = Candidate(Spec("linear"), 8.0, 0.0, widening=share)
+        assert one.seconds_for(car, 100, rough=False) == pytest.approx(8.0)
+        assert one.seconds_for(system, 100, rough=False) == pytest.approx(8.0 * less)
+
+
+def test_networks_are_expected_to_take_nearly_as_long_with_one_output_and_state_spaces_far_less() -> None:
+    system = System(("y",), ("u",), dt=0.1)
+    shares = {one.spec.name: one.seconds_for(system, round(STEPS), rough=False) / one.seconds for one in SHIPPED}
+    assert shares["mlp_ensemble"] > 0.75
+    assert shares["nonlinear_state_space"] < 0.5
 
 
 def choice_among(candidates: list[Candidate], budget: float = 100.0) -> Choice:

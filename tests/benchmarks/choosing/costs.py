@@ -1,6 +1,6 @@
 """How long the candidates of `auto` take, beside how long they are expected to.
 
-    python -m tests.benchmarks.choosing.costs [RECORDING] [--only WORD ...]
+    python -m tests.benchmarks.choosing.costs [RECORDING] [--steps STEPS] [--only WORD ...]
 
 Every candidate is fitted twice to the training data of a recording (see `tests.benchmarks.choosing`) in this process:
 as it is when it is only judged, and as it is when it is kept. What is measured second is what `Candidate.seconds`
@@ -35,10 +35,13 @@ def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", nargs="?", default="free_20hz")
+    parser.add_argument("--steps", type=int, help="of what it learns from, by default all")
     parser.add_argument("--only", nargs="*", default=[])
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     data, _ = recording(arguments.recording)
+    if arguments.steps is not None and arguments.steps < data.n_steps:
+        data, _ = data.split(1.0 - arguments.steps / data.n_steps)
     system, steps = data.system, data.n_steps
     sys.stdout.write(f"{arguments.recording}: {steps} steps, processor seconds, expected -> measured\n")
     for candidate in SHIPPED:
