@@ -23,6 +23,7 @@ from model_zoo.selection.gate import weights_of
 from model_zoo.selection.mean import MeanOfMembers
 from model_zoo.selection.standing import Standing
 from sysid_evo import Dataset, DynamicsModel, register_model
+from sysid_evo.adaptation import held_out_error
 from sysid_evo.cross_validation import folds_of
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.hyperparameters import Limit, above, at_least
@@ -102,9 +103,12 @@ class Auto(MeanOfMembers):
         standing = Standing.of(choice, tried, shares, left_out=left_out, horizons=horizons, pairs=pairs)
         for name, value in standing.learned().items():
             setattr(self, name, value)
+        means = [self._mean(list(models)) for models in zip(*choice.rough, strict=True)]
+        cases = [(mean, held) for mean, (_, held) in zip(means, pairs, strict=True)]
+        nothing_held_out = any(seen is held for seen, held in pairs)
+        self.held_out_error_ = None if nothing_held_out else held_out_error(cases)
         if self.stochastic:
-            means = [self._mean(list(models)) for models in zip(*choice.rough, strict=True)]
-            self.calibrate([(mean, held) for mean, (_, held) in zip(means, pairs, strict=True)], rng, work.still)
+            self.calibrate(cases, rng, work.still)
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:

@@ -4,6 +4,7 @@ from sysid_evo.adaptation.adapting import ANEW, REFIT, Adaptation, Learned, adap
 from sysid_evo.adaptation.another_condition import adapted, as_of
 from sysid_evo.adaptation.corrected import Corrected
 from sysid_evo.adaptation.gate import NONE, Trial, Verdict
+from sysid_evo.adaptation.home import held_out_error
 from sysid_evo.adaptation.recursive import SelfCorrection
 from sysid_evo.adaptation.terms import Terms
 
@@ -21,4 +22,5 @@ __all__ = [
     "adaptation",
     "adapted",
     "as_of",
+    "held_out_error",
 ]

@@ -21,6 +21,7 @@ from sysid_evo.adaptation.gate import (
     failed,
     judged,
 )
+from sysid_evo.adaptation.home import AS_AT_HOME, times_home
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.terms import Terms
@@ -81,8 +82,9 @@ def adaptation(
 
     Corrections linear in (state, control, 1), with what the model itself predicts and with products too, each with
     several ridges, are learned by free runs on two of three blocks of time and run freely over the third. What is best
-    is learned again from everything, if it is good enough (`decided`); otherwise the model stays as it is. Raises
-    `InvalidData` if no window fits.
+    is learned again from everything, if it is good enough (`decided`); otherwise the model stays as it is. Nothing is
+    tried of a model that knows how far off it was on what was held out from its training, and is not farther off here.
+    Raises `InvalidData` if no window fits.
     """
     pieces, seconds = Pieces.of(model, dataset, model.envelope), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
@@ -91,6 +93,11 @@ def adaptation(
     held = [pieces[block.held(pieces.first)] for block in blocks]
     nothing = _uncorrected(model, dataset)
     plain = [_run(nothing, part) for part in held]
+    whole = np.concatenate([part.errors for part in plain]) if plain else np.empty(0)
+    if plain and model.held_out_error_ is not None:
+        times = times_home(whole, pieces.scale, model.held_out_error_)
+        if times <= AS_AT_HOME:
+            return Adaptation(nothing, Verdict(seconds, len(blocks), error_of(whole), (), NONE, times))
     trials, apart = list[Trial](), dict[str, list[Learned]]()
     for kind in KINDS if blocks else ():
         errors: dict[str, list[Held]] = {_name(kind, ridge): [] for ridge in RIDGES}
@@ -115,7 +122,7 @@ def adaptation(
             trials.append(judged(name, plain, of_way, alone))
             if beside:
                 trials.append(judged(best + AND + name, plain, of_mean, mean))
-    error = error_of(np.concatenate([part.errors for part in plain])) if plain else float("nan")
+    error = error_of(whole) if plain else float("nan")
     verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
     learned = _again(model, dataset, pieces, verdict, ways)
     return Adaptation(learned, verdict, tuple(apart.get(verdict.chosen, ())))

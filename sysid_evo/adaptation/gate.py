@@ -86,7 +86,8 @@ _NOTHING = Trial(NONE, 1.0, (1.0,), sure=False)
 class Verdict:
     """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
 
-    ``chosen`` is the name of a trial, or "none".
+    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is no
+    more than so many times farther off than on what was held out from its training.
     """
 
     seconds: float
@@ -94,10 +95,16 @@ class Verdict:
     plain: float
     trials: tuple[Trial, ...]
     chosen: str
+    times_home: float | None = None
 
     @property
     def sentence(self) -> str:
         """The decision in words."""
+        if self.times_home is not None:
+            return (
+                "no correction: nothing much has shifted, free runs of a second are "
+                f"{self.times_home:.2f} times as far off as on what was held out from the training"
+            )
         if not self.trials:
             return f"no correction: {self.seconds:.0f} s in motion are too short to hold a block back"
         taken = next((trial for trial in self.trials if trial.name == self.chosen), None)

@@ -82,7 +82,9 @@ class DynamicsModel(Dynamics, Estimator):
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
     ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
     ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``pairs_``, states and controls
-    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took.
+    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took. A family
+    that holds something back may record ``held_out_error_`` (`sysid_evo.adaptation.held_out_error`): `adapt` leaves
+    alone what is as near in the new seconds.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -111,6 +113,7 @@ class DynamicsModel(Dynamics, Estimator):
     system_: System
     envelope_: Array
     pairs_: Array
+    held_out_error_: Array | None = None
 
     _derived: ClassVar[frozenset[str]] = frozenset({"_stepping_kernel"})
 

@@ -6,6 +6,7 @@ import importlib.util
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from model_zoo.selection.candidates import (
 )
 from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
 from model_zoo.selection.gate import chosen, weights_of
+from sysid_evo.adaptation import held_out_error
 from sysid_evo.adaptation.adapting import ANEW, adaptation
 from sysid_evo.cross_validation import balanced, folds_of
 from sysid_evo.data import Dataset
@@ -28,6 +30,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
 from sysid_evo.judging import Judge, Trial, horizons_of, interval
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import make_model, models, register_model
+from sysid_evo.store import load_model, save_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 
@@ -310,3 +313,35 @@ def test_what_chooses_among_families_does_not_choose_anew_for_an_adaptation(choo
     assert tried
     assert (ANEW in tried) == (not chooses)
     assert Auto.chooses
+
+
+def test_what_was_held_out_tells_how_far_off_it_is_at_home_and_there_nothing_is_adapted(tmp_path: Path) -> None:
+    """The mean of what learned without each fold runs free there, with the weights of the whole."""
+    data, model = example_dataset(), learned()
+    means = []
+    for seen, held in folds_of(data, model.folds):
+        parts = [make_model(spec).fit(seen, rng=0) for spec in FEW]
+        kept = [part for part, share in zip(parts, shares_of(model), strict=True) if share > 0.0]
+        means.append((model.of(kept, weights_of([structure_of(part) for part in kept])), held))
+    expected = held_out_error(means)
+    assert expected is not None
+    assert model.held_out_error_ is not None
+    np.testing.assert_allclose(model.held_out_error_, expected, rtol=1e-6)
+    stored = load_model(save_model(model, tmp_path / "auto", seed=0))
+    np.testing.assert_array_equal(stored.held_out_error_, model.held_out_error_)
+    adapted = stored.adapt(data.with_episodes([data.episodes[0][:400]]), rng=0)
+    assert "nothing much has shifted" in adapted.fit_note
+    assert learned(stochastic=True).held_out_error_ is not None
+
+
+def shares_of(model: Auto) -> list[float]:
+    """Return the weights of the candidates that it had, in the order in which they were named."""
+    return [float(model.shares_[model.candidates_.index(name)]) for name in FEW]
+
+
+def test_where_nothing_was_held_out_it_does_not_know_how_far_off_it_is() -> None:
+    data = example_dataset()
+    short = data.with_episodes([data.episodes[0][:40]])
+    assert folds_of(short, 3)[0][0] is short
+    model = make_model("auto", candidates=["linear"], horizons=[5]).fit(short, rng=0)
+    assert model.held_out_error_ is None

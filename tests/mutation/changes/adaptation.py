@@ -8,8 +8,44 @@ TEST_WHAT_THE_GATE_SAYS = "tests/sysid_evo/adaptation/test_what_the_gate_says.py
 TEST_ADAPTED = "tests/model_zoo/test_adapted.py"
 TEST_GIVEN_UP = "tests/model_zoo/test_given_up.py"
 TEST_GATE = "tests/sysid_evo/adaptation/test_gate.py"
+HOME, TEST_HOME = "sysid_evo/adaptation/home.py", "tests/sysid_evo/adaptation/test_home.py"
 
 CHANGES = (
+    Change(
+        "what is only a little farther off than at home is adapted",
+        ADAPTING,
+        "        if times <= AS_AT_HOME:",
+        "        if times <= 1.0:",
+        (TEST_HOME,),
+    ),
+    Change(
+        "errors at home are those of standard deviations",
+        HOME,
+        "squares.append(((wrong * pieces.scale) ** 2)",
+        "squares.append((wrong**2)",
+        (TEST_HOME,),
+    ),
+    Change(
+        "the scale of a state does not matter beside home",
+        HOME,
+        "float(np.mean(at_home / scale))",
+        "float(np.mean(at_home))",
+        (TEST_HOME,),
+    ),
+    Change(
+        "all pieces of a long recording are run",
+        HOME,
+        "len(pieces) - 1, MOST_PIECES)",
+        "len(pieces) - 1, len(pieces))",
+        (TEST_HOME,),
+    ),
+    Change(
+        "auto knows how far off it is on what it has learned from",
+        "model_zoo/auto.py",
+        "nothing_held_out = any(seen is held for seen, held in pairs)",
+        "nothing_held_out = False",
+        ("tests/model_zoo/test_auto.py",),
+    ),
     Change(
         "better in one block is enough",
         GATE,

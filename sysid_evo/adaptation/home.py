@@ -1,0 +1,46 @@
+"""Whether a model is farther off in new seconds than on what was held out from its training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sysid_evo.adaptation.pieces import Pieces, free_runs, off
+from sysid_evo.adaptation.terms import Terms
+from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
+from sysid_evo.dynamics.stepping import Dynamics
+from sysid_evo.errors import InvalidData
+
+AS_AT_HOME = 1.25
+"""Times the error at home up to which nothing has shifted: there is nothing that a correction could be for."""
+MOST_PIECES = 800
+"""Free runs of one case: they overlap, and more of them take longer and say the same."""
+
+
+def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
+    """Return the root mean square error (nx,) of free runs of one second, in the units of the states.
+
+    ``cases`` are models of one family, each with what it did not learn from; None if one of these is too short.
+    """
+    squares = []
+    for model, held in cases:
+        try:
+            pieces = Pieces.of(model, held, getattr(model, "envelope", None))
+        except InvalidData:
+            return None
+        pieces = pieces[np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES).round().astype(np.int64))]
+        terms = Terms.of(held)
+        wrong = off(terms, free_runs(model, terms, np.zeros((1, *terms.shape)), pieces), pieces)[0]
+        squares.append(((wrong * pieces.scale) ** 2).reshape(-1, held.system.nx))
+    return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
+
+
+def times_home(errors: Array, scale: Array, at_home: Array) -> float:
+    """Return how many times farther off ``errors`` (B, H, nx), in units of ``scale`` (nx,), are than ``at_home`` (nx,).
+
+    Compared are means over the states, each in units of its scale.
+    """
+    found = float(np.mean(np.sqrt(np.mean(errors**2, axis=(0, 1)))))
+    return found / max(float(np.mean(at_home / scale)), 1e-12)
