@@ -23,6 +23,8 @@ UNSTABLE, STABLE = 1.0005, 0.999
 MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
 """Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
 largest recorded output is too far."""
+SLOWER, LOUDER = 2, 1.25
+"""How many times longer controls are held, and how many times farther from their mean they are, within their range."""
 ALONE, APART = 5.0, 0.1
 """A space that is so many times as far from the median of three or more as is usual, and so many deviations."""
 LOST = 1.0
@@ -155,11 +157,12 @@ class Lesson:
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
     def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
-        """Return which spaces (S,) go far beyond the recorded outputs under the recorded controls in other orders.
+        """Return which spaces (S,) go astray under controls that the system might meet as well.
 
-        Backwards in time, and in blocks that change places: controls as the system met them, but not as they were
-        trained, under which what is unstable shows. Among three or more, one is astray too that is far from what most
-        of them say there.
+        Backwards in time, and in blocks that change places, no output goes far beyond the recorded ones: what is
+        unstable shows there. Among three or more, one is astray too that is far from what most of them say, there,
+        where controls are held longer, or where they are larger: beyond the recorded outputs a network may run away,
+        and only the others tell that the system would not.
         """
         longest = max(self.parts, key=len)
         ny, controls = longest.outputs.shape[1], longest.controls[:MOST_REORDERED]
@@ -168,12 +171,19 @@ class Lesson:
         for seed in range(SHUFFLES):
             places = np.random.default_rng(seed).permutation(len(blocks))
             orders.append(np.concatenate([blocks[place] for place in places]))
-        starts = np.stack([own.first[:, ny] for own in observers])[:, None].repeat(len(orders), axis=1)
-        runs = spaces.run(starts, controls[np.stack(orders)])[..., :ny]
+        slower = np.array_split(controls.repeat(SLOWER, axis=0), SLOWER)
+        low, middle, high = controls.min(axis=0), controls.mean(axis=0), controls.max(axis=0)
+        louder = np.clip(middle + LOUDER * (controls - middle), low, high)
+        first = np.stack([own.first[:, ny] for own in observers])[:, None]
+
+        def runs(driven: list[Array]) -> Array:
+            return spaces.run(first.repeat(len(driven), axis=1), np.stack(driven))[..., :ny]
+
+        reordered = runs([controls[order] for order in orders])
         limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
-        astray = (np.abs(runs) > limit).any(axis=(1, 2, 3))
-        if len(runs) > 2:
-            apart = np.sqrt(((runs - np.median(runs, axis=0)) ** 2).mean(axis=(1, 2, 3)))
+        astray = (np.abs(reordered) > limit).any(axis=(1, 2, 3))
+        for found in (reordered, runs(slower), runs([louder])):  # of two, both are as far from the middle
+            apart = np.sqrt(((found - np.median(found, axis=0)) ** 2).mean(axis=(1, 2, 3)))
             astray |= apart > max(ALONE * float(np.median(apart)), APART)
         return np.asarray(astray)
 

@@ -86,8 +86,8 @@ _NOTHING = Trial(NONE, 1.0, (1.0,), sure=False)
 class Verdict:
     """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
 
-    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is no
-    more than so many times farther off than on what was held out from its training.
+    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is in no
+    state more than so many times farther off than on what was held out from its training.
     """
 
     seconds: float
@@ -102,7 +102,7 @@ class Verdict:
         """The decision in words."""
         if self.times_home is not None:
             return (
-                "no correction: nothing much has shifted, free runs of a second are "
+                "no correction: nothing much has shifted, free runs of a second are in no state more than "
                 f"{self.times_home:.2f} times as far off as on what was held out from the training"
             )
         if not self.trials:

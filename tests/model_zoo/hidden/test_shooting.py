@@ -7,16 +7,18 @@ import warnings
 import numpy as np
 import pytest
 
+from model_zoo.hidden import learning
 from model_zoo.hidden.learning import Lesson, radius, stabilised
-from model_zoo.hidden.mixtures import GATE, SHARP_INPUT, networks
+from model_zoo.hidden.mixtures import GATE, SHARP, SHARP_INPUT, networks
 from model_zoo.hidden.records import Record, Segments
 from model_zoo.hidden.shooting import FAR, Spaces, train
 from model_zoo.hidden.subspace import flowing
 from model_zoo.hidden.units import UNITS
 from sysid_evo.arrays import Array
+from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.registry import make_model
-from tests.model_zoo.hidden.small import recording
+from tests.model_zoo.hidden.small import OSCILLATOR, OUTPUT_ONLY, recording
 
 
 def spaces(*, flow: bool = False) -> Spaces:
@@ -150,6 +152,43 @@ def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_doe
     growing[0, 0, 0] += 0.5 / trained.spaces.pace[0]
     both = Spaces.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.pace)
     assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
+
+
+def quiet_recording() -> Dataset:
+    """Return the same oscillator under controls that are mostly far from their ends."""
+    rng, state, outputs = np.random.default_rng(4), np.zeros(2), [0.0]
+    controls = np.repeat(np.clip(0.3 * rng.standard_normal(80), -1.0, 1.0), 5)
+    for u in controls:
+        state = OSCILLATOR @ state + np.array([0.0, 0.15 * u])
+        outputs.append(state[0])
+    return Dataset.from_arrays(OUTPUT_ONLY, np.array(outputs), controls)
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "place"),
+    [(recording(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
+    ids=["longer", "larger"],
+)
+def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothing_shows_within(
+    data: Dataset, name: str, place: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of three equal spaces grows from a ``place`` on that no output reaches under the controls as recorded.
+
+    Of a sharp unit, |s| / 2, and of s / 2 beside it a ramp is made.
+    """
+    lesson, steep = Lesson.of(data, 100), 4.0
+    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    observers = lesson.observers(trained) * 3
+    three = networks(trained.spaces, [(SHARP,)] * 3, 1, np.random.default_rng(0))
+    three.inner[2, 0] = [1.0, 0.0, 0.0, -place]
+    three.outer[2, 0] += [steep / 2, 0.0, 0.0, -steep * place / 2, steep]
+    told = getattr(learning, name)
+    for other, none in (("SLOWER", 1), ("LOUDER", 1), ("SHUFFLES", 0)):
+        monkeypatch.setattr(learning, other, none)
+    assert not lesson.escapes(three, observers).any()
+    monkeypatch.setattr(learning, name, told)
+    assert lesson.escapes(three, observers).tolist() == [False, False, True]
+    assert not lesson.escapes(three[[0, 2]], observers[:2]).any()
 
 
 @pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])

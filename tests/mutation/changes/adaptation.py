@@ -28,8 +28,15 @@ CHANGES = (
     Change(
         "the scale of a state does not matter beside home",
         HOME,
-        "float(np.mean(at_home / scale))",
-        "float(np.mean(at_home))",
+        "axis=(0, 1))) * scale",
+        "axis=(0, 1)))",
+        (TEST_HOME,),
+    ),
+    Change(
+        "the states are compared with home on average",
+        HOME,
+        "float(np.max(found",
+        "float(np.mean(found",
         (TEST_HOME,),
     ),
     Change(

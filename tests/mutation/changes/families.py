@@ -6,8 +6,30 @@ VERDICTS = "tests/model_zoo/test_verdicts.py"
 VALIDATION = "tests/model_zoo/test_validation.py"
 AUTO = "tests/model_zoo/test_auto.py"
 TRIES = "tests/model_zoo/test_what_auto_tries.py"
+LEARNING, SHOOTING = "model_zoo/hidden/learning.py", "tests/model_zoo/hidden/test_shooting.py"
 
 CHANGES = (
+    Change(
+        "a state space may run away where controls are held longer",
+        LEARNING,
+        "runs(slower), runs([louder])",
+        "runs([louder])",
+        (SHOOTING,),
+    ),
+    Change(
+        "a state space may run away where controls are larger",
+        LEARNING,
+        "runs(slower), runs([louder])",
+        "runs(slower)",
+        (SHOOTING,),
+    ),
+    Change(
+        "a network of a small system takes as much less time as it has fewer states",
+        "model_zoo/selection/candidates.py",
+        "size = 1.0 - self.widening + self.widening * (system.nx",
+        "size = 1.0 * (system.nx",
+        (TRIES,),
+    ),
     Change(
         "what is known of an inducing point to rounding is divided by",
         "model_zoo/processes/inducing.py",

@@ -56,15 +56,16 @@ def test_what_is_too_short_for_a_run_says_nothing() -> None:
     assert held_out_error(both) is None
 
 
-def test_times_home_compares_means_over_the_states_each_in_its_scale() -> None:
-    """Errors of 2 and 4 scales are 3 on average; at home they were 1 and 2, in units of scales of 10 and 0.1."""
+def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit() -> None:
+    """Errors of 2 and 4 scales of 10 and 0.1 are 20 and 0.4; at home they were 10 and 0.1."""
     errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
-    assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.2])) == pytest.approx(2.0)
+    assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
+    assert times_home(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(("share", "tried"), [(0.96, False), (1.04, True)])
 def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(share: float, tried: bool) -> None:
-    """Pieces that reach over the edges of blocks are left out there, so that the two differ by a percent or two."""
+    """Pieces that reach over the edges of blocks are left out there, so that the two differ by a few percent."""
     model, new = fitted(), drive(FloorCar(thrust=1.5), seconds=20.0, seed=3)
     at_home = held_out_error([(model, new)])
     free = adaptation(model, new, rng=np.random.default_rng(0)).verdict
@@ -82,8 +83,8 @@ def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(share:
     assert found.verdict.plain == pytest.approx(free.plain)
     times = found.verdict.times_home
     assert times is not None
-    assert times == pytest.approx(AS_AT_HOME * share, rel=0.03)
+    assert times == pytest.approx(AS_AT_HOME * share, rel=0.04)
     assert found.verdict.sentence == (
-        f"no correction: nothing much has shifted, free runs of a second are {times:.2f} times as far off as on what "
-        "was held out from the training"
+        f"no correction: nothing much has shifted, free runs of a second are in no state more than {times:.2f} times "
+        "as far off as on what was held out from the training"
     )
