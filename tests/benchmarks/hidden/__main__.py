@@ -15,6 +15,7 @@ import json
 import sys
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,8 @@ FAMILIES = (
     "delay_embedding",
 )
 GUESSES, OFF = 6, 0.2
+AT_ONCE, WIDTH = 4, 120
+"""Families side by side in a table, and how wide it is."""
 LOST = 100.0
 
 
@@ -71,7 +74,8 @@ def main(arguments: list[str] | None = None) -> int:
                 if options.out is not None:
                     with options.out.open("a") as file:
                         file.write(json.dumps([family, name, seed, error, seconds]) + "\n")
-    Console(width=140).print(table(known, families, options.systems, range(options.seeds)))
+    for shown in tables(known, families, options.systems, range(options.seeds)):
+        Console(width=WIDTH).print(shown)
     return 0
 
 
@@ -124,23 +128,26 @@ def true_structure(system: HiddenSystem, training: Dataset, seed: int) -> Array:
     return np.exp(min(fits, key=lambda fit: fit.cost).x)
 
 
-def table(
+def tables(
     known: dict[tuple[str, str, int], tuple[float, float]], families: list[str], systems: list[str], seeds: range
-) -> Table:
-    """Return one row for each family: errors by system, and the mean seconds of a fit."""
-    shown = Table(title="Free-run error through a test record, in deviations")
-    shown.add_column("family")
-    for name in systems:
-        shown.add_column(name, justify="right")
-    shown.add_column("seconds", justify="right")
-    for family in families:
-        cells = []
+) -> Iterator[Table]:
+    """Yield tables with a row for each system and columns for some families: errors, and the mean seconds of a fit."""
+    for first in range(0, len(families), AT_ONCE):
+        some = families[first : first + AT_ONCE]
+        shown = Table(title="Free-run error through a test record, in deviations")
+        shown.add_column("system", no_wrap=True)
+        for family in some:
+            shown.add_column(family, justify="right", overflow="fold")
         for name in systems:
-            errors = np.array([known[family, name, seed][0] for seed in seeds])
-            cells.append(f"{errors.mean():.3f} ({errors.min():.3f} to {errors.max():.3f})")
-        seconds = np.mean([known[family, name, seed][1] for name in systems for seed in seeds])
-        shown.add_row(family, *cells, f"{seconds:.0f}")
-    return shown
+            cells = []
+            for family in some:
+                errors = np.array([known[family, name, seed][0] for seed in seeds])
+                cells.append(f"{errors.mean():.3f} ({errors.min():.3f} to {errors.max():.3f})")
+            shown.add_row(name, *cells)
+        seconds = [np.mean([known[family, name, seed][1] for name in systems for seed in seeds]) for family in some]
+        shown.add_section()
+        shown.add_row("seconds of a fit", *(f"{mean:.0f}" for mean in seconds))
+        yield shown
 
 
 if __name__ == "__main__":
