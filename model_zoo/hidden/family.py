@@ -13,8 +13,7 @@ from model_zoo.hidden.records import Scales
 from model_zoo.hidden.shooting import FAR, Spaces
 from model_zoo.hidden.units import values
 from sysid_evo.arrays import Array
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.dynamics.model import REST_BAND
+from sysid_evo.dynamics import REST_BAND, DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from sysid_evo.adaptation.terms import Terms
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics.stepping import Dynamics
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidData, PluginError
 
 AS_AT_HOME = 1.5
 """Times the error at home, of the state that is worst, up to which nothing much has shifted."""
@@ -40,7 +40,13 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
 def times_home(errors: Array, scale: Array, at_home: Array) -> float:
     """Return how many times farther off ``errors`` (B, H, nx), in units of ``scale`` (nx,), are than ``at_home`` (nx,).
 
-    What counts is the state for which these are the most: a floor that slips may show in one of them alone.
+    What counts is the state for which these are the most: a floor that slips may show in one of them alone. Raises
+    `PluginError` if ``at_home`` is something else than a number for each state.
     """
+    if np.shape(at_home) != scale.shape:
+        raise PluginError(
+            f"held_out_error_: expected a number for each of {len(scale)} states, got the shape {np.shape(at_home)}; "
+            "sysid_evo.adaptation.held_out_error measures it"
+        )
     found = np.sqrt(np.mean(errors**2, axis=(0, 1))) * scale
     return float(np.max(found / np.maximum(at_home, 1e-12 * scale)))

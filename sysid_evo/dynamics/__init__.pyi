@@ -1,5 +1,6 @@
-from .model import REST_BAND, DynamicsModel
+from .model import DynamicsModel
 from .planar import require_planar
+from .rest import REST_BAND
 from .stepping import Dynamics, PlainDynamics, clip_state, doubted, training_envelope
 
 __all__ = [

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from sysid_evo.arrays import Array
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.dynamics.rest import band_of, held_at_rest
 from sysid_evo.dynamics.stepping import Dynamics, of_each_row, training_envelope
 from sysid_evo.errors import InvalidArgument, InvalidData, NotFitted
 from sysid_evo.estimator import Estimator
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
     from sysid_evo.engine.kernels.stepping import Output, Predictor
     from sysid_evo.progress import Progress
     from sysid_evo.system import System
-
-
-REST_BAND = 0.005
-"""Share of the range of the training states, around neutral, that counts as rest."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -315,31 +312,14 @@ class DynamicsModel(Dynamics, Estimator):
     @property
     def rest_band(self) -> Array | None:
         """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
-        if not self.rest_hold:
-            return None
-        ranges = (self.envelope_[1] - self.envelope_[0]) / self.envelope_multiple
-        for i, period in self.system.periods.items():
-            ranges[i] = period
-        return REST_BAND * ranges
+        return band_of(self.system, self.envelope_, self.envelope_multiple) if self.rest_hold else None
 
     def held(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return ``after`` (B, nx) within the limits of the channels, neutral where the body is held at rest.
-
-        That is with ``rest_hold``, where it rests and all controls are neutral. Earlier controls in the carry count
-        too: with dead time, a short pulse acts after it has ended.
-        """
+        """Return ``after`` (B, nx) within the limits of the channels; with ``rest_hold``, `held_at_rest`."""
         band = self.rest_band
         if self.system.limited:
             after = np.clip(after, *self.system.limits)
-        if band is None:
-            return after
-        layout, neutral, idle_control = self.layout, self.system.neutral_state, self.system.neutral_control
-        still = (np.abs(carry[..., : layout.nx] - neutral) <= band).all(axis=-1)
-        past = carry[..., layout.earlier_controls]
-        idle = (control == idle_control).all(axis=-1) & (past == np.tile(idle_control, layout.control_lags)).all(
-            axis=-1
-        )
-        return np.where((still & idle)[..., None], neutral, after)
+        return after if band is None else held_at_rest(self.system, self.layout, band, carry, control, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

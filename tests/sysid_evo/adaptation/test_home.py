@@ -9,6 +9,7 @@ from sysid_evo.adaptation import NONE, adaptation, held_out_error
 from sysid_evo.adaptation.home import AS_AT_HOME, MOST_PIECES, times_home
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.errors import PluginError
 from sysid_evo.registry import make_model
 
 from .cars import FloorCar, drive
@@ -61,6 +62,13 @@ def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_u
     errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
     assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
     assert times_home(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
+
+
+def test_a_family_that_says_it_otherwise_is_told_what_is_expected() -> None:
+    model = fitted()
+    model.held_out_error_ = np.ones(2)
+    with pytest.raises(PluginError, match=r"a number for each of 3 states, got the shape \(2,\)"):
+        model.adapt(drive(FloorCar(), seconds=20.0, seed=1), rng=0)
 
 
 @pytest.mark.parametrize(("share", "tried"), [(0.96, False), (1.04, True)])
