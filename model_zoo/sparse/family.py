@@ -102,11 +102,7 @@ class PolynomialFamily(Uncertain):
         if self.features.functions:
             return self._of_functions()
         seen = len(self.features.names) - self.system.nu
-        levels = [
-            None if channel.levels is None else np.clip(channel.levels, low, high)
-            for channel, low, high in zip(self.system.controls, self.low_[seen:], self.high_[seen:], strict=True)
-        ]
-        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu, levels=levels)
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
         clipped = within(sums, self.low_, self.high_, seen)
         return with_angles(clipped, self.system, self.lags)
 
@@ -123,7 +119,7 @@ class PolynomialFamily(Uncertain):
         of_carry = [i for i, row in enumerate(rows) if row.place < held]
         of_control = [i for i, row in enumerate(rows) if row.place >= held]
         exponents = self.exponents_[:, [*of_carry, *of_control]]
-        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control), one_code=True)
+        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control))
         return of_functions(sums, [found[i] for i in of_carry], [found[i] for i in of_control])
 
     @cached_property

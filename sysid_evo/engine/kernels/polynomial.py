@@ -6,37 +6,38 @@ factors are computed once a step, the monomials as often as an integrator asks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
 from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.dense_polynomial import dense_polynomial_predictor
-from sysid_evo.engine.kernels.monomials import Chain, raise_powers
 from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.errors import InvalidArgument
 
 HEAD = Layout("n_out", "n_state", "n_control", "n_factors", "after_chains")
 
 
-def polynomial_predictor(
-    powers: npt.ArrayLike,
-    coefficients: Array,
-    n_carry: int,
-    n_control: int,
-    *,
-    levels: Sequence[Array | None] | None = None,
-    one_code: bool = False,
-) -> Predictor:
+class Chain:
+    """Monomials in an order in which each is an earlier one times a variable; 0 is the constant 1."""
+
+    def __init__(self, variables: int) -> None:
+        self.known: dict[tuple[int, ...], int] = {(0,) * variables: 0}
+        self.links: list[tuple[int, int]] = []
+
+    def place(self, power: tuple[int, ...]) -> int:
+        if power not in self.known:
+            variable = max(i for i, exponent in enumerate(power) if exponent)
+            parent = self.place((*power[:variable], power[variable] - 1, *power[variable + 1 :]))
+            self.links.append((parent, variable))
+            self.known[power] = len(self.links)
+        return self.known[power]
+
+
+def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: int, n_control: int) -> Predictor:
     """Return a predictor for y_j = sum_t C_tj prod_i z_i^P_ti with z the carry's rows, then the control's.
 
-    ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), perhaps sparse. With the
-    ``levels`` of the controls, None of one that has none, they are looked up instead of raised to powers.
-    Where all monomials of the states are few, see `dense_polynomial_predictor`, which is compiled for every size;
-    otherwise, and with ``one_code``, the code is the same for all polynomials:
+    ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), perhaps sparse.
 
     Layout: the chains of state and control monomials (parent, variable); then for every output its
     number of factors, and for each factor its state monomial; then for each factor its number of
@@ -47,10 +48,6 @@ def polynomial_predictor(
         raise InvalidArgument(
             f"polynomial: expected exponents >= 0 of {n_carry} + {n_control} variables, got shape {exponents.shape}"
         )
-    if not one_code:
-        dense = dense_polynomial_predictor(exponents, coefficients, n_carry, n_control, levels or [None] * n_control)
-        if dense is not None:
-            return dense
     states, controls = Chain(n_carry), Chain(n_control)
     factors: list[dict[int, list[tuple[int, float]]]] = []
     for output in range(coefficients.shape[1]):
@@ -106,3 +103,11 @@ def polynomial(x, u, p, y, scratch):
             total = total + load(factors, i * LANES) * load(monomials, int(rest[1 + i]) * LANES)
         store(y, output * LANES, total)
         rest, factors = view(rest, 1 + count), view(factors, count * LANES)
+
+
+def raise_powers(z, chain, count, monomials):
+    """Write the constant 1 and ``count`` monomials, each an earlier one times a variable."""
+    store(monomials, 0, splat(1.0))
+    for link in range(count):
+        parent, variable = int(chain[2 * link]), int(chain[2 * link + 1])
+        store(monomials, (link + 1) * LANES, load(monomials, parent * LANES) * load(z, variable * LANES))
