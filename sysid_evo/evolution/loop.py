@@ -77,5 +77,5 @@ def evolve(
         else:
             scored = objective(population, index)
         scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))
-        strategy.tell(population, scores.fitness, scores.behaviour, scores.by_model)
+        strategy.tell(population, scores.fitness, scores.behaviour)
         yield Generation(index, population, scores.fitness, scores.by_model, needed)

@@ -30,8 +30,6 @@ class EvolutionStrategy(ABC):
     generations: int | None = None
     told: int = 0
     """Of how many generations it was told, counted before it learns from them."""
-    by_model: Array | None = None
-    """While `_update` runs: the fitness on each of several models (M, P), nan where one was not run; or None."""
 
     def prepare(
         self, *, behaviour_names: tuple[str, ...], control_names: tuple[str, ...], generations: int | None = None
@@ -99,14 +97,11 @@ class EvolutionStrategy(ABC):
         Raises `InvalidArgument` or `ShapeError` if it is the state of another.
         """
 
-    def tell(
-        self, population: Array, fitness: Array, behaviour: Array | None = None, by_model: Array | None = None
-    ) -> None:
+    def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
         """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness.
 
         ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none. A
-        strategy that was not told of any is given none. ``by_model`` (models, population) is the fitness on each
-        of several models, nan on those that were not run; None where models are not told apart.
+        strategy that was not told of any is given none.
         """
         population = check_shape("population", population, (None, self.n_parameters))
         fitness = check_shape("fitness", fitness, (len(population),))
@@ -116,7 +111,5 @@ class EvolutionStrategy(ABC):
             )
         described = (len(population), len(self.behaviour_names))
         given = np.empty((len(population), 0)) if behaviour is None or not self.behaviour_names else behaviour
-        self.by_model = None if by_model is None else check_shape("by_model", by_model, (None, len(population)))
         self.told += 1
         self._update(population, fitness, check_shape("behaviour", given, described))
-        self.by_model = None

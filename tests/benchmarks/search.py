@@ -37,7 +37,6 @@ STRATEGIES = {
     "plain": ("recurrent", "mu_plus_lambda", 10),
     "CMA-ES, narrow": ("recurrent", "cma_es(sigma=0.5)", 10),
     "CMA-ES, wide": ("recurrent", "cma_es", 10),
-    "CMA-ES, restarts": ("recurrent", "restarts", 10),
     "MAP-Elites": ("recurrent", "map_elites", 10),
     "niches, six hidden units": ("recurrent", "niches", 10),
     "niches, ten trials": ("recurrent(hidden=10)", "niches", 10),
@@ -85,7 +84,7 @@ def run(strategy: str, car: int, seed: int, generations: int) -> Run:
         asking += time.process_time() - before
         scores = objective(population, generation)
         before = time.process_time()
-        search.tell(population, scores.fitness, scores.behaviour, scores.by_model)
+        search.tell(population, scores.fitness, scores.behaviour)
         asking += time.process_time() - before
         spent += len(population) * trials
         generation += 1

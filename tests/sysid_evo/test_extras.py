@@ -23,7 +23,6 @@ from sysid_evo.extras import extra_of, missing_extra
         ("torch", "neural"),
         ("pysindy", "sindy"),
         ("ribs.archives", "evolution"),
-        ("pymoo", "evolution"),
     ],
 )
 def test_the_extra_of_a_module_is_found_also_where_the_package_has_another_name(module: str, extra: str) -> None:

@@ -38,8 +38,8 @@ def test_values_are_what_they_look_like() -> None:
 
 
 def test_a_thing_inside_a_thing_is_handed_over_as_text_in_the_same_grammar() -> None:
-    spec = Spec.parse("restarts(strategy=mu_plus_lambda(sigma=0.2, parents=10), times=3)")
-    assert spec.parameters == {"strategy": "mu_plus_lambda(sigma=0.2, parents=10)", "times": 3}
+    spec = Spec.parse("niches(strategy=mu_plus_lambda(sigma=0.2, parents=10), slots=3)")
+    assert spec.parameters == {"strategy": "mu_plus_lambda(sigma=0.2, parents=10)", "slots": 3}
     assert Spec.parse(str(spec)) == spec
 
 

@@ -131,32 +131,11 @@ CHANGES = (
         ("tests/sysid_evo/test_controller_evolution.py",),
     ),
     Change(
-        "a restart is as large as the start before it",
-        "sysid_evo/evolution/restarts.py",
-        "round(size * self.growth**number)",
-        "round(size)",
-        ("tests/sysid_evo/test_restarts.py",),
-    ),
-    Change(
-        "a restart forgets what was found before",
-        "sysid_evo/evolution/restarts.py",
-        "self._ended = self._starts()[: REMEMBERED - 1]",
-        "self._ended = []",
-        ("tests/sysid_evo/test_restarts.py",),
-    ),
-    Change(
         "what is asked again counts as if it were the first time",
         "sysid_evo/evolution/map_elites.py",
         "share = 1.0 / times[-len(old) :]",
         "share = np.ones(len(old))",
         ("tests/sysid_evo/test_map_elites.py",),
-    ),
-    Change(
-        "models that nobody beats on all at once are not told apart",
-        "sysid_evo/evolution/nsga2.py",
-        "objectives = fitness[None] if self.by_model is None else self.by_model",
-        "objectives = fitness[None]",
-        ("tests/sysid_evo/test_nsga2.py",),
     ),
     Change(
         "a finalist is chosen by what it claims",

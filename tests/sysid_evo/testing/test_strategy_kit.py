@@ -74,9 +74,7 @@ class Holding(Climber):
 
 
 class Credulous(Climber):
-    def tell(
-        self, population: Array, fitness: Array, behaviour: Array | None = None, by_model: Array | None = None
-    ) -> None:
+    def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
         self._update(population, fitness, np.empty((len(population), 0)))
 
 
