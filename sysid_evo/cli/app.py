@@ -19,7 +19,6 @@ from sysid_evo.cli import (
     models,
     names,
     plugins,
-    racing,
     recordings,
     reporting,
     robots,
@@ -56,8 +55,6 @@ app.command("adapt")(adapting.adapt)
 app.command("evolve")(evolving.evolve)
 app.command("exploit")(exploiting.exploit)
 app.command("transfer")(transferring.transfer)
-app.command("coevolve")(racing.coevolve)
-app.command("match")(racing.match)
 app.command("drive")(driving.drive)
 app.command("export")(exporting.export)
 app.command("report")(reporting.report)

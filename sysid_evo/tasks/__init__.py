@@ -1,6 +1,5 @@
 """Tasks: what a controller is evolved for."""
 
-from sysid_evo.tasks.duel import Duel
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.registered_reward import NamedReward, register_reward
 from sysid_evo.tasks.reward import Reward
@@ -12,6 +11,6 @@ from sysid_evo.tasks.upright import Balance, SwingUp
 from sysid_evo.tasks.walled_track import WalledTrack
 
 __all__ = [
-    "Balance", "Duel", "NamedReward", "PointToPoint", "Reward", "Scene", "SetPoint", "SwingUp", "Target", "Task",
-    "TaskState", "TrackReference", "WalledTrack", "register_reward",
+    "Balance", "NamedReward", "PointToPoint", "Reward", "Scene", "SetPoint", "SwingUp", "Target", "Task", "TaskState",
+    "TrackReference", "WalledTrack", "register_reward",
 ]  # fmt: skip

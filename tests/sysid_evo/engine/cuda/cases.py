@@ -17,8 +17,7 @@ from sysid_evo.controllers.lqr import Lqr
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.registry import make_controller, make_model, make_robot, make_task, models
-from sysid_evo.rivals import Race, TwoBodies, TwoDrivers
-from sysid_evo.tasks import Duel, PointToPoint, Task
+from sysid_evo.tasks import PointToPoint, Task
 from sysid_evo.tasks.registered_reward import NamedReward
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, pendulum, switched_car
@@ -122,13 +121,6 @@ def environment() -> Case:
     return Case(ExampleDynamics(system), RecurrentNetwork(hidden=3), make_task("environment", horizon=HORIZON))
 
 
-def race() -> Case:
-    """Two networks in two linear cars."""
-    task = Duel(horizon=HORIZON)
-    both = TwoDrivers(RecurrentNetwork(hidden=3), RecurrentNetwork(hidden=2), tasks=(task, task))
-    return Case(TwoBodies(ExampleDynamics(switched_car())), both, Race(task))
-
-
 LOOSE = {"k_neighbours": 1e4}
 """Its neighbours change at once: where two are as near, rounding decides."""
 MODELS: dict[str, Callable[[], Case]] = {
@@ -167,8 +159,6 @@ TASKS: dict[str, Callable[[], Case]] = {
     "set_point": lambda: at_task("set_point"),
     "track_reference": lambda: at_task("track_reference"),
     "walled_track": lambda: at_task("walled_track"),
-    "duel": lambda: at_task("duel"),
-    "race": race,
     "reward": reward,
     "environment": environment,
 }
