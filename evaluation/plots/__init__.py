@@ -1,7 +1,6 @@
 """Plots for the report and for notebooks; each draws on ``ax`` or on a new figure and returns the axes."""
 
 from evaluation.plots.canvas import Band, new_figure, style, to_svg
-from evaluation.plots.changes import plot_changes
 from evaluation.plots.evolution import plot_fitness
 from evaluation.plots.exploitability import plot_probes
 from evaluation.plots.prediction import plot_free_run, plot_horizon_curve
@@ -12,7 +11,6 @@ from evaluation.plots.transfer import plot_claims, plot_transfer
 __all__ = [
     "Band",
     "new_figure",
-    "plot_changes",
     "plot_claims",
     "plot_fitness",
     "plot_free_run",

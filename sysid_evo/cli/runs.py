@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,7 @@ from sysid_evo.cli.console import out, tell
 from sysid_evo.cli.options import Json
 
 if TYPE_CHECKING:
-    from sysid_evo.plan import Record, Store
+    from sysid_evo.plan import Store
 
 app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
 
@@ -70,22 +71,23 @@ def diff(
     second: Annotated[Path, typer.Argument(help="Run folder.")],
     as_json: Json = False,
 ) -> None:
-    """Say in what two runs differ: their settings, and the cells that only one of them has."""
+    """Show settings and cells that differ between two runs, and the main figures of both beside each other."""
     from rich.table import Table
 
-    settings = [_settings(run) for run in (first, second)]
-    changed = {
-        key: [side.get(key) for side in settings]
-        for key in sorted({*settings[0], *settings[1]})
-        if settings[0].get(key) != settings[1].get(key)
-    }
-    sides = [{record.digest: record for record in _store(run).records()} for run in (first, second)]
-    alone = [[record.title for digest, record in here.items() if digest not in there] for here, there in _both(sides)]
-    document = {"settings": changed, "only_first": alone[0], "only_second": alone[1]}
+    settings, cells, figures = zip(
+        *((_settings(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
+    )
+    changed = _beside(settings, only_changed=True)
+    alone = [[title for digest, title in here.items() if digest not in there] for here, there in (cells, cells[::-1])]
+    known = _beside(figures)
     if as_json:
+        document = {"settings": changed, "only_first": alone[0], "only_second": alone[1], "figures": known}
         out.print_json(json_format.dumps(document))
         return
-    if not changed and not any(alone):
+    for run, found in zip((first, second), figures, strict=True):
+        if not found:
+            tell(f"{run} has no report yet, so it has no figures", label="note: ", style="dim")
+    if not changed and not any(alone) and figures[0] == figures[1]:
         out.print("no difference")
         return
     table = Table(box=None, pad_edge=False)
@@ -94,6 +96,8 @@ def diff(
     for key, values in changed.items():
         table.add_row(key, *("-" if value is None else str(value) for value in values))
     table.add_row("cells that the other lacks", *("\n".join(titles) or "-" for titles in alone))
+    for key, values in known.items():
+        table.add_row(key, *("-" if value is None else f"{value:.4g}" for value in values))
     out.print(table)
 
 
@@ -176,5 +180,31 @@ def _settings(run: Path) -> dict[str, Any]:
     return Experiment.read(run) if (run / FILE).is_file() else {}
 
 
-def _both(sides: list[dict[str, Record]]) -> list[tuple[dict[str, Record], dict[str, Record]]]:
-    return [(sides[0], sides[1]), (sides[1], sides[0])]
+def _cells(run: Path) -> dict[str, str]:
+    return {record.digest: record.title for record in _store(run).records()}
+
+
+def _figures(run: Path) -> dict[str, float | None]:
+    """Return the error N of every model, and what every controller claims and achieves, from a run's report."""
+    from evaluation.prediction import PERSISTENCE
+
+    if not (run / "report.json").is_file():
+        return {}
+    report = json_format.loads((run / "report.json").read_text(encoding="utf-8"))
+    found: dict[str, float | None] = {}
+    for model in (report["prediction"] or {"models": []})["models"]:
+        near = [score for score in model["horizons"] if score["seconds"] <= 1.0 + 1e-9] or model["horizons"][:1]
+        if near and model["name"] != PERSISTENCE:
+            found[f"N at {near[-1]['seconds']:g} s, {model['name']}"] = near[-1]["n"]
+    controllers = (report["controllers"] or {"controllers": []})["controllers"]
+    for figure in ("claimed", "achieved"):
+        for one in controllers:
+            if one[figure] is not None:
+                found[f"{figure}, {one['name']}"] = one[figure]["value"]
+    return found
+
+
+def _beside(sides: Sequence[dict[str, Any]], *, only_changed: bool = False) -> dict[str, list[Any]]:
+    """Return what two runs have under each name, None where one of them has nothing."""
+    both = {key: [side.get(key) for side in sides] for key in sorted({*sides[0], *sides[1]})}
+    return {key: values for key, values in both.items() if not only_changed or values[0] != values[1]}

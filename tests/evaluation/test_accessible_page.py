@@ -14,7 +14,6 @@ from axe_core_python.sync_playwright import Axe
 
 from evaluation.report import save_report
 from evaluation.report.study import save_study
-from evaluation.report.two_runs import differences, save_comparison
 from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.study.made_up import made_up
@@ -22,7 +21,7 @@ from tests.evaluation.test_report import make_report
 
 PAPER = 718
 """CSS pixels across a sheet of A4 within its margins."""
-PAGES = ("one run", "two runs", "study")
+PAGES = ("run", "study")
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +31,11 @@ def axe() -> Axe:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The page of a run, that of two runs, and that of a study."""
+    """The page of a run, and that of a study."""
     folder = tmp_path_factory.mktemp("page")
     report = make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
-    two = save_comparison(differences(report, report, ("before", "after")), folder)
     study = save_study(made_up(recipe=["recommended", "plain"]), folder)
-    return {"one run": save_report(report, folder)[1], "two runs": two, "study": study[-1]}
+    return {"run": save_report(report, folder)[1], "study": study[-1]}
 
 
 @pytest.mark.parametrize("which", PAGES)
@@ -62,7 +60,7 @@ def test_the_page_is_as_wide_as_the_screen(visitor: Visitor, pages: dict[str, Pa
 def test_paper_gets_no_buttons_and_no_player_and_all_that_is_folded_away(
     visitor: Visitor, pages: dict[str, Path]
 ) -> None:
-    page = visitor.open(pages["one run"], width=PAPER)
+    page = visitor.open(pages["run"], width=PAPER)
     page.emulate_media(media="print")
     for gone in (".deck", ".screens", "nav", ".tip", ".watch", ".command button"):
         assert shown(page, gone) == 0, gone
@@ -70,7 +68,7 @@ def test_paper_gets_no_buttons_and_no_player_and_all_that_is_folded_away(
     assert sideways(page) == 0
 
 
-@pytest.mark.parametrize(("which", "least"), [("one run", 4), ("study", 2)])
+@pytest.mark.parametrize(("which", "least"), [("run", 4), ("study", 2)])
 def test_a_page_is_printed_on_several_sheets(visitor: Visitor, pages: dict[str, Path], which: str, least: int) -> None:
     pdf = visitor.open(pages[which]).pdf(format="A4", print_background=True)
     assert pdf.startswith(b"%PDF")

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 
 from evaluation.plots import (
     new_figure,
-    plot_changes,
     plot_claims,
     plot_fitness,
     plot_free_run,
@@ -47,7 +46,6 @@ def _draw(report: Report, on: Callable[[], Axes | None] = lambda: None) -> dict[
         "trace": plot_trace(trace, on()),
         "transfer": plot_transfer(report.matrix, on()),
         "probes": plot_probes(report.exploitability, on()),
-        "changes": plot_changes({"claimed": {"known_c": (0.3, -0.1, 0.7)}}, on(), label="waypoints more"),
     }
 
 
@@ -59,7 +57,6 @@ def test_axes_carry_their_units(report: Report) -> None:
     assert labels["fitness"] == ("generation", "fitness (waypoints)")
     assert labels["claims"][0] == "fitness (waypoints)"
     assert labels["trace"] == ("x (m)", "y (m)")
-    assert labels["changes"][0] == "waypoints more"
 
 
 def test_a_plot_is_drawn_on_the_axes_it_is_given(report: Report) -> None:
@@ -83,15 +80,6 @@ def test_traces_have_equal_axes_in_metres(report: Report) -> None:
     assert ax.get_aspect() == 1.0
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     assert right - left == pytest.approx(high - low)
-
-
-def test_changes_are_drawn_with_their_intervals_a_row_for_each_name() -> None:
-    ax = plot_changes({"N": {"a": (0.3, -0.1, 0.7), "b": (1.0, 0.9, 1.2)}, "fit": {"b": (0.0, -1.0, 1.0)}})
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
-    (bars,) = ax.containers[0].lines[2]  # type: ignore[attr-defined]
-    ends = [segment[:, 0].tolist() for segment in bars.get_segments()]
-    np.testing.assert_allclose(ends, [[-0.1, 0.7], [0.9, 1.2]])
-    assert ax.get_legend() is not None
 
 
 def test_driving_backwards_has_its_own_colour() -> None:

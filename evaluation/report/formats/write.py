@@ -15,34 +15,26 @@ from sysid_evo.files import write_atomically
 STEM, FIGURES = "report", "figures"
 
 
-def write_format(told: Report | Story, name: str, folder: str | Path, *, stem: str = STEM) -> tuple[Path, ...]:
-    """Write the form ``name`` of a report, or of another story, into ``folder`` and return the files.
-
-    ``stem`` is the name of the file; figures stand in a folder of their own. Raises `InvalidArgument`.
-    """
+def write_format(report: Report, name: str, folder: str | Path) -> tuple[Path, ...]:
+    """Write the form ``name`` of a report into ``folder`` and return the files. Raises `InvalidArgument`."""
     if name not in FORMATS:
         raise InvalidArgument(f"format: expected one of {', '.join(FORMATS)}, got {name!r}")
-    return FORMATS[name](Story.of(told) if isinstance(told, Report) else told, Path(folder), stem)
+    return FORMATS[name](Story.of(report), Path(folder))
 
 
-def _markdown(story: Story, folder: Path, stem: str) -> tuple[Path, ...]:
-    drawn = _figures(story, folder, stem)
-    return (_text(folder / f"{stem}.md", story_to_markdown(story, figures=_place(stem))), *drawn)
+def _markdown(story: Story, folder: Path) -> tuple[Path, ...]:
+    drawn = _figures(story, folder)
+    return (_text(folder / f"{STEM}.md", story_to_markdown(story, figures=FIGURES)), *drawn)
 
 
-def _latex(story: Story, folder: Path, stem: str) -> tuple[Path, ...]:
-    return (_text(folder / f"{stem}.tex", story_to_latex(story)),)
+def _latex(story: Story, folder: Path) -> tuple[Path, ...]:
+    return (_text(folder / f"{STEM}.tex", story_to_latex(story)),)
 
 
-def _figures(story: Story, folder: Path, stem: str) -> tuple[Path, ...]:
+def _figures(story: Story, folder: Path) -> tuple[Path, ...]:
     pictures = [picture for section in story.sections for picture in section.pictures]
     drawings = [panel.wide for picture in pictures for panel in picture.panels]
-    return tuple(_text(folder / _place(stem) / f"{drawing.key}.svg", drawing.file) for drawing in drawings)
-
-
-def _place(stem: str) -> str:
-    """Return the folder of the figures."""
-    return FIGURES if stem == STEM else f"{stem}-{FIGURES}"
+    return tuple(_text(folder / FIGURES / f"{drawing.key}.svg", drawing.file) for drawing in drawings)
 
 
 def _text(path: Path, text: str) -> Path:
@@ -50,7 +42,7 @@ def _text(path: Path, text: str) -> Path:
     return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-FORMATS: dict[str, Callable[[Story, Path, str], tuple[Path, ...]]] = {
+FORMATS: dict[str, Callable[[Story, Path], tuple[Path, ...]]] = {
     "markdown": _markdown,
     "latex": _latex,
     "svg": _figures,

@@ -19,6 +19,7 @@ from tests.sysid_evo.cli.calling import Caller, Ended, run, run_here
 BUDGET = ("--generations", "1", "--trials", "1", "--runs", "1", "--strategy", "mu_plus_lambda(parents=2, children=2)")
 SMALL = (*BUDGET, "--task", "point_to_point(horizon=40)", "--only", "prediction")
 WHOLE = (*BUDGET, "--task", "point_to_point(horizon=40)")
+NEAR = "nearest_neighbour"
 
 PLUGIN = '''
 """A family that never fits, and a robot that is not there."""
@@ -158,20 +159,6 @@ def test_a_report_is_written_in_other_forms_beside_the_page(compared: Path, ther
     assert there("report", "out", "--format", "word").code == 2
 
 
-def test_two_runs_are_shown_side_by_side(compared: Path, there: Caller) -> None:
-    shutil.copytree(compared / "out", compared / "copy")
-    ended = there("report", "out", "copy")
-    assert ended.code == 0, ended.stderr
-    assert "the same" in ended.stdout
-    assert ended.stdout.splitlines()[-1].endswith("against-out.html")
-    assert max(len(line.rstrip()) for line in ended.stdout.splitlines()[:-1]) <= 80
-    assert "No setting" in (compared / "copy" / "against-out.html").read_text()
-    assert json.loads(there("report", "out", "copy", "--json").stdout)["runs"] == ["out", "copy"]
-    assert there("report", "out", "copy", "--format", "latex").code == 0
-    assert "\\begin{table}" in (compared / "copy" / "against-out.tex").read_text()
-    assert there("report", "out", "copy", "out").code == 2
-
-
 def test_quiet_leaves_remarks_out_and_keeps_results_and_errors(there: Caller) -> None:
     loud, quiet = there("compare", "--config", "out", "--out", "out"), None
     quiet = there("compare", "--config", "out", "--out", "out", "--quiet")
@@ -200,19 +187,35 @@ def test_runs_are_listed_shown_and_compared(there: Caller, logs: Path) -> None:
     shown = json.loads(there("runs", "show", "out", "--json").stdout)
     assert [record["title"] for record in shown][:2] == ["prepare made-up car", "fit linear"]
     assert "fit linear" in there("runs", "show", "out").stdout
-    ended = there("compare", "--data", logs, "--models", "linear,nearest_neighbour", *SMALL, "--out", "second")
+    ended = there("compare", "--data", logs, "--models", f"linear,{NEAR}", *SMALL, "--out", "second")
     assert ended.code == 0, ended.stderr
     difference = json.loads(there("runs", "diff", "out", "second", "--json").stdout)
     assert set(difference["settings"]) == {"models", "only"}
     assert set(difference["only_second"]) == {
-        "fit nearest_neighbour",
-        "predict with nearest_neighbour",
+        f"fit {NEAR}",
+        f"predict with {NEAR}",
         "advise on the models",
     }
     assert "evolve linear" in difference["only_first"]
     assert "fit linear" not in difference["only_first"]
-    assert "nearest_neighbour" in there("runs", "diff", "out", "second").stdout
+    in_both, in_second = (difference["figures"][f"N at 1 s, {name}"] for name in ("linear", NEAR))
+    assert in_both[0] == in_both[1] > 0.0
+    assert in_second[0] is None
+    assert in_second[1] > 0.0
+    (controller,) = json.loads((there.folder / "out" / "report.json").read_text())["controllers"]["controllers"]
+    assert difference["figures"]["claimed, linear"] == [controller["claimed"]["value"], None]
+    ended = there("runs", "diff", "out", "second")
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith(f"N at 1 s, {NEAR}")]
+    assert line.split()[-2:] == ["-", f"{in_second[1]:.4g}"]
     assert "no difference" in there("runs", "diff", "out", "out").stdout
+
+
+def test_a_run_without_a_report_is_compared_without_figures(compared: Path, there: Caller) -> None:
+    shutil.copytree(compared / "out", compared / "stopped")
+    (compared / "stopped" / "report.json").unlink()
+    ended = there("runs", "diff", "out", "stopped")
+    assert ended.says("stopped has no report yet, so it has no figures")
+    assert "claimed, linear" in ended.stdout
 
 
 def test_another_experiment_in_a_folder_is_remarked_and_what_both_need_is_kept(there: Caller, logs: Path) -> None:
