@@ -58,10 +58,6 @@ class MissingExtra(PluginError):
     """A plugin needs an optional dependency that is not installed."""
 
 
-class NoDevice(SysidEvoError, RuntimeError):
-    """What is to run on a device (CUDA) finds none that it can use."""
-
-
 class LinkLost(SysidEvoError, ConnectionError):
     """A robot or its tracker is silent, or the connection is closed."""
 

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
 from sysid_evo.engine.compiled.lanes import (
     LANES,
     QUARTER,
@@ -63,12 +62,10 @@ def plane_predictor(
         around=around.shape[2] // BUCKET,
         ridge=ridge,
     )
-    of_one_lane = n + 2 * count + 3 * BUCKET + (around if many else boxes).shape[2]
+    of_a_lane = n + 2 * count + 3 * BUCKET + (around if many else boxes).shape[2]
     of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
-    rows = -(-(of_one_lane + of_a_quarter * QUARTER) // LANES)
-    search = KernelSource(nearest_points, one_lane=points_nearest_to_one)
-    source = KernelSource(plane_through_neighbours, {"nearest_points": search})
-    return Predictor(source, flat, n_scratch=max(rows, of_one_lane + of_a_quarter))
+    rows = -(-(of_a_lane + of_a_quarter * QUARTER) // LANES)
+    return Predictor(plane_through_neighbours, flat, n_scratch=rows)
 
 
 def plane_through_neighbours(x, u, p, y, scratch):
@@ -342,37 +339,3 @@ def box_distance(value, sides, bound, groups, side):
         off = where_less(off, zero, zero, off)
         sofar = load_quarter(bound, group * BUCKET) if side > 0 else zero
         store(bound, group * BUCKET, sofar + off * off)
-
-
-def points_nearest_to_one(query, n, boxes, near, groups, count, bound, room, square, found):
-    """`nearest_points` for a target of one lane; boxes that are as near are taken in the same order."""
-    forget(square, found, count)
-    for bucket in range(groups * BUCKET):
-        total = 0.0
-        for side in range(n):
-            sides = view(boxes, side * 2 * groups * BUCKET + bucket)
-            off = max(sides[0] - query[side], query[side] - sides[groups * BUCKET], 0.0)
-            total += off * off
-        bound[bucket] = total
-    for _ in range(FIRST + count // BUCKET):
-        bucket = 0
-        for column in range(BUCKET):
-            for group in range(groups):
-                bucket = group * BUCKET + column if bound[group * BUCKET + column] < bound[bucket] else bucket
-        if bound[bucket] < square[count - 1]:
-            sort_in(query, n, near, bucket, count, square, found)
-        bound[bucket] = UNREACHED
-    for bucket in range(groups * BUCKET):
-        if bound[bucket] < square[count - 1]:
-            sort_in(query, n, near, bucket, count, square, found)
-
-
-def sort_in(query, n, near, bucket, count, square, found):
-    """Sort those points of a bucket into the list that are nearer than its last."""
-    points = view(near, bucket * n * BUCKET)
-    for i in range(BUCKET):
-        here = 0.0
-        for side in range(n):
-            off = points[side * BUCKET + i] - query[side]
-            here += off * off
-        put_in(here, float(bucket * BUCKET + i), count, square, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, get_args
+from typing import Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 
@@ -13,15 +13,11 @@ from sysid_evo.controllers.controller import Controller
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import reference
-from sysid_evo.engine.cuda import device
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.processors import available_processors as available_processors
 from sysid_evo.tasks.task import Task, TaskState
 
-if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.run import Kernels
-
-Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64", "cuda"]
+Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
 
 
 @dataclass(frozen=True)
@@ -70,16 +66,12 @@ class Runner(Protocol):
 class DynamicsRunner:
     """Runs controllers on a `Dynamics`: a model or an emulated robot.
 
-    ``engine`` and ``threads`` as for `rollout`; whether there is a device for "cuda" is found out here.
+    ``engine`` and ``threads`` as for `rollout`.
     """
 
     dynamics: Dynamics
     engine: Engine = "auto"
     threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.engine == "cuda":
-            device.check()
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
@@ -125,16 +117,12 @@ def rollout(
 
     Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
 
-    ``engine`` is "float32" or "float64" (all three kernels compiled), "cuda" (the same on a device, in the
-    precision of the dynamics' kernel), "mixed" (controller and task compiled, the dynamics' own NumPy step) or
-    "reference" (NumPy, any object); "auto" takes the first of float32, mixed, reference for which there are
-    kernels, and cuda before float32 where a device is at hand, the rollouts are many (`device.ENOUGH`) and
-    nothing is recorded. `Rollouts.engine` says which ran.
+    ``engine`` is "float32" or "float64" (all three kernels compiled), "mixed" (controller and task compiled, the
+    dynamics' own NumPy step) or "reference" (NumPy, any object); "auto" takes the first of float32, mixed, reference
+    for which there are kernels. `Rollouts.engine` says which ran.
     Scores do not depend on ``threads`` (default: all processors this process may use).
-    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`, and for "cuda" `MissingExtra` or `NoDevice`.
+    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
-    if engine == "cuda":
-        device.check()
     task = task.bind(dynamics.system)
     controller = controller.bind_to(task)
     parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
@@ -154,12 +142,6 @@ def rollout(
 
             kernels = run.Kernels(of_dynamics, of_controller, of_task)
             given = (kernels, dynamics, controller, parameters, task, seeds)
-            if engine == "cuda" or (
-                engine == "auto" and not record and _better_on_device(kernels, len(parameters) * len(seeds))
-            ):
-                from sysid_evo.engine.cuda import run as on_device
-
-                return Rollouts(**on_device.run(*given, record=record, precision=of_dynamics.precision))
             precision = of_dynamics.precision if engine == "auto" else engine
             return Rollouts(
                 **run.run(*given, record=record, precision=precision, threads=threads or available_processors())
@@ -176,11 +158,3 @@ def rollout(
         f"rollout: engine {engine!r} cannot run this: "
         + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
     )
-
-
-def _better_on_device(kernels: Kernels, rollouts: int) -> bool:
-    if not device.pays(rollouts):
-        return False
-    from sysid_evo.engine.cuda import program
-
-    return program.can_run(kernels)

@@ -22,19 +22,19 @@ from rich.table import Table
 
 @dataclass(frozen=True)
 class Compiled:
-    """A kernel in the cache; ``seconds`` are None where only its source is there, as for a device."""
+    """A kernel in the cache."""
 
     origin: str
     precision: str
     lines: int
     functions: str
-    seconds: float | None
+    seconds: float
 
 
 def compiled(cache: Path) -> list[Compiled]:
     """Return the kernels of a cache, those that took longest first."""
     found = [_read(path) for path in cache.glob("sysid-evo/kernels/sysid_evo_kernel_*.py")]
-    return sorted(found, key=lambda kernel: -(kernel.seconds or 0.0))
+    return sorted(found, key=lambda kernel: -kernel.seconds)
 
 
 def _read(path: Path) -> Compiled:
@@ -47,7 +47,7 @@ def _read(path: Path) -> Compiled:
         precision=precision.group(1) if precision else "",
         lines=text.count("\n"),
         functions=", ".join(dict.fromkeys(name for name in names if name != "entry")),
-        seconds=max(ready) - path.stat().st_mtime if ready else None,
+        seconds=max(ready) - path.stat().st_mtime,
     )
 
 
@@ -62,9 +62,8 @@ def main() -> None:
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     table = Table("s", "lines", "bits", "kernel", "made of")
     for kernel in kernels:
-        seconds = "" if kernel.seconds is None else f"{kernel.seconds:.1f}"
-        table.add_row(seconds, str(kernel.lines), kernel.precision, kernel.origin, kernel.functions)
-    compiling = sum(kernel.seconds or 0.0 for kernel in kernels)
+        table.add_row(f"{kernel.seconds:.1f}", str(kernel.lines), kernel.precision, kernel.origin, kernel.functions)
+    compiling = sum(kernel.seconds for kernel in kernels)
     console = Console()
     console.print(table)
     console.print(f"{len(kernels)} kernels in {compiling:.0f} s; {used.ru_utime + used.ru_stime:.0f} processor seconds")

@@ -88,16 +88,14 @@ def test_what_a_package_index_shows_is_complete(distribution: dict[str, Path], p
     assert [link for link in links if not link.startswith("https://")] == []
 
 
-def test_all_is_every_extra_but_those_of_developers_and_of_a_device(
-    distribution: dict[str, Path], project: dict[str, Any]
-) -> None:
+def test_all_is_every_extra_but_those_of_developers(distribution: dict[str, Path], project: dict[str, Any]) -> None:
     brought: dict[str, set[str]] = {}
     for line in metadata_of(distribution["wheel"]).get_all("Requires-Dist", []):
         extra = re.search(r"(.*);.*extra == '(\w+)'", line)
         if extra:
             brought.setdefault(extra[2], set()).add(extra[1].strip())
     assert set(brought) == {*project["project"]["optional-dependencies"]}
-    jobs = set(brought) - {"all", "bench", "dev", "docs", "cuda"}
+    jobs = set(brought) - {"all", "bench", "dev", "docs"}
     assert brought["all"] == set().union(*(brought[job] for job in jobs))
     assert not brought["all"] & brought["bench"]
 

@@ -67,37 +67,12 @@ I = types.Array(types.int64, 1, "C")
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Target:
-    """What kernels are compiled for: the numbers that LANES and QUARTER stand for, and the lane functions there are.
-
-    ``header`` begins a generated file, ``inner`` stands before every function but the last.
-    """
-
-    widths: Mapping[str, int]
-    functions: tuple[str, ...]
-    header: str
-    inner: str
-
-
-PROCESSOR = Target({"LANES": lanes.LANES, "QUARTER": lanes.QUARTER}, LANE_FUNCTIONS, HEADER, INNER)
-
-
 @dataclass(frozen=True)
 class KernelSource:
-    """A kernel function, and what stands for the free names in it (functions or further sources).
-
-    ``one_lane`` is another form of it for targets of one lane, where the function itself needs several.
-    """
+    """A kernel function, and what stands for the free names in it (functions or further sources)."""
 
     function: Callable[..., Any]
     bindings: Mapping[str, Any] = field(default_factory=dict)
-    one_lane: Callable[..., Any] | None = None
-
-    def for_target(self, target: Target) -> Any:
-        """Return the Python function that ``target`` compiles."""
-        alone = target.widths["LANES"] == 1 and self.one_lane is not None
-        return _plain(self.one_lane if alone else self.function)
 
     def __hash__(self) -> int:
         return hash((self.function, tuple(sorted((name, hash(bound)) for name, bound in self.bindings.items()))))
@@ -185,50 +160,39 @@ def compile_kernel(source: Source, signature: Signature, precision: Precision, *
 def generate(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
     options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False"
-    if not pointer:
-        return generate_for(PROCESSOR, source, f"@njit({signature}, {options}, nogil=True)", precision)
-    writer = _Writer(precision, PROCESSOR)
-    inner = writer.needs(source)
-    names = ", ".join(signature.arguments)
-    arrays = ", ".join(f"array_at({name})" for name in signature.arguments)
-    return writer.module(
-        source, f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
-    )
-
-
-def generate_for(target: Target, source: Source, decorator: str, precision: Precision) -> str:
-    """Return the text of the module that compiles ``source`` for ``target`` as ``entry``, with ``decorator``."""
-    writer = _Writer(precision, target)
-    writer.open.append(source)
-    return writer.module(source, writer.function(source, entry=decorator))
+    writer = _Writer(precision)
+    if pointer:
+        inner = writer.needs(source)
+        names = ", ".join(signature.arguments)
+        arrays = ", ".join(f"array_at({name})" for name in signature.arguments)
+        entry = f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
+    else:
+        writer.open.append(source)
+        entry = writer.function(source, entry=f"@njit({signature}, {options}, nogil=True)")
+    origin = f"{source.function.__module__}.{source.function.__qualname__}"
+    header = HEADER.format(origin=origin, precision=precision, lanes=lanes.LANES, functions=", ".join(LANE_FUNCTIONS))
+    return "\n\n".join([header, *writer.done, entry]) + "\n"
 
 
 class _Writer:
     """Writes kernel functions in dependency order, each once."""
 
-    def __init__(self, precision: Precision, target: Target) -> None:
-        self.precision, self.target = precision, target
+    def __init__(self, precision: Precision) -> None:
+        self.precision = precision
         self.done: list[str] = []
         self.names: dict[Source, str] = {}
         self.open: list[Source] = []
         self.count = 0
 
-    def module(self, source: Source, entry: str) -> str:
-        """Return the text of the file that ends with ``entry``, which was made of ``source``."""
-        origin = f"{source.function.__module__}.{source.function.__qualname__}"
-        functions, width = ", ".join(self.target.functions), self.target.widths["LANES"]
-        header = self.target.header.format(origin=origin, precision=self.precision, lanes=width, functions=functions)
-        return "\n\n".join([header, *self.done, entry]) + "\n"
-
     def function(self, source: Source, entry: str | None = None) -> str:
-        before = self.target.inner if entry is None else entry
+        before = entry or INNER
         if not isinstance(source, KernelSource):
             wrapped = self.needs(KernelSource(source.function, source.bindings))
-            name = "entry" if entry is not None else self.fresh(type(source).__name__.lower())
+            name = "entry" if entry else self.fresh(type(source).__name__.lower())
             return f"{before}\n{source.write(wrapped, name)}"
-        function = source.for_target(self.target)
+        function = _plain(source.function)
         tree = _parse(function)
-        name = "entry" if entry is not None else self.fresh(function.__name__)
+        name = "entry" if entry else self.fresh(function.__name__)
         tree.name = name
         tree.decorator_list = []
         tree.returns = None
@@ -310,8 +274,6 @@ class _Specialise(ast.NodeTransformer):
             return ast.Name(REAL, ast.Load())
         if node.id in self.local or node.id in BUILTINS or node.id == "LANES":
             return node
-        if node.id == "QUARTER" and self.scope.get(node.id) == lanes.QUARTER:
-            return ast.Constant(self.writer.target.widths[node.id])
         if node.id in self.bindings:
             return self._value(self.bindings[node.id], node.id)
         if node.id in self.scope:
@@ -326,8 +288,6 @@ class _Specialise(ast.NodeTransformer):
         if value.__hash__ is None:
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
         if value in PASSED_ON:
-            if PASSED_ON[value] in LANE_FUNCTIONS and PASSED_ON[value] not in self.writer.target.functions:
-                raise self._unusable(text, "it takes several lanes; give the source a form for one_lane")
             return ast.Name(PASSED_ON[value], ast.Load())
         if self.writer.precision == "float32" and value in elementary.FLOAT32:
             return self._named(KernelSource(elementary.FLOAT32[value]))

@@ -46,16 +46,6 @@ class Kernels:
     controller: ControllerKernel
     task: TaskKernel
 
-    @property
-    def sources(self) -> dict[str, Source]:
-        """The four functions, by what a loop calls them."""
-        return {
-            "dynamics": self.dynamics.source,
-            "controller": self.controller.source,
-            "observe": self.task.observe,
-            "advance": self.task.advance,
-        }
-
 
 @cache
 def compiled(source: Source, signature: Signature, precision: Precision) -> Any:

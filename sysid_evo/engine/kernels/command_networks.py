@@ -18,7 +18,6 @@ from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.commands import command_cells
 from sysid_evo.engine.kernels.stepping import Predictor, copy
 
-PAGE = QUARTER
 HEAD = Layout("n_states", "n_exact", "n_controls", "pages", "weights", align=CACHE_LINE)
 
 
@@ -60,8 +59,7 @@ def command_network_predictor(
         weights=HEAD.size + len(head),
     )
     sizes = {"N_IN": n_in, "HIDDEN": hidden, "N_OUT": n_out}
-    source = KernelSource(command_networks, sizes, one_lane=networks_of_one_command)
-    return Predictor(source, parameters, n_scratch=1 + n_in)
+    return Predictor(KernelSource(command_networks, sizes), parameters, n_scratch=1 + n_in)
 
 
 def command_networks(x, u, p, y, scratch):
@@ -94,24 +92,3 @@ def own(table, cell, pages):
         place = min(max(cell - float(page * QUARTER), 0.0), QUARTER - 1.0)
         found = where_less(cell, float(page * QUARTER), found, look_up(load_quarter(table, page * QUARTER), place))
     return found
-
-
-def networks_of_one_command(x, u, p, y, scratch):
-    """`command_networks` for a target of one lane: every weight of its command stands a table after the last."""
-    n_states, n_exact, step = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.pages]) * PAGE
-    cells, inputs = scratch, view(scratch, 1)
-    command_cells(u, view(p, HEAD.size + n_exact), int(p[HEAD.n_controls]), cells)
-    copy(x, inputs, n_states)
-    for row in range(n_exact):
-        inputs[n_states + row] = u[int(p[HEAD.size + row])]
-    weights = view(p, int(p[HEAD.weights]) + int(cells[0]))
-    for output in range(N_OUT):
-        total = weights[HIDDEN * (N_IN + 2) * step]
-        for _ in range(HIDDEN):
-            unit = weights[0]
-            for i in range(N_IN):
-                unit += weights[(1 + i) * step] * inputs[i]
-            total += weights[(1 + N_IN) * step] * math.tanh(unit)
-            weights = view(weights, (N_IN + 2) * step)
-        y[output] = total
-        weights = view(weights, step)

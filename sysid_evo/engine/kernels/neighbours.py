@@ -99,9 +99,9 @@ def neighbour_predictor(
     parameters = np.concatenate([np.pad(head, (0, begin - len(head))), *blocks])
     sides = n_states + len(exact)
     if many:
-        source = KernelSource(neighbours_of_many, {"SIDES": sides}, one_lane=neighbours_of_one)
+        source = KernelSource(neighbours_of_many, {"SIDES": sides})
         return Predictor(source, parameters, n_scratch=1 + sides + -(-(most + BUCKET) // LANES))
-    source = KernelSource(neighbours, {"SIDES": sides}, one_lane=neighbours_of_one)
+    source = KernelSource(neighbours, {"SIDES": sides})
     return Predictor(source, parameters, n_scratch=1 + sides + -(-most * BUCKET // LANES) + most)
 
 
@@ -295,57 +295,4 @@ def point_distances(query, sides, near):
     for side in range(sides):
         off = load_quarter(near, side * BUCKET) - splat_quarter(query[side * LANES])
         total = total + off * off
-    return total
-
-
-def neighbours_of_one(x, u, p, y, scratch):
-    """`neighbours` for a target of one lane: the nearest box first, then all boxes that may hold a nearer point.
-
-    Of points that are as near it takes the one that the search in lanes takes: that of the first column.
-    """
-    n_states, n_exact, n_out = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.n_out])
-    cells, query = scratch, view(scratch, 1)
-    command_cells(u, view(p, HEAD.size + n_exact), int(p[HEAD.n_controls]), cells)
-    copy(x, query, n_states)
-    for row in range(n_exact):
-        query[n_states + row] = u[int(p[HEAD.size + row])]
-    table = view(p, int(p[int(p[HEAD.cells]) + int(cells[0])]))
-    groups, boxes = int(table[TABLE.groups]), view(p, int(table[TABLE.place]))
-    points = view(boxes, groups * SIDES * 2 * BUCKET)
-    first, least = 0, FAR * FAR
-    for bucket in range(groups * BUCKET):
-        bound = distance_to_box(query, SIDES, boxes, bucket)
-        first = bucket if bound < least else first
-        least = min(least, bound)
-    limit = FAR * FAR
-    for column in range(BUCKET):
-        limit = min(limit, distance_to_point(query, SIDES, view(points, first * SIDES * BUCKET + column)))
-    best, winner, winning_column = FAR * FAR, 0, BUCKET
-    for bucket in range(groups * BUCKET):
-        if distance_to_box(query, SIDES, boxes, bucket) <= limit:
-            for column in range(BUCKET):
-                distance = distance_to_point(query, SIDES, view(points, bucket * SIDES * BUCKET + column))
-                if (distance < best) | ((distance == best) & (column < winning_column)):
-                    best, winner, winning_column = distance, bucket * BUCKET + column, column
-            limit = min(limit, best)
-    value = view(points, groups * BUCKET * SIDES * BUCKET + winner * n_out)
-    for row in range(n_out):
-        y[row] = value[row]
-
-
-def distance_to_box(query, sides, boxes, bucket):
-    """Return the squared distance from a query to one box."""
-    box, total = view(boxes, (bucket // BUCKET) * sides * 2 * BUCKET + bucket % BUCKET), 0.0
-    for side in range(sides):
-        off = max(box[side * 2 * BUCKET] - query[side], query[side] - box[(side * 2 + 1) * BUCKET], 0.0)
-        total += off * off
-    return total
-
-
-def distance_to_point(query, sides, point):
-    """Return the squared distance from a query to one point, whose coordinates stand a bucket apart."""
-    total = 0.0
-    for side in range(sides):
-        off = point[side * BUCKET] - query[side]
-        total += off * off
     return total

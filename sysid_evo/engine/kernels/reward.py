@@ -61,9 +61,7 @@ def reward_kernel(
     )
     return TaskKernel(
         observe=KernelSource(observe),
-        advance=KernelSource(
-            advance, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}, one_lane=advance_alone
-        ),
+        advance=KernelSource(advance, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}),
         n_rows=ROWS.pose + system.n_pose + 1,
         rows=_rows,
         trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
@@ -110,13 +108,3 @@ def advance(task, before, after, control, trials, trial_data, parameters):
 def never(x, u):
     """No trial is over before its time."""
     return 0.0
-
-
-def advance_alone(task, before, after, control, trials, trial_data, parameters):
-    """`advance` for a target of one lane, whose state and control stand side by side anyway."""
-    own, pose = view(parameters, int(parameters[OBSERVED.of_nu])), view(task, ROWS.pose)
-    move(pose, before, after, parameters[OBSERVED.dt], view(parameters, int(parameters[OBSERVED.of_motion])))
-    reward = worth(before, control)
-    task[0] += own[OWN.share] * (reward if reward >= own[OWN.lowest] else own[OWN.lowest])
-    if over(after, control):
-        task[ROWS.alive] = 0.0

@@ -197,7 +197,7 @@ def test_a_continuous_control_is_scaled_to_its_limits(engine: Engine) -> None:
     assert fast.trajectories[-1].controls[0, 0] == 4.0
 
 
-@pytest.mark.parametrize("engine", [engine for engine in get_args(Engine) if engine != "cuda"])
+@pytest.mark.parametrize("engine", get_args(Engine))
 def test_a_control_without_limits_is_refused_by_every_form(engine: Engine) -> None:
     system = System((Channel("height", "m"),), (Channel("climb", "m"),), dt=0.1)
     with pytest.raises(InvalidSystem, match="no finite limits"):
