@@ -1,4 +1,4 @@
-"""`sysid-evo plugin`: write a new thing of any kind, and check one against the contract of its kind."""
+"""`sysid-evo plugin`: write a new thing of a kind, and check one against the contract of its kind."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sysid_evo.testing import CheckResult
 
 app = typer.Typer(
-    help="Models, tasks, controllers, strategies, aggregates, robots, readers, probes and motions of your own.",
+    help="Models, tasks, controllers, strategies, robots and readers of your own.",
     no_args_is_help=True,
 )
 
@@ -27,7 +27,7 @@ def new(
     name: Annotated[str, typer.Argument(help="Its name, such as my_model.")],
     kind: Annotated[
         str,
-        typer.Option(help="model, task, controller, strategy, aggregate, robot, reader, probe or motion."),
+        typer.Option(help="model, task, controller, strategy, robot or reader."),
     ] = "model",
     folder: Annotated[Path | None, typer.Option("--out", help="Folder (default: one of that name).")] = None,
 ) -> None:
@@ -109,10 +109,6 @@ def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
 
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
-    if kind == "probe":
-        from evaluation.testing import run_probe_checks
-
-        return run_probe_checks
     if kind == "robot":
         from hardware.testing import run_robot_checks
 
@@ -124,9 +120,7 @@ def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
         "task": testing.run_task_checks,
         "controller": testing.run_controller_checks,
         "strategy": testing.run_strategy_checks,
-        "aggregate": testing.run_aggregate_checks,
         "reader": testing.run_reader_checks,
-        "motion": testing.run_motion_checks,
     }
     return kits[kind]
 

@@ -1,4 +1,4 @@
-"""A working plugin package for each kind of thing: one file, one entry-point line, one test."""
+"""A working plugin package for each kind that has a contract check: one file, one entry-point line, one test."""
 
 from __future__ import annotations
 
@@ -37,15 +37,12 @@ PLUGINS = {
     "task": Kind("sysid-evo compare --task $name"),
     "controller": Kind("sysid-evo compare --controller $name"),
     "strategy": Kind("sysid-evo compare --strategy $name"),
-    "aggregate": Kind("sysid-evo compare --aggregate $name"),
     "robot": Kind("sysid-evo compare --robot $name", kit="hardware.testing"),
     "reader": Kind(
         "sysid-evo inspect logs/",
         check=" --data tests/example.jsonl",
         files={"test_reader.py.txt": TEST, "example.jsonl.txt": "tests/example.jsonl"},
     ),
-    "probe": Kind("sysid-evo compare", kit="evaluation.testing"),
-    "motion": Kind('python -c "from $name import $title; print($title())"'),
 }
 
 

@@ -1,15 +1,13 @@
 """Conformance kits: the contract of each kind of thing as sentences that plugin authors run, and CI runs.
 
 ``check_KIND(name)`` raises `ContractViolation` listing every broken sentence; ``run_KIND_checks(name)``
-yields each sentence with its verdict (for models it is called `run_checks`). The kits of probes and of
-robots stand beside what they check: `evaluation.testing` and `hardware.testing`.
+yields each sentence with its verdict (for models it is called `run_checks`). The kit of robots stands beside
+what it checks: `hardware.testing`.
 """
 
-from sysid_evo.testing.aggregates import check_aggregate, run_aggregate_checks
 from sysid_evo.testing.controllers import check_controller, run_controller_checks
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
 from sysid_evo.testing.models import CHECKS, check_model, run_checks
-from sysid_evo.testing.motions import check_motion, run_motion_checks
 from sysid_evo.testing.readers import check_reader, run_reader_checks
 from sysid_evo.testing.strategies import check_strategy, run_strategy_checks
 from sysid_evo.testing.tasks import check_task, run_task_checks
@@ -19,19 +17,15 @@ __all__ = [
     "CHECKS",
     "CheckResult",
     "ExampleDynamics",
-    "check_aggregate",
     "check_controller",
     "check_model",
-    "check_motion",
     "check_reader",
     "check_strategy",
     "check_task",
     "example_dataset",
     "example_systems",
-    "run_aggregate_checks",
     "run_checks",
     "run_controller_checks",
-    "run_motion_checks",
     "run_reader_checks",
     "run_strategy_checks",
     "run_task_checks",

@@ -37,10 +37,7 @@ EXAMPLES = {
     "task": ("tasks.md", "hold"),
     "controller": ("controllers.md", "feedback"),
     "strategy": ("strategies.md", "cross_entropy"),
-    "aggregate": ("aggregates.md", "low_quantile"),
     "reader": ("readers.md", "json_lines"),
-    "probe": ("probes.md", "side_slip"),
-    "motion": ("motions.md", "rail"),
 }
 """The page of each kind, and what its example is called."""
 LANGUAGES = {"", "python", "toml", "sh", "py", "matlab"}

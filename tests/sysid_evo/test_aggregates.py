@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_aggregate
+from sysid_evo.registry import aggregates, make_aggregate
 
 FITNESS = np.array(
     [
@@ -92,3 +92,26 @@ def test_a_random_subset_is_another_one_in_other_generations_and_with_another_se
 def test_a_parameter_that_makes_no_sense_is_refused(spec: str) -> None:
     with pytest.raises(InvalidArgument, match=f"{spec.partition('(')[0]}: expected "):
         make_aggregate(spec)
+
+
+@pytest.mark.parametrize("name", aggregates.names())
+def test_every_rule_keeps_the_laws_of_aggregates(name: str, rng: np.random.Generator) -> None:
+    rule, fitness = make_aggregate(name), rng.uniform(-10.0, 10.0, (3, 7, 5))
+    kept, result = fitness.copy(), rule(fitness)
+    assert (result.shape, result.dtype) == ((7,), np.float64)
+    np.testing.assert_array_equal(fitness, kept)
+    alone = [rule(fitness[:, i : i + 1])[0] for i in range(7)]
+    np.testing.assert_allclose(result, alone, rtol=1e-12)
+    np.testing.assert_allclose(rule(fitness[::-1, :, ::-1]), result, rtol=1e-9)
+    assert (rule(fitness + 1.0) > result).all()
+    np.testing.assert_allclose(rule(np.full((3, 1, 5), 2.5)), 2.5, rtol=1e-9)
+    assert np.isfinite(rule(fitness[:1, :1, :1])).all()
+
+
+@pytest.mark.parametrize("name", ["min", "mean", "median"])
+def test_of_one_model_these_rules_take_the_mean_over_its_trials_to_the_last_bit(
+    name: str, rng: np.random.Generator
+) -> None:
+    rule, fitness = make_aggregate(name), rng.uniform(-10.0, 10.0, (1, 7, 5))
+    assert rule.mean_of_one
+    np.testing.assert_array_equal(rule(fitness), fitness.mean(axis=2)[0])

@@ -10,10 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from sysid_evo.angles import wrap
 from sysid_evo.arrays import Array
+from sysid_evo.engine.compiled.dialect import KernelSource
+from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.engine.compiled.lanes import LANES, view
+from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.engine.compiled.single_step import kernel_step
 from sysid_evo.motion import Motion, PlanarBody, rotate
+from sysid_evo.motion.gradient_form import CentralDifferences
 from sysid_evo.system import Channel, System
 
+HEAD = Layout("nx", "dt")
+MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")
 NAMES = ("forward_speed", "lateral_speed", "yaw_rate")
 MOTIONS = {"planar": PlanarBody(), "without lateral": PlanarBody(lateral=None), "none": None}
 fixed = settings(derandomize=True, deadline=None, database=None)
@@ -168,3 +177,50 @@ def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral: str | Non
     among = motion.move(poses, before, after, 0.05, NAMES)
     for pose, start, end, expected in zip(poses, before, after, among, strict=True):
         np.testing.assert_array_equal(motion.move(pose, start, end, 0.05, NAMES), expected)
+
+
+def all_three(carry, control, noise, parameters, scratch):
+    """Integrate the second nx rows of the carry, turn the third nx rows, and move the pose after them."""
+    nx, dt, own = int(parameters[HEAD.nx]), parameters[HEAD.dt], view(parameters, HEAD.size)
+    after, rate, pose = view(carry, nx * LANES), view(carry, 2 * nx * LANES), view(carry, 3 * nx * LANES)
+    integrate(carry, after, nx, dt, own)  # noqa: F821  # bound below, as are the other two
+    turn_frame(carry, rate, own)  # noqa: F821
+    move_pose(pose, carry, after, dt, own)  # noqa: F821
+
+
+@pytest.mark.parametrize("lateral", ["lateral_speed", None])
+def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(
+    lateral: str | None, rng: np.random.Generator
+) -> None:
+    motion, nx, dt = PlanarBody(lateral=lateral), len(MIXED), 0.05
+    state, acceleration = rng.standard_normal((2, 12, nx))
+    pose = rng.uniform(-2.0, 2.0, (12, 3))
+    form = motion.kernel(MIXED)
+    bindings = {"integrate": form.integrate, "turn_frame": form.turn, "move_pose": form.move}
+    kernel = DynamicsKernel(KernelSource(all_three, bindings), HEAD.pack(form.parameters, nx=nx, dt=dt))
+    carry = np.concatenate([state, acceleration, acceleration, pose], axis=1)
+    found = kernel_step(kernel, carry, np.zeros((12, 1)), precision="float64")
+    after = motion.integrate(state, acceleration, dt, MIXED)
+    np.testing.assert_allclose(found[:, nx : 2 * nx], after, atol=1e-7)
+    turned = acceleration + motion.turning(state, MIXED)
+    np.testing.assert_allclose(found[:, 2 * nx : 3 * nx], turned, atol=1e-7)
+    moved = found[:, 3 * nx :] - motion.move(pose, state, after, dt, MIXED)
+    moved[:, 2] = wrap(moved[:, 2])
+    np.testing.assert_allclose(moved, 0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("lateral", ["lateral_speed", None])
+def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(
+    lateral: str | None, rng: np.random.Generator
+) -> None:
+    motion = PlanarBody(lateral=lateral)
+    state, acceleration, gradient = rng.standard_normal((3, 12, len(MIXED)))
+    form, differences = motion.gradient_form(MIXED), CentralDifferences(motion, MIXED)
+    for found, expected in zip(
+        form.integrated(state, acceleration, 0.05, gradient),
+        differences.integrated(state, acceleration, 0.05, gradient),
+        strict=True,
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
+    turned = form.turned(state, gradient), differences.turned(state, gradient)
+    np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-7)

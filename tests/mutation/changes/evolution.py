@@ -261,7 +261,7 @@ CHANGES = (
         "sysid_evo/evolution/aggregates.py",
         "return np.full(fitness.shape[1], np.inf)",
         "return self(fitness)",
-        ("tests/sysid_evo/test_sparing.py", "tests/sysid_evo/testing/test_aggregate_kit.py"),
+        TEST_SPARING,
     ),
     Change(
         "a strategy that is stopped while it learns is kept",

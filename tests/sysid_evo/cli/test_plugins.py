@@ -1,4 +1,4 @@
-"""The plugin path: for every kind a new package that works as it is written."""
+"""The plugin path: for every public kind a new package that works as it is written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sysid_evo.cli.plugins import app
-from sysid_evo.errors import SysidEvoError
+from sysid_evo.errors import InvalidArgument, SysidEvoError
 from sysid_evo.plugin_template import PLUGINS, write_plugin
 from sysid_evo.registry import KINDS
 from tests.sysid_evo.cli.calling import run_here
@@ -74,8 +74,10 @@ def test_a_new_plugin_of_every_kind_keeps_the_contract_by_the_command(packages: 
         assert int(kept) >= 7
 
 
-def test_there_is_a_template_for_every_kind_but_that_of_trackers() -> None:
-    assert set(PLUGINS) == set(KINDS) - {"tracker"}
+def test_a_kind_of_which_there_is_no_template_is_refused(tmp_path: Path) -> None:
+    for kind in set(KINDS) - set(PLUGINS):
+        with pytest.raises(InvalidArgument, match=f"expected a kind among .*, got '{kind}'"):
+            write_plugin("mine", tmp_path, kind)
 
 
 def test_new_says_how_to_check_and_overwrites_nothing(tmp_path: Path) -> None:
@@ -107,13 +109,13 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path: Path
     [
         (("new", "my-model"), "expected a lower-case Python name such as my_model, got 'my-model'"),
         (("new", "linear"), "model 'linear' is taken by the module model_zoo.linear, so that the new module linear"),
-        (("new", "min", "--kind", "aggregate"), "aggregate 'min' is taken by the module sysid_evo.evolution."),
+        (("new", "niches", "--kind", "strategy"), "strategy 'niches' is taken by the module sysid_evo.evolution."),
         (("new", "random", "--kind", "task"), "a module called 'random' can be imported already"),
-        (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, aggregate,"),
-        (("check", "linnear"), "no model, task, controller, strategy, aggregate, robot, reader, probe or motion is"),
+        (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, robot, reader,"),
+        (("check", "linnear"), "no model, task, controller, strategy, robot or reader is called 'linnear'"),
         (("check", "linear", "--kind", "task"), "no task is called 'linear'"),
         (("check", "csv"), "a reader is checked on a file of its kind: name one with --data"),
-        (("check", "min", "--data", "logs"), "kind aggregate is checked without recordings: leave --data out"),
+        (("check", "niches", "--data", "logs"), "kind strategy is checked without recordings: leave --data out"),
     ],
 )
 def test_a_mistake_is_told_before_anything_is_written(
