@@ -173,10 +173,6 @@ class MlpEnsemble(Uncertain):
         seen = Features(self.system, self.lags).n_carry
         return with_angles(network_predictor(self.network.members(), seen, self.system.nu), self.system, self.lags)
 
-    def alternatives(self) -> tuple[MlpEnsemble, ...]:
-        """Return every member by itself, without noise."""
-        return tuple(self._alone(member) for member in range(self.members)) if self.members > 1 else ()
-
     def _alone(self, member: int) -> MlpEnsemble:
         own = slice(member, member + 1)
         return self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))

@@ -55,12 +55,3 @@ class SindyBagged(ContinuousSparse):
         self.adopt(data, kept.mean(axis=0), library.exponents)
         used = np.flatnonzero(np.any(kept.mean(axis=0) != 0, axis=1))
         self.bags_ = kept[:, used if len(used) else [0]]
-
-    def alternatives(self) -> tuple[SindyBagged, ...]:
-        """Return every fit that was kept, by itself."""
-        found = []
-        for coefficients in self.bags_ if len(self.bags_) > 1 else ():
-            other = self.variant()
-            other.coefficients_ = coefficients.copy()
-            found.append(other)
-        return tuple(found)

@@ -153,7 +153,3 @@ class MeanOfMembers(DynamicsModel):
         other = self.variant()
         other.become([new or old for new, old in zip(further, self.members_, strict=True)], self.weights_)
         return other
-
-    def alternatives(self) -> tuple[DynamicsModel, ...]:
-        """Return the members."""
-        return tuple(self.members_) if len(self.members_) > 1 else ()

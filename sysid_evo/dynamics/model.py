@@ -228,10 +228,6 @@ class DynamicsModel(Dynamics, Estimator):
         """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
         return ()
 
-    def alternatives(self) -> tuple[Dynamics, ...]:
-        """Return models that the data allow as well, such as the members of a mean; none by default."""
-        return ()
-
     def without_noise(self) -> Self:
         """Return this fitted model as it steps without noise; itself if it draws none."""
         return self.variant(stochastic=False) if self.get_params(deep=False).get("stochastic") else self

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.wrappers import DelayedEstimate, Discounted, Switching, disturbed, one_of_its_members
+from sysid_evo.wrappers import DelayedEstimate, Discounted, disturbed
 
 if TYPE_CHECKING:
     from sysid_evo.evolution.controllers import ControllerEvolution
 
 
 def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` as candidates meet them by ``settings``; with models that take turns there is one.
+    """Return ``runners`` as candidates meet them by ``settings``.
 
     Raises `InvalidArgument` for what is no model, if something is to be added to it.
     """
@@ -23,12 +23,9 @@ def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[st
     if noise is None and caution is None and delay == 0.0:
         return dict(runners)
     models = _models(runners)
-    if noise is not None and noise.switching and len(models) > 1:
-        together = Switching([runner.dynamics for runner in models.values()], every=noise.switching)
-        models = {"|".join(models): replace(next(iter(models.values())), dynamics=together)}
     found: dict[str, Runner] = {}
     for label, runner in models.items():
-        dynamics = one_of_its_members(runner.dynamics) if noise is not None and noise.members else runner.dynamics
+        dynamics = runner.dynamics
         if caution is not None:
             dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
         if noise is not None:

@@ -5,10 +5,9 @@ from sysid_evo.wrappers.delayed_estimate import DelayedEstimate
 from sysid_evo.wrappers.doubt import Discounted, Doubt, cautions
 from sysid_evo.wrappers.noisy_sensors import NoisySensors
 from sysid_evo.wrappers.perturbed import Perturbed
-from sysid_evo.wrappers.radical_envelope import RadicalEnvelope, disturbed, noises, one_of_its_members
+from sysid_evo.wrappers.radical_envelope import RadicalEnvelope, disturbed, noises
 from sysid_evo.wrappers.spread import state_spread
 from sysid_evo.wrappers.supported import Supported
-from sysid_evo.wrappers.switching import Switching
 
 __all__ = [
     "Cautious",
@@ -19,10 +18,8 @@ __all__ = [
     "Perturbed",
     "RadicalEnvelope",
     "Supported",
-    "Switching",
     "cautions",
     "disturbed",
     "noises",
-    "one_of_its_members",
     "state_spread",
 ]

@@ -15,8 +15,6 @@ class Members:
     """``models`` of one system: where their carries (n_carry) and their noise stand one after the other."""
 
     def __init__(self, models: Sequence[Dynamics]) -> None:
-        if not models:
-            raise InvalidArgument("several models: expected at least one, got none")
         self.models = tuple(models)
         self.system = self.models[0].system
         for model in self.models:
@@ -34,18 +32,6 @@ class Members:
         self.n_carry, self.n_noise, self.n_draws = (
             sum(getattr(model, name) for model in self.models) for name in ("n_carry", "n_noise", "n_draws")
         )
-
-    def __len__(self) -> int:
-        return len(self.models)
-
-    @property
-    def envelope(self) -> Array | None:
-        """The widest of the models' envelopes; None if one has none."""
-        envelopes = [model.envelope for model in self.models]
-        known = [envelope for envelope in envelopes if envelope is not None]
-        if len(known) < len(envelopes):
-            return None
-        return np.stack([np.min(known, axis=0)[0], np.max(known, axis=0)[1]])
 
     def start(self, states: Array, controls: Array, draws: Array) -> Array:
         """Return the carries (B, n_carry) after a history, with ``draws`` (B, n_draws)."""

@@ -16,7 +16,6 @@ from sysid_evo.wrappers.delayed_estimate import DelayedEstimate
 from sysid_evo.wrappers.noisy_sensors import NoisySensors
 from sysid_evo.wrappers.perturbed import Perturbed
 from sysid_evo.wrappers.spread import state_spread
-from sysid_evo.wrappers.switching import Switching
 
 noises: Registry[RadicalEnvelope] = Registry("noise", "sysid_evo.noises")
 """What ``--noise`` may name."""
@@ -42,8 +41,6 @@ class RadicalEnvelope:
     | ``scale`` | a state answers more or less, end values too: measured from neutral, times exp(scale z) | 0.1: 10 % |
     | ``effect`` | what a control adds to neutral, times exp(effect z) | 0.1: about 10 % |
     | ``process`` | white noise on a state in every step, at most | standard deviations of the training states |
-    | ``members`` | every trial meets one member of a model that is the mean of several | yes or no |
-    | ``switching`` | the models take turns: another one after so many samples on average, 0 for never | samples |
 
     z is standard normal, one for each channel and trial. ``gain`` and ``scale`` spare periodic states.
     A family with one network or table for each command does not notice ``effect``.
@@ -57,17 +54,15 @@ class RadicalEnvelope:
     scale: float = 0.0
     effect: float = 0.0
     process: float = 0.0
-    members: bool = False
-    switching: int = 0
     base: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "base", tuple(self.base) if isinstance(self.base, (list, tuple)) else (self.base,))
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name in ("base", "members"):
+            if item.name == "base":
                 continue
-            whole = item.name in ("latency", "switching")
+            whole = item.name == "latency"
             number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
             if not number or not 0 <= value < np.inf:
                 raise InvalidArgument(
@@ -75,8 +70,6 @@ class RadicalEnvelope:
                 )
         if self.dropout > 1.0:
             raise InvalidArgument(f"noise: dropout is a probability, at most 1, got {self.dropout}")
-        if not isinstance(self.members, bool):
-            raise InvalidArgument(f"noise: expected members to be true or false, got {self.members!r}")
 
     def check_system(self, system: System) -> None:
         """Raise `InvalidArgument` if the base set names a channel that ``system`` does not have."""
@@ -110,11 +103,3 @@ def disturbed(dynamics: Dynamics, noise: RadicalEnvelope, delay: float = 0.0) ->
     if delay:
         dynamics = DelayedEstimate(dynamics, delay)
     return NoisySensors(dynamics, noise, spread) if noise.sensor or noise.bias else dynamics
-
-
-def one_of_its_members(dynamics: Dynamics) -> Dynamics:
-    """Return ``dynamics`` so that every trial meets one of its `DynamicsModel.alternatives`, if it has several."""
-    from sysid_evo.dynamics import DynamicsModel
-
-    alternatives = dynamics.alternatives() if isinstance(dynamics, DynamicsModel) else ()
-    return Switching(alternatives) if len(alternatives) > 1 else dynamics

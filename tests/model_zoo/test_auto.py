@@ -255,12 +255,6 @@ def test_with_noise_the_intervals_hold_most_of_what_was_held_out() -> None:
     assert 0.75 < inside <= 1.0
 
 
-def test_the_members_are_its_alternatives() -> None:
-    assert learned().alternatives() == ()
-    mean = mean_of("linear", "linear(state_lags=1)")
-    assert mean.alternatives() == tuple(mean.members_)
-
-
 def test_what_progress_raises_is_no_failure_of_a_candidate() -> None:
     class Enough(Exception):
         pass

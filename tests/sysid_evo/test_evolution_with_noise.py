@@ -15,7 +15,7 @@ from sysid_evo.evolution.meeting import met
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.tasks import Task
 from sysid_evo.testing import example_dataset
-from sysid_evo.wrappers import Discounted, NoisySensors, Perturbed, Switching
+from sysid_evo.wrappers import Discounted, NoisySensors, Perturbed
 
 NOISE = "envelope(sensor=0.2, latency=2, gain=0.2)"
 SHORT = Spec.parse("point_to_point(horizon=120)")
@@ -60,22 +60,6 @@ def test_every_model_is_met_with_noise(models: dict[str, DynamicsRunner]) -> Non
         assert isinstance(runner, DynamicsRunner)
         assert isinstance(runner.dynamics, NoisySensors)
         assert isinstance(runner.dynamics.inner, Perturbed)
-
-
-def test_models_that_switch_take_turns_in_one_trial(models: dict[str, DynamicsRunner]) -> None:
-    (runner,) = met(models, settings("envelope(switching=10)")).values()
-    assert isinstance(runner, DynamicsRunner)
-    assert isinstance(runner.dynamics, Switching)
-    assert runner.dynamics.every == 10
-    assert len(met(models, settings(NOISE))) == 2
-    system = runner.dynamics.system
-    told: list[str] = []
-    champion = evolve_controller(
-        "x", models, system, settings("envelope(switching=10)"), seed=3, progress=lambda *_, note="": told.append(note)
-    )
-    assert champion.against == ("a", "b")
-    assert champion.noise == "envelope(switching=10)"
-    assert told
 
 
 def test_what_is_no_model_cannot_be_met_with_noise() -> None:

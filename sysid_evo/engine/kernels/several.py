@@ -1,4 +1,4 @@
-"""Several kernels that step side by side from the same state: `sysid_evo.wrappers.Switching`, `Cautious`, a mean."""
+"""Several kernels that step side by side from the same state: `sysid_evo.wrappers.Cautious`, a mean."""
 
 from __future__ import annotations
 
@@ -17,64 +17,8 @@ from sysid_evo.system import System
 
 GROUP = Layout("nx", "count", "next")
 MEMBER = Layout("at", "noise_at", "own")
-SWITCH = Layout("nx", "count", "drawn_at", "change", "chain", align=CACHE_LINE)
 DOUBT = Layout("nx", "count", "doubt_at", "weight", "chain", align=CACHE_LINE)
 MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
-
-
-def switching_kernel(
-    members: Sequence[DynamicsKernel],
-    nx: int,
-    *,
-    places: Sequence[int],
-    noise_places: Sequence[int],
-    n_noise: int,
-    bounds: Array,
-    change: float | None,
-) -> DynamicsKernel:
-    """Return the kernel of `Switching`: the number of the one in turn at nx, the members' carries at ``places``."""
-    chain = chained(members, nx, places, noise_places)
-    numbers = padded(np.concatenate([bounds, places]))
-    parameters = SWITCH.pack(
-        numbers,
-        chain.parameters,
-        nx=nx,
-        count=len(members),
-        drawn_at=-1 if change is None else n_noise,
-        change=0.0 if change is None else change,
-        chain=SWITCH.size + len(numbers),
-    )
-    return DynamicsKernel(
-        KernelSource(switched, {"step_all": chain.source}), parameters, chain.n_scratch, chain.precision
-    )
-
-
-def switched(carry, control, noise, parameters, scratch):
-    """Step all members, perhaps change the one in turn, and take over its state, which all then have."""
-    nx, count = int(parameters[SWITCH.nx]), int(parameters[SWITCH.count])
-    bounds, places = view(parameters, SWITCH.size), view(parameters, SWITCH.size + count - 1)
-    which = view(carry, nx * LANES)
-    if parameters[SWITCH.drawn_at] >= 0.0:
-        changes, drawn = (
-            view(noise, int(parameters[SWITCH.drawn_at]) * LANES),
-            view(noise, (int(parameters[SWITCH.drawn_at]) + 1) * LANES),
-        )
-        below = parameters[SWITCH.change]
-        for lane in range(LANES):
-            which[lane] = 0.0 if changes[lane] < below else which[lane]
-        for i in range(count - 1):
-            bound = bounds[i]
-            for lane in range(LANES):
-                which[lane] += 1.0 if (changes[lane] < below) & (drawn[lane] > bound) else 0.0
-    step_all(carry, control, noise, view(parameters, int(parameters[SWITCH.chain])), scratch)
-    for member in range(count):
-        number, own = float(member), view(carry, int(places[member]) * LANES)
-        for row in range(nx):
-            here, there = view(own, row * LANES), view(carry, row * LANES)
-            for lane in range(LANES):
-                there[lane] = here[lane] if which[lane] == number else there[lane]
-    for member in range(count):
-        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
 
 
 def cautious_kernel(

@@ -14,7 +14,7 @@ from sysid_evo.data.support import Support, recorded_pairs
 from sysid_evo.dynamics import Dynamics, DynamicsModel
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.errors import InvalidArgument, InvalidData, UnknownName
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
@@ -190,6 +190,10 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
         Cautious(robot, [robot])
     with pytest.raises(InvalidArgument, match="other model"):
         Cautious(robot, [])
+    with pytest.raises(IncompatibleSystem, match="systems differ"):
+        Cautious(robot, [models()[0]])
+    with pytest.raises(InvalidArgument, match="late"):
+        Cautious(robot, [DelayedEstimate(robot, 0.1)])
     with pytest.raises(InvalidData, match="two or more"):
         line(np.zeros(1))
 
@@ -203,5 +207,5 @@ def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused() -> None:
     inner = Doubt(outside=1.0, disagreement=1.0).about(models()[0], [models()[1], Climber(LINE)])
     assert isinstance(inner, Supported)
     assert isinstance(inner.inner, Cautious)
-    assert len(inner.inner.members) == 2, "a robot is no model to disagree with"
+    assert len(inner.inner.members.models) == 2, "a robot is no model to disagree with"
     assert DelayedEstimate(inner, 0.05).doubt_at == inner.doubt_at

@@ -219,7 +219,6 @@ def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_r
         ("envelope(latency=1.5)", "latency"),
         ("envelope(dropout=2)", "probability"),
         ("envelope(sensr=1)", "sensor"),
-        ("envelope(members=3)", "members"),
     ],
 )
 def test_a_wrong_envelope_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:
