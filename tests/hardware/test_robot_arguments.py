@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from hardware.robot import Robot
-from hardware.terminal.faults import Fault
 from hardware.trackers.tracker import Tracker
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost, MissingExtra
 from sysid_evo.registry import robots, trackers
@@ -31,7 +30,6 @@ made = {
     "emulated_car": {"seed": 3}, "cart_pole": {"seed": 3}, "pendulum": {"seed": 3}, "thermal": {"seed": 3},
     "gymnasium": {"id": "Pendulum-v1"},
     "serial": {"port": "/dev/nowhere", "tracker": tracker, "gate": {"speed": 8.0}},
-    "terminal_car": {"seed": 3, "faults": [{"kind": "unplug", "at": 1.0}], "journal": "no/such/folder/journal"},
     "natnet": {"body": "car"}, "replay": {"body": "car", "path": "no such log"}, "udp": {"body": "car", "port": 5005},
     "vicon": {"body": "car"}, "vrpn": {"body": "car"},
 }
@@ -68,11 +66,8 @@ def test_making_a_robot_or_tracker_opens_nothing_starts_nothing_and_reads_nothin
     [
         (robots, "emulated_car", {"seed": -1}, "robot emulated_car: seed: expected a whole number from 0"),
         (robots, "emulated_car", {"seed": "7"}, "robot emulated_car: seed: expected a whole number from 0"),
-        (robots, "terminal_car", {"seed": 1.5}, "robot terminal_car: seed: expected a whole number from 0"),
-        (robots, "terminal_car", {"faults": 3}, "robot terminal_car: expected faults to be a list of tables, got 3"),
-        (robots, "terminal_car", {"faults": ["unplug"]}, "fault: expected a table such as"),
-        (robots, "terminal_car", {"journal": 5}, "robot terminal_car: journal: expected a text in quotes, got 5"),
-        (robots, "terminal_car", {"gate": {"sped": 1}}, "gate: no key is called 'sped'. Did you mean 'speed'?"),
+        (robots, "emulated_car", {"seed": 1.5}, "robot emulated_car: seed: expected a whole number from 0"),
+        (robots, "serial", {"gate": {"sped": 1}}, "gate: no key is called 'sped'. Did you mean 'speed'?"),
         (robots, "serial", {"port": 5005}, "serial robot: port: expected a text in quotes, got 5005"),
         (robots, "serial", {"port": ""}, "serial robot: port: expected a text in quotes, got ''"),
         (robots, "serial", {"name": None}, "serial robot: name: expected a text in quotes, got None"),
@@ -134,8 +129,8 @@ def test_without_its_packages_a_robot_can_be_made_and_says_what_to_install_when_
 import sys
 sys.modules.update(dict.fromkeys(("serial", "cobs")))
 from sysid_evo.registry import robots
-robot, car = robots.make("serial", port="/dev/null"), robots.make("terminal_car")
-for attempt in (robot.check, robot.connect, car.check):
+robot = robots.make("serial", port="/dev/null")
+for attempt in (robot.check, robot.connect):
     try:
         attempt()
     except ImportError as error:
@@ -143,23 +138,13 @@ for attempt in (robot.check, robot.connect, car.check):
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     advice = 'which is not installed. Install it with: pip install "sysid-evo[hardware]"'
-    assert done.stdout.splitlines() == [
-        f"robot {name!r} needs the package 'cobs', {advice}" for name in ("serial", "serial", "terminal_car")
-    ]
+    assert done.stdout.splitlines() == 2 * [f"robot 'serial' needs the package 'cobs', {advice}"]
 
 
 def test_a_tracker_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trackers.get("natnet"), "requires", ("no_such_package",))
     with pytest.raises(MissingExtra, match="tracker 'natnet' needs the package 'no_such_package'"):
         trackers.make("natnet", body="car").check()
-
-
-def test_an_emulated_car_on_a_terminal_needs_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    car = robots.make("terminal_car", faults=[Fault(kind="reset")])
-    car.check()
-    monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(InvalidArgument, match="no-such-compiler"):
-        car.check()
 
 
 @pytest.mark.parametrize("registry, name", KINDS)

@@ -12,12 +12,12 @@ import numpy as np
 from hardware.link.messages import State, StatusMessage
 from hardware.recording.journal import read_journal
 from hardware.recording.raw_log import raw_log
-from hardware.terminal.faults import Fault
-from hardware.terminal.journal import Entry
 from hardware.toy_car import CAR
 from sysid_evo.data.preparation import prepare
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import Host, Rig, messages
+from tests.rig.faults import Fault
+from tests.rig.journal import Entry
 
 BOUND = 0.16  # s from the last pose to neutral
 STALE, LOST = 0.1, 0.5  # s: poses older than this mean neutral, end the run

@@ -22,11 +22,11 @@ from hardware.loop.report import LoopReport
 from hardware.loop.stops import Stops
 from hardware.measurement import Measurement
 from hardware.recording.recorder import Recorder
-from hardware.terminal.journal import JournalWriter
 from hardware.toy_car import CAR
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleRobot, LinkLost
+from tests.rig.journal import JournalWriter
 
 BODY = "car"
 REFUSED = 20  # exit code of a session that could not be opened

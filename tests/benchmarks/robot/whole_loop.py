@@ -12,8 +12,9 @@ from evaluation.transfer import load_measured
 from tests.benchmarks.robot.outcome import Row
 
 ROBOT, TWIN = "terminal_car", "emulated_car"
+PLUGIN = "--plugin", Path(__file__).with_name("registered.py")
 FAMILY = "parametrised"
-ESTIMATOR_DELAY = 29  # ms, as `sysid-evo robots check terminal_car` tells
+ESTIMATOR_DELAY = 29  # ms, as `sysid-evo robots check terminal_car --plugin ...` tells
 SPREAD = 2.0  # standard deviations of the trials on the in-process car
 
 
@@ -23,7 +24,7 @@ def whole_loop(folder: Path, *, repeats: int, seed: int, minutes: float = 3.0, p
     seconds = {
         step: _command(*words)
         for step, words in {
-            "record": ("record", "--robot", ROBOT, "--minutes", minutes, "--seed", seed, "--out", data),
+            "record": ("record", *PLUGIN, "--robot", ROBOT, "--minutes", minutes, "--seed", seed, "--out", data),
             "fit": ("fit", data, "--models", FAMILY, "--preset", preset, "--seed", seed, "--out", run),
             "evolve": (
                 *("evolve", "--against", FAMILY, "--run", run, "--preset", preset, "--seed", seed),
@@ -33,7 +34,7 @@ def whole_loop(folder: Path, *, repeats: int, seed: int, minutes: float = 3.0, p
     }
     controller = next((run / "controllers").glob("*.safetensors"))
     for robot in (ROBOT, TWIN):
-        words = ("drive", "--controller", controller, "--robot", robot, "--trials", repeats, "--run", run)
+        words = ("drive", *PLUGIN, "--controller", controller, "--robot", robot, "--trials", repeats, "--run", run)
         seconds[f"drive {robot}"] = _command(*words)
     cells = {measured.cell.column: measured.cell for measured in load_measured(run)[0]}
     there, here = (next(cells[name] for name in cells if name.startswith(robot)) for robot in (ROBOT, TWIN))

@@ -9,7 +9,6 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from hardware.firmware.core import FirmwareCore
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import (
     EXCLUSIVE,
@@ -23,6 +22,7 @@ from hardware.link.messages import (
     Stop,
     unpack,
 )
+from tests.rig.core import FirmwareCore
 
 from .acceptance import Acceptance
 

@@ -13,8 +13,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.firmware.build import build_c, build_core
-from hardware.firmware.core import FirmwareCore
 from hardware.link.framing import FrameDecoder, checksum, encode
 from hardware.link.messages import (
     Buttons,
@@ -28,6 +26,8 @@ from hardware.link.messages import (
 )
 from sysid_evo.errors import InvalidArgument
 from tests.hardware.link.golden import CONVERSATION, ROBOT
+from tests.rig.build import build_c, build_core
+from tests.rig.core import FirmwareCore
 
 SANITIZE = ("-O1", "-g", "-Werror", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 SESSION = 39022  # of the first HELLO with nonce 0

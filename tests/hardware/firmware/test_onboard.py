@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.firmware.build import FOLDER, SOURCES, WARNINGS, compiler
 from hardware.link.buttons import buttons_of
 from hardware.link.messages import Buttons
 from hardware.link.session import HostSession
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Real, c_text, law_of
+from tests.rig.build import FOLDER, SOURCES, WARNINGS, compiler
 from tests.sysid_evo.export.made import champion_of, decided, wandering
 
 OBSERVED = Path(__file__).with_name("observed.c")

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from hardware.firmware.build import FOLDER, build_c
 from hardware.link.messages import Buttons, State
 from hardware.link.session import HostSession
 from sysid_evo.errors import InvalidArgument, LinkLost
+from tests.rig.build import FOLDER, build_c
 
 WATCHDOG_ENABLED = 0x08
 STEP = 0.005  # s

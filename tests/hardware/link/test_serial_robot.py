@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.firmware.core import FirmwareCore
 from hardware.link import serial_connection
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, Message, State, unpack
@@ -26,6 +25,7 @@ from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost, UnknownName
 from sysid_evo.registry import make_robot, trackers
+from tests.rig.core import FirmwareCore
 
 FORWARD = np.array([1.0, 0.0])
 LIFE = 0.15

@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from hardware.firmware.build import WARNINGS, compiler
 from hardware.loop.robot_runner import RobotRunner
 from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, View
@@ -19,6 +18,7 @@ from sysid_evo.export import Law, c_text, law_of
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_robot
 from sysid_evo.tasks import PointToPoint
+from tests.rig.build import WARNINGS, compiler
 from tests.sysid_evo.export.made import champion_of
 
 REAL = ctypes.POINTER(ctypes.c_double)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.firmware.build import WARNINGS, compiler
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Law, Real, c_text, law_of
 from sysid_evo.testing.examples import continuous_car
+from tests.rig.build import WARNINGS, compiler
 
 from .made import SPECS, Step, champion_of, decided, stepped, wandering, write
 

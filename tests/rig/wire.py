@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from hardware.terminal.faults import FaultSchedule
+from tests.rig.faults import FaultSchedule
 
 
 class Wire:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.emulated_car import emulated_car
-from hardware.terminal.moving_car import MOST_BEHIND, MovingCar
+from tests.rig.moving_car import MOST_BEHIND, MovingCar
 
 FORWARD = np.array([1.0, 0.0])
 

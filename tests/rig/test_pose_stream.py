@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hardware.measurement import Measurement
-from hardware.terminal.faults import Fault, FaultSchedule
-from hardware.terminal.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 from hardware.trackers.message import FrameMessage, parse_message
+from tests.rig.faults import Fault, FaultSchedule
+from tests.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 
 POSES = np.array([[0.01 * k, 0.02 * k, 0.1 * k] for k in range(5)])
 

@@ -8,10 +8,11 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import hardware
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder, write_atomically
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(hardware.__file__).parent / "firmware"
 SOURCES = (FOLDER / "rcb.h", FOLDER / "rcb.c")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion")
 

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from hardware.robot import Connection
-from hardware.terminal.faults import Fault
-from hardware.terminal.journal import read_journal
-from hardware.terminal.terminal_car import TerminalCar
-from hardware.toy_car import CAR
 from hardware.trackers.gates import GateLimits
-from sysid_evo.errors import InvalidArgument, LinkLost
-from sysid_evo.registry import make_robot
+from sysid_evo.errors import LinkLost
+from tests.rig.faults import Fault
+from tests.rig.journal import read_journal
+from tests.rig.terminal_car import TerminalCar
 
 FORWARD = np.array([1.0, 0.0])
 
@@ -40,7 +38,7 @@ def test_it_drives_where_it_is_told(tmp_path: Path) -> None:
 
 
 def test_its_session_has_the_gate_it_was_made_with_and_closing_ends_the_process_once(tmp_path: Path) -> None:
-    connection = TerminalCar(journal=tmp_path / "journal", gate={"speed": 8.0}).connect(seed=1)
+    connection = TerminalCar(journal=tmp_path / "journal", gate=GateLimits(speed=8.0)).connect(seed=1)
     assert connection.gate_limits == GateLimits(speed=8.0)
     connection.close()
     connection.close()
@@ -63,20 +61,3 @@ def _watch(connection: Connection, seconds: float) -> None:
     deadline = connection.time + seconds
     while connection.time < deadline:
         connection.measure(0.05)
-
-
-def test_the_registry_makes_the_nominal_car_another_one_and_one_from_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "car.toml"
-    file.write_text('driver = "terminal_car"\nseed = 4\nfaults = [{kind = "unplug", at = 3, duration = 1}]\n')
-    assert make_robot("terminal_car").name == "terminal_car"
-    assert make_robot("terminal_car:3").car == 3
-    robot = make_robot(str(file))
-    assert robot.name == "terminal_car:4"
-    assert robot.faults == (Fault(kind="unplug", at=3.0, duration=1.0),)
-    assert robot.system == CAR
-    assert robot.dynamics is None
-
-
-def test_a_fault_that_is_none_is_refused_before_anything_starts() -> None:
-    with pytest.raises(InvalidArgument, match="expected one of flip"):
-        TerminalCar(faults=[{"kind": "gremlin"}])

@@ -9,12 +9,12 @@ import time
 
 from hardware.link.buttons import control_of
 from hardware.link.messages import Buttons
-from hardware.terminal.board import Board
-from hardware.terminal.faults import Fault, FaultSchedule
-from hardware.terminal.journal import JournalWriter
-from hardware.terminal.moving_car import MovingCar
-from hardware.terminal.pose_stream import PoseStream
-from hardware.terminal.pseudo_port import PseudoPort
+from tests.rig.board import Board
+from tests.rig.faults import Fault, FaultSchedule
+from tests.rig.journal import JournalWriter
+from tests.rig.moving_car import MovingCar
+from tests.rig.pose_stream import PoseStream
+from tests.rig.pseudo_port import PseudoPort
 
 LONGEST_WAIT = 0.1  # s between two looks at the parent
 LINES = 4096  # bytes read at once from the host's side
@@ -70,7 +70,7 @@ class Terminal:
     def _told(self, data: bytes, now: float) -> bool:
         """Take in faults; return whether the host is still there."""
         for line in data.splitlines():
-            fault = Fault.read(json.loads(line))
+            fault = Fault(**json.loads(line))
             self._faults.add(fault, now)
             self._journal.note(now + fault.at, "fault", fault.kind)
         return bool(data)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from hardware.firmware.core import FirmwareCore
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, unpack
-from hardware.terminal.faults import FaultSchedule
-from hardware.terminal.journal import JournalWriter
-from hardware.terminal.pseudo_port import PseudoPort
-from hardware.terminal.wire import Wire
+from tests.rig.core import FirmwareCore
+from tests.rig.faults import FaultSchedule
+from tests.rig.journal import JournalWriter
+from tests.rig.pseudo_port import PseudoPort
+from tests.rig.wire import Wire
 
 POWER_ON, EXTERNAL = 1, 2  # causes of a reset, bits of the AVR's register MCUSR
 

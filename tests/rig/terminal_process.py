@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import IO, cast
 
 from hardware.session import Session
-from hardware.terminal.faults import Fault
 from sysid_evo.errors import LinkLost
+from tests.rig.faults import Fault
 
 START = 30.0  # s for an interpreter and its libraries on a busy machine, and a compiler the first time
 PATIENCE = 2.0  # s for the process to end by itself
 
 
 class TerminalProcess(Session):
-    """A running ``python -m hardware.terminal``; use it in a ``with`` statement.
+    """A running ``python -m tests.rig``; use it in a ``with`` statement.
 
     ``port`` is the path to open, the same after every unplugging; ``pid`` the process. Frames go to
     ``tracker``. It is in a session of its own, so that an interrupt at the keyboard reaches the host
@@ -49,7 +49,7 @@ class TerminalProcess(Session):
         words = [str(word) for pair in options.items() for word in pair]
         words += [word for fault in faults for word in ("--fault", fault.to_json())]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "hardware.terminal", *words],
+            [sys.executable, "-m", "tests.rig", *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,

@@ -10,9 +10,9 @@ from collections import deque
 import numpy as np
 
 from hardware.measurement import Measurement
-from hardware.terminal.faults import FaultSchedule
 from hardware.trackers.message import FrameMessage, format_message
 from sysid_evo.arrays import Array
+from tests.rig.faults import FaultSchedule
 
 OTHER_BODY = "other"
 OTHER_POSE = (1.2, -0.8, 2.0)  # m, m, rad: where the other body stands

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hardware.terminal.pseudo_port import PseudoPort
+from tests.rig.pseudo_port import PseudoPort
 
 EVERY_BYTE = bytes(range(256))
 

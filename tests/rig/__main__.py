@@ -1,4 +1,4 @@
-"""The emulated car on a pseudo-terminal: ``python -m hardware.terminal``.
+"""The emulated car on a pseudo-terminal: ``python -m tests.rig``.
 
 Prints one JSON line (port, tracker, pid) when it is ready, takes further faults as JSON lines on
 its input, and ends when its input closes.
@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from hardware.emulation.emulated_car import emulated_car
-from hardware.terminal.board import Board
-from hardware.terminal.faults import KINDS, Fault, FaultSchedule
-from hardware.terminal.journal import JournalWriter
-from hardware.terminal.moving_car import MovingCar
-from hardware.terminal.pose_stream import PoseStream
-from hardware.terminal.pseudo_port import PseudoPort
-from hardware.terminal.terminal import Terminal
+from tests.rig.board import Board
+from tests.rig.faults import KINDS, Fault, FaultSchedule
+from tests.rig.journal import JournalWriter
+from tests.rig.moving_car import MovingCar
+from tests.rig.pose_stream import PoseStream
+from tests.rig.pseudo_port import PseudoPort
+from tests.rig.terminal import Terminal
 
 PRIORITY = -10  # board and tracker stand for machines of their own, which the host's load does not slow
 
@@ -46,7 +46,7 @@ def main() -> None:
             np.random.default_rng(s) for s in np.random.SeedSequence(options.seed, spawn_key=(1,)).spawn(2)
         )
         start = time.monotonic()
-        faults = FaultSchedule([Fault.read(json.loads(entry)) for entry in options.fault], start)
+        faults = FaultSchedule([Fault(**json.loads(entry)) for entry in options.fault], start)
         poses = PoseStream(options.tracker, options.body, faults, tracker)
         open_things.callback(poses.close)
         board = Board(port, faults, journal, wire)
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m hardware.terminal", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.rig", description=__doc__)
     parser.add_argument("--seed", type=int, default=None, help="of all noise and chances; drawn without it")
     parser.add_argument("--car", type=int, default=None, help="seed of another car of the kind")
     parser.add_argument("--body", default="car", help="name under which the tracker sees the car")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Self
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
 
 from sysid_evo.errors import InvalidArgument
 
@@ -66,23 +65,8 @@ class Fault:
         if not (math.isfinite(self.seconds) and self.seconds >= 0.0 and (self.seconds > 0.0) == (self.kind == "delay")):
             raise InvalidArgument(f"fault {self.kind!r}: seconds > 0 belong to a delay alone, got {self.seconds}")
 
-    @classmethod
-    def read(cls, entries: Mapping[str, Any]) -> Self:
-        """Return the fault that a mapping describes, as in a robot's file. Raises `InvalidArgument`."""
-        if not isinstance(entries, Mapping):
-            raise InvalidArgument(f'fault: expected a table such as {{kind = "unplug", at = 3.0}}, got {entries!r}')
-        known = {item.name for item in fields(cls)}
-        unknown = sorted(set(entries) - known)
-        if unknown or "kind" not in entries:
-            raise InvalidArgument(f"fault: expected kind and some of {', '.join(sorted(known))}, got {dict(entries)}")
-        numbers = {name: value for name, value in entries.items() if name != "kind"}
-        for name, value in numbers.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InvalidArgument(f"fault {entries['kind']!r}: expected a number for {name}, got {value!r}")
-        return cls(kind=str(entries["kind"]), **{name: float(value) for name, value in numbers.items()})
-
     def to_json(self) -> str:
-        """Return what `read` makes a fault of; what never ends is left out."""
+        """Return the fault as one line of JSON; what never ends is left out."""
         return json.dumps({name: value for name, value in asdict(self).items() if value != math.inf})
 
     def window(self, elapsed: float) -> int:

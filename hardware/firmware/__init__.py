@@ -1,1 +1,0 @@
-"""The robot's side of the link: the protocol core in C, how it is built and called on the host."""
