@@ -1,7 +1,7 @@
 from .model import DynamicsModel
 from .planar import require_planar
 from .rest import REST_BAND
-from .stepping import Dynamics, PlainDynamics, clip_state, doubted, training_envelope
+from .stepping import Dynamics, PlainDynamics, clip_state, training_envelope
 
 __all__ = [
     "Dynamics",
@@ -9,7 +9,6 @@ __all__ = [
     "PlainDynamics",
     "REST_BAND",
     "clip_state",
-    "doubted",
     "require_planar",
     "training_envelope",
 ]

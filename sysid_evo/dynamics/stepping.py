@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sysid_evo.arrays import Array, BoolArray, check_shape
+from sysid_evo.arrays import Array, check_shape
 
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
@@ -101,13 +101,6 @@ def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) ->
     """Return what ``method`` gave for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
     checked = check_shape(f"{type(dynamics).__name__}.{method}", values, (*carry.shape[:-1], dynamics.system.nx))
     return values if isinstance(values, np.ndarray) else checked
-
-
-def doubted(dynamics: Dynamics, carry: Array, diverged: BoolArray) -> Array:
-    """Return what ``dynamics`` has counted as doubt in the last ``carry``, (B,); 0 where it does not, or diverged."""
-    if dynamics.doubt_at is None:
-        return np.zeros(len(carry))
-    return np.where(diverged, 0.0, carry[:, dynamics.doubt_at])
 
 
 def training_envelope(states: Array, multiple: float) -> Array:

@@ -1,9 +1,9 @@
 """Closed-loop rollouts of many candidates in many trials, and all that a kernel is written with.
 
-`rollout` runs P candidates in E trials on a dynamics. It has three forms with one signature. The
-*reference* form is NumPy in float64; it takes any object that keeps the contracts, and it is what the
-others are tested against. The *compiled* form runs dynamics, controller and task as kernels. The *mixed*
-form compiles controller and task around a dynamics that has no kernel. `Rollouts.engine` says which ran.
+`rollout` runs P candidates in E trials on a dynamics. It has two forms with one signature. The *reference*
+form is NumPy in float64; it takes any object that keeps the contracts, and the other form is tested against
+it. The *compiled* form runs dynamics, controller and task as kernels, where all three have one.
+`Rollouts.engine` says which ran.
 
 **Lanes.** A compiled rollout does not go through one trial after the other. It takes 64 of them side by
 side, and every quantity is an array of rows of 64 numbers, one for each rollout, its *lane*: number i of

@@ -9,7 +9,7 @@ import numpy as np
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics import Dynamics, clip_state, doubted
+from sysid_evo.dynamics import Dynamics, clip_state
 from sysid_evo.engine import behaviour
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
 from sysid_evo.tasks.task import Task, TaskState
@@ -74,13 +74,14 @@ def run(
                 tape.write(k, state, control, going, carry[:, : system.nx], task_state)
         fitness = task.fitness(task_state)
 
+    doubt = np.zeros(batch) if dynamics.doubt_at is None else np.where(diverged, 0.0, carry[:, dynamics.doubt_at])
     fitness = np.where(diverged, task.worst - 1.0 + survived / task.horizon, fitness)
     return {
         "fitness": fitness.reshape(grid),
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
         "behaviour": behaviour.shares(counts, survived, diverged).reshape(*grid, -1),
-        "doubt": doubted(dynamics, carry, diverged).reshape(grid),
+        "doubt": doubt.reshape(grid),
         "task_state": task_state,
         "engine": ENGINE,
         "trajectories": () if tape is None else tape.trajectories(survived, system.dt, grid),

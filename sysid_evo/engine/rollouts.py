@@ -17,7 +17,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.processors import available_processors as available_processors
 from sysid_evo.tasks.task import Task, TaskState
 
-Engine: TypeAlias = Literal["auto", "reference", "mixed", "float32", "float64"]
+Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ def rollout(
 
     Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
 
-    ``engine`` is "float32" or "float64" (all three kernels compiled), "mixed" (controller and task compiled, the
-    dynamics' own NumPy step) or "reference" (NumPy, any object); "auto" takes the first of float32, mixed, reference
-    for which there are kernels. `Rollouts.engine` says which ran.
+    ``engine`` is "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object);
+    "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference.
+    `Rollouts.engine` says which ran.
     Scores do not depend on ``threads`` (default: all processors this process may use).
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
@@ -132,29 +132,26 @@ def rollout(
         raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
     if threads is not None and threads < 1:
         raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
-    if engine == "reference":
-        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
-    of_dynamics, of_task = dynamics.kernel(), task.kernel()
-    of_controller = None if controller.n_noise else controller.kernel()
-    if of_controller is not None and of_task is not None:
-        if of_dynamics is not None and engine != "mixed":
+    if engine != "reference":
+        of_dynamics, of_task = dynamics.kernel(), task.kernel()
+        of_controller = None if controller.n_noise else controller.kernel()
+        if of_dynamics is not None and of_controller is not None and of_task is not None:
             from sysid_evo.engine.compiled import run
 
-            kernels = run.Kernels(of_dynamics, of_controller, of_task)
-            given = (kernels, dynamics, controller, parameters, task, seeds)
-            precision = of_dynamics.precision if engine == "auto" else engine
-            return Rollouts(
-                **run.run(*given, record=record, precision=precision, threads=threads or available_processors())
+            found = run.run(
+                run.Kernels(of_dynamics, of_controller, of_task),
+                dynamics,
+                controller,
+                parameters,
+                task,
+                seeds,
+                record=record,
+                precision=of_dynamics.precision if engine == "auto" else engine,
+                threads=threads or available_processors(),
             )
-        if engine in ("auto", "mixed") and not record:
-            from sysid_evo.engine.compiled import mixed
-
-            return Rollouts(**mixed.run(of_controller, of_task, dynamics, controller, parameters, task, seeds))
-    if engine == "auto":
-        return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
-    roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
-    missing = [role for role, kernel in roles.items() if kernel is None and (engine, role) != ("mixed", "dynamics")]
-    raise InvalidArgument(
-        f"rollout: engine {engine!r} cannot run this: "
-        + (f"there is no kernel of the {', '.join(missing)}" if missing else "it does not record")
-    )
+            return Rollouts(**found)
+        if engine != "auto":
+            roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+            missing = ", ".join(role for role, kernel in roles.items() if kernel is None)
+            raise InvalidArgument(f"rollout: engine {engine!r} cannot run this: there is no kernel of the {missing}")
+    return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))

@@ -32,7 +32,6 @@ CLOSED = Layout(
     "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
-MIXED = Layout("trials", "nx", "nu", "n_memory", "n_task", "n_theta", "rollouts")
 
 
 def closed_loop(
@@ -285,64 +284,6 @@ def imagine(
                 final_task[rollout * n_task + row] = task[row * LANES + lane]
 
 
-def decide(
-    controller, observe, sizes, controller_parameters, task_parameters, actuation,
-    state, theta_of, memory_of, task_of, control_of, carry, control, observation, raw, scratch,
-):  # fmt: skip
-    """One control for every rollout: ``state`` and ``control_of`` (rollouts, n), the others block by block."""
-    nx, nu, n_memory, n_task, n_theta = (
-        sizes[MIXED.nx],
-        sizes[MIXED.nu],
-        sizes[MIXED.n_memory],
-        sizes[MIXED.n_task],
-        sizes[MIXED.n_theta],
-    )
-    rollouts = sizes[MIXED.rollouts]
-    for block in range((rollouts + LANES - 1) // LANES):
-        for lane in range(LANES):
-            rollout = min(block * LANES + lane, rollouts - 1)
-            for row in range(nx):
-                carry[row * LANES + lane] = state[rollout * nx + row]
-        task = view(task_of, block * n_task * LANES)
-        observe(task, carry, observation, task_parameters)
-        theta = view(theta_of, block * n_theta * LANES)
-        memory = view(memory_of, block * n_memory * LANES)
-        controller(theta, memory, observation, raw, controller_parameters, scratch)
-        actuate(raw, control, actuation, nu)
-        for lane in range(min(LANES, rollouts - block * LANES)):
-            for row in range(nu):
-                control_of[(block * LANES + lane) * nu + row] = control[row * LANES + lane]
-
-
-def settle(
-    advance, sizes, task_parameters, trial_data, state, reached, control_of, task_of, dead_of,
-    before, carry, control, kept, trials,
-):  # fmt: skip
-    """Advance the task of every rollout that is not over; ``reached`` (rollouts, nx) may be altered."""
-    nx, nu, n_task, rollouts = sizes[MIXED.nx], sizes[MIXED.nu], sizes[MIXED.n_task], sizes[MIXED.rollouts]
-    for block in range((rollouts + LANES - 1) // LANES):
-        for lane in range(LANES):
-            rollout = min(block * LANES + lane, rollouts - 1)
-            trials[lane] = rollout % sizes[MIXED.trials]
-            for row in range(nx):
-                before[row * LANES + lane] = state[rollout * nx + row]
-                carry[row * LANES + lane] = reached[rollout * nx + row]
-            for row in range(nu):
-                control[row * LANES + lane] = control_of[rollout * nu + row]
-        task = view(task_of, block * n_task * LANES)
-        for i in range(n_task * LANES):
-            kept[i] = task[i]
-        advance(task, before, carry, control, trials, trial_data, task_parameters)
-        for lane in range(min(LANES, rollouts - block * LANES)):
-            rollout = block * LANES + lane
-            if dead_of[rollout] != 0:
-                for row in range(n_task):
-                    task[row * LANES + lane] = kept[row * LANES + lane]
-            else:
-                for row in range(nx):
-                    reached[rollout * nx + row] = carry[row * LANES + lane]
-
-
 def one_step(dynamics, carry, control, noise, parameters, scratch):
     """Step one block."""
     dynamics(carry, control, noise, parameters, scratch)
@@ -355,6 +296,4 @@ CLOSED_LOOP = Signature.of(
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
-DECIDE = Signature.of(decide, controller=CONTROLLER, observe=OBSERVE, sizes=WHOLES)
-SETTLE = Signature.of(settle, advance=ADVANCE, sizes=WHOLES, dead_of=WHOLES, trials=WHOLES)
 ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)

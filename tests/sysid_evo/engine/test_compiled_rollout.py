@@ -16,12 +16,11 @@ from sysid_evo.engine import Engine, Rollouts, rollout
 from sysid_evo.engine.compiled.run import trajectories
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import PointToPoint, Task
-from tests.sysid_evo.made_up import Climber, Constant, Echo, Ladder, LadderState, SluggishCar
+from sysid_evo.tasks import Task
+from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState
 
 from .compiled_ladder import BlindLadder, CompiledClimber, CompiledConstant, CompiledLadder, seeds_from
 
-FAST: tuple[Engine, ...] = ("float32", "float64", "mixed")
 COMPILED: tuple[Engine, ...] = ("float32", "float64")
 
 
@@ -50,14 +49,14 @@ def compare(
     return fast, exact
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 @pytest.mark.parametrize("candidates, trials", [(1, 1), (13, 5), (64, 1), (1, 64), (43, 3)])
 def test_every_number_of_rollouts_fills_its_blocks(climb: System, engine: Engine, candidates: int, trials: int) -> None:
     parameters = np.linspace(-1, 1, candidates)[:, None]
     seeds = np.arange(trials, dtype=np.uint64)
     task = CompiledLadder(horizon=9, top=9.3)
     fast, _ = compare(engine, CompiledClimber(climb), CompiledConstant(), parameters, task, seeds)
-    assert fast.engine.split()[-1] == ("float32" if engine == "mixed" else engine)
+    assert fast.engine == f"compiled {engine}"
     assert fast.fitness.shape == (candidates, trials)
 
 
@@ -88,7 +87,7 @@ def test_what_stands_in_memory_after_the_last_step_does_not_matter(climb: System
     assert found.states.dtype == found.controls.dtype == np.float64
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_a_trial_that_is_over_before_it_begins_takes_no_step(climb: System, engine: Engine) -> None:
     class Over(CompiledLadder):
         def begin(self, seeds: Seeds) -> LadderState:
@@ -101,7 +100,7 @@ def test_a_trial_that_is_over_before_it_begins_takes_no_step(climb: System, engi
     np.testing.assert_array_equal(fast.survived, [[0, 4]])
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_a_diverged_trial_has_the_same_fitness_and_number_of_steps(climb: System, engine: Engine) -> None:
     parameters = np.array([[0.5], [0.0], [1.0]])
     dynamics = CompiledClimber(climb, breaks_above=3.2)
@@ -118,18 +117,18 @@ def test_diverged_trials_leave_the_trajectories_of_the_others_alone(climb: Syste
     compare(engine, dynamics, CompiledConstant(), parameters, CompiledLadder(), seeds_from(2, 0, 9), record=True)
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_clipped_steps_are_counted_and_clipped_states_go_on(climb: System, engine: Engine) -> None:
     dynamics = CompiledClimber(climb, envelope=np.array([[-1.0], [1.2]]))
     parameters = np.array([[0.5], [0.1], [-1.0]])
     fast, _ = compare(
         engine, dynamics, CompiledConstant(), parameters, CompiledLadder(horizon=8), seeds_from(0, 1),
-        record=engine != "mixed",
+        record=True,
     )  # fmt: skip
     assert fast.clipped.min() < fast.clipped.max()
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_a_trial_that_is_over_is_clipped_no_more(climb: System, engine: Engine) -> None:
     dynamics = CompiledClimber(climb, envelope=np.array([[-9.0], [3.0]]))
     parameters = np.array([[0.5], [0.0]])
@@ -140,19 +139,18 @@ def test_a_trial_that_is_over_is_clipped_no_more(climb: System, engine: Engine) 
     np.testing.assert_array_equal(fast.clipped, 0)
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_a_wall_alters_the_state_that_goes_on(climb: System, engine: Engine) -> None:
     """At the ceiling a climber stays below the top that would end its trial."""
     task = CompiledLadder(horizon=8, ceiling=0.8, top=0.9)
-    record = engine != "mixed"
     fast, _ = compare(
-        engine, CompiledClimber(climb), CompiledConstant(), np.array([[0.5]]), task, seeds_from(0), record=record
+        engine, CompiledClimber(climb), CompiledConstant(), np.array([[0.5]]), task, seeds_from(0), record=True
     )
     assert fast.survived[0, 0] == 8
     np.testing.assert_array_equal(fast.clipped, 0)
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 @pytest.mark.parametrize("trials", [11, 16, 17, 30])
 def test_every_candidate_meets_the_noise_of_its_trial(climb: System, engine: Engine, trials: int) -> None:
     """Fitness is when the random walk crosses the top: the same for equal candidates, another in each trial."""
@@ -207,7 +205,7 @@ def test_a_control_without_limits_is_refused_by_every_form(engine: Engine) -> No
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", FAST)
+@pytest.mark.parametrize("engine", COMPILED)
 def test_a_task_that_shows_nothing_runs(climb: System, engine: Engine) -> None:
     compare(
         engine, CompiledClimber(climb, breaks_above=3.0), CompiledConstant(), np.linspace(-1, 1, 70)[:, None],
@@ -224,7 +222,7 @@ def test_broken_numbers_never_give_a_nan_fitness(climb: System, engine: Engine, 
         assert np.isfinite(run.fitness).all()
 
 
-@pytest.mark.parametrize("engine", [*FAST, "auto"])
+@pytest.mark.parametrize("engine", [*COMPILED, "auto"])
 def test_the_recurrent_controller_remembers_what_it_saw(climb: System, engine: Engine) -> None:
     weights = np.random.default_rng(5).standard_normal((30, 8 * 10))
     task = CompiledLadder(horizon=30, top=9.0)
@@ -239,10 +237,8 @@ def test_auto_takes_the_fastest_form_there_is_and_says_so(climb: System) -> None
     assert form(*compiled) == "compiled float32"
     assert form(*compiled, record=True) == "compiled float32"
     assert form(*compiled, engine="float64") == "compiled float64"
-    assert form(*compiled, engine="mixed") == "mixed float32"
     assert form(*compiled, engine="reference") == "reference"
-    assert form(Climber(climb), *compiled[1:]) == "mixed float32"
-    assert form(Climber(climb), *compiled[1:], record=True) == "reference"
+    assert form(Climber(climb), *compiled[1:]) == "reference"
     assert form(compiled[0], Constant(), compiled[2]) == "reference"
     assert form(*compiled[:2], Ladder()) == "reference"
 
@@ -255,9 +251,7 @@ def test_a_form_that_cannot_run_says_what_is_missing(climb: System) -> None:
     with pytest.raises(InvalidArgument, match=r"no kernel of the dynamics, controller$"):
         attempt(Climber(climb), Constant(), compiled[2], engine="float32")
     with pytest.raises(InvalidArgument, match=r"no kernel of the task$"):
-        attempt(Climber(climb), compiled[1], Ladder(), engine="mixed")
-    with pytest.raises(InvalidArgument, match="'mixed' cannot run this: it does not record"):
-        attempt(Climber(climb), *compiled[1:], engine="mixed", record=True)
+        attempt(*compiled[:2], Ladder(), engine="float64")
     with pytest.raises(InvalidArgument, match="not 'float16'"):
         attempt(*compiled, engine="float16")
     with pytest.raises(InvalidArgument, match="at least one thread, got 0"):
@@ -300,14 +294,3 @@ def test_a_forked_process_has_threads_of_its_own(climb: System) -> None:
     finally:
         child.kill()
         child.join()
-
-
-def test_a_numpy_model_with_lags_noise_and_draws_runs_mixed(climb: System, car: System) -> None:
-    parameters = np.linspace(-1, 1, 30)[:, None]
-    compare("mixed", Echo(climb), CompiledConstant(), parameters, CompiledLadder(horizon=9, top=40.0), seeds_from(3, 5))
-    weights = np.random.default_rng(8).standard_normal((20, 78))
-    task = PointToPoint(horizon=60, waypoint_radius=1.0)
-    given = (SluggishCar(car), RecurrentNetwork(), weights, task, seeds_from(12, 7, 33))
-    mixed, exact = rollout(*given, engine="mixed"), rollout(*given, engine="reference")
-    assert (mixed.fitness == exact.fitness).mean() >= 0.99
-    assert mixed.fitness.max() >= 2

@@ -86,10 +86,8 @@ def test_engines_agree_and_the_delay_matters(delay: float) -> None:
     seeds = trial_seeds(0, 5)
     exact = rollout(late, *given, seeds, engine="reference", record=True)
     fast = rollout(late, *given, seeds, engine="float64", record=True)
-    mixed = rollout(late, *given, seeds, engine="mixed")
     np.testing.assert_array_equal(exact.fitness, fast.fitness)
     np.testing.assert_array_equal(exact.clipped, fast.clipped)
-    assert (mixed.fitness == exact.fitness).mean() > 0.95
     for a, b in zip(exact.trajectories, fast.trajectories, strict=True):
         np.testing.assert_allclose(a.states, b.states, rtol=1e-6, atol=1e-6)
     plain = rollout(model, *given, seeds, engine="reference", record=True)
