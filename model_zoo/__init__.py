@@ -5,7 +5,7 @@ points of pyproject.toml. What several families share stands in the folders besi
 
 - ``channels``: features, centre and size of each channel, the mirror of a body, cells of commands;
 - ``validation``: held-out blocks of time that choose hyper-parameters, and the spread of a prediction;
-- ``sparse``: polynomials of few terms (`sindy`, `sindy_bagged`, `sindy_discrete`, `narx`);
+- ``sparse``: polynomials of few terms (`sindy`, `sindy_discrete`, `narx`);
 - ``networks``: networks as arrays and their training on free runs (`mlp_ensemble`, the neural ODEs);
 - ``flows``: differential equations with a network in them (`neural_ode`, `neural_ode_history`, `hybrid_ode`);
 - ``selection``: candidates, folds, judging by free runs, gate and weights, and the mean of what is kept (`auto`);

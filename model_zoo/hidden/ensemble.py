@@ -9,12 +9,14 @@ from typing import ClassVar, Self
 import numpy as np
 
 from model_zoo.hidden.family import StateSpaceModel
-from model_zoo.hidden.gate import LINEAR, linear_instead
 from model_zoo.hidden.learning import Lesson, joined
 from model_zoo.hidden.mixtures import MIXTURES, Mixture, networks, padded, widened
 from model_zoo.hidden.shooting import Spaces, Trained, train
+from model_zoo.linear_state_space import STEPS, LinearStateSpace
 from sysid_evo.arrays import Array
+from sysid_evo.cross_validation import time_blocks
 from sysid_evo.data import Dataset
+from sysid_evo.free_run import judging_windows, simulation_error
 from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 
@@ -32,6 +34,9 @@ ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
+FEW, FOLDS, BETTER = 600, 3, 0.9
+"""A record of fewer samples is gated: on so many folds networks must be better by this factor."""
+LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_")
 
 
 @dataclass(frozen=True)
@@ -89,10 +94,8 @@ class NetworkSpaces(StateSpaceModel):
         trained = lesson.lengthened(trained, begun.linear.spaces, self.iterations, counter.advance)
         trained = self._wide_enough(lesson, trained, likely, rng, counter)
         self._mean_of(lesson, trained, [one.linear for one in tried])
-        if self.gated and not self.linear_order_:
-            settings = {"order": self.order, "iterations": self.iterations, "horizon": self.horizon}
-            trial = self.variant(gated=False)
-            self.replaced_by(linear_instead(trial, dataset, rng, rest_hold=self.rest_hold, **settings))
+        if self.gated and not self.linear_order_ and dataset.n_steps < FEW:
+            self._gate(dataset, rng)
         counter.advance()
         return self
 
@@ -148,7 +151,38 @@ class NetworkSpaces(StateSpaceModel):
         return trained
 
     def uses(self) -> tuple[str, ...]:
-        return (LINEAR,) if self.gated else ()
+        return ("linear_state_space",) if self.gated else ()
+
+    @property
+    def fit_note(self) -> str:
+        said = [super().fit_note]
+        if getattr(self, "linear_order_", 0):
+            said.append(
+                f"the recording does not tell the weights of a network: this is a linear state space of order "
+                f"{self.linear_order_}"
+            )
+        return "; ".join(sentence for sentence in said if sentence)
+
+    def _gate(self, dataset: Dataset, rng: np.random.Generator) -> None:
+        """Become a linear state space unless networks are a tenth better in free runs on held-out blocks of time."""
+        seed = int(rng.integers(2**63))
+        plain = LinearStateSpace(
+            folds=1, order=self.order, iterations=self.iterations, horizon=self.horizon, rest_hold=self.rest_hold
+        )
+        networks, errors = self.variant(gated=False), [0.0, 0.0]
+        for learned, held in (time_blocks(dataset, fold, FOLDS) for fold in range(FOLDS)):
+            for i, model in enumerate((networks, plain)):
+                model.fit(learned, rng=np.random.default_rng(seed))
+                windows = judging_windows(held, model.n_lags, fewest=STEPS)
+                errors[i] += float(np.nan_to_num(simulation_error(model, windows), nan=np.inf))
+        if errors[0] <= BETTER * errors[1]:
+            return
+        plain.fit(dataset, rng=np.random.default_rng(seed))
+        for name in LEARNED:
+            setattr(self, name, getattr(plain, name))
+        if self.flows:
+            self.flow_ = False
+        self.linear_order_ = len(self.rest_)
 
     def _mean_of(self, lesson: Lesson, trained: Trained, linear: list[Trained]) -> None:
         """Become the mean of the networks, or the best linear space if its criterion is lower than all of theirs."""

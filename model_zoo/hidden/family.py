@@ -19,7 +19,6 @@ from sysid_evo.hyperparameters import Limit, at_least
 if TYPE_CHECKING:
     from sysid_evo.engine.compiled.kernel import DynamicsKernel
 
-LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_")
 SETTLING = 300
 """Steps after which a body that is left alone rests."""
 
@@ -74,27 +73,6 @@ class StateSpaceModel(DynamicsModel):
         self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
         self.history_ = max(one.history for one in observers)
         self.rest_ = self._settled()
-
-    def replaced_by(self, linear: StateSpaceModel | None) -> None:
-        """Learn what a ``linear`` state space has learned, if there is one; `fit_note` says so."""
-        self.linear_order_ = 0
-        if linear is None:
-            return
-        for name in LEARNED:
-            setattr(self, name, getattr(linear, name))
-        if self.flows:
-            self.flow_ = False
-        self.linear_order_ = len(self.rest_)
-
-    @property
-    def fit_note(self) -> str:
-        said = [super().fit_note]
-        if getattr(self, "linear_order_", 0):
-            said.append(
-                f"the recording does not tell the weights of a network: this is a linear state space of order "
-                f"{self.linear_order_}"
-            )
-        return "; ".join(sentence for sentence in said if sentence)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         neutral, idle = self.system.neutral_state, self.system.neutral_control

@@ -44,9 +44,9 @@ class Lesson:
     flow: bool = False
 
     @classmethod
-    def of(cls, dataset: Dataset, horizon: int, scales: Scales | None = None, *, flow: bool = False) -> Self:
-        """Prepare ``dataset`` in its own units of deviation, or in those given."""
-        scales = scales or Scales.of(dataset)
+    def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
+        """Prepare ``dataset`` in its own units of deviation."""
+        scales = Scales.of(dataset)
         return cls(scales, records(dataset, scales), horizon, flow)
 
     @cached_property

@@ -255,20 +255,6 @@ class SparsePolynomial(PolynomialFamily):
         )
         return library.found_within(optimizer, low, high, self.ridge, seed)
 
-    def learn(
-        self,
-        dataset: Dataset,
-        degree: int,
-        threshold: float,
-        rng: np.random.Generator,  # for those that draw
-        counter: Counter,  # for those that take long
-    ) -> None:
-        """Learn the polynomial from all of ``dataset``, once degree, threshold and lags are chosen."""
-        data = self.regression(dataset, self.lags)
-        library = self.library_of(data, self.lags, degree)
-        seed = int(rng.integers(2**32)) if self.optimizer is not None else SEED
-        self.adopt(data, self.solved(library, threshold, seed), library.exponents)
-
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
         counter = Counter(progress, trials(settings) * FOLDS + 1)
@@ -281,7 +267,10 @@ class SparsePolynomial(PolynomialFamily):
             self.degree_ = degree
         if self.optimizer is None:
             self.threshold_ = threshold
-        self.learn(dataset, degree, threshold, rng, counter)
+        data = self.regression(dataset, lags)
+        library = self.library_of(data, lags, degree)
+        seed = int(rng.integers(2**32)) if self.optimizer is not None else SEED
+        self.adopt(data, self.solved(library, threshold, seed), library.exponents)
         counter.advance()
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from evaluation.prediction import MeasuredCases
     from sysid_evo.dynamics import DynamicsModel
 
-FAMILIES = ("mlp_ensemble", "gaussian_process", "linear", "sindy", "sindy_bagged", "sindy_discrete", "narx")
+FAMILIES = ("mlp_ensemble", "gaussian_process", "linear", "sindy", "sindy_discrete", "narx")
 FAMILIES += ("k_neighbours", "parametrised", "neural_ode")
 ADAPTED = 30.0  # s
 

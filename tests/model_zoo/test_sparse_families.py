@@ -8,7 +8,6 @@ import pytest
 from model_zoo.channels.standard import root_mean_square
 from model_zoo.narx import Narx
 from model_zoo.sindy import Sindy
-from model_zoo.sindy_bagged import SindyBagged
 from model_zoo.sindy_discrete import SindyDiscrete
 from model_zoo.sparse.family import Regression
 from model_zoo.sparse.polynomial import evaluate, monomials
@@ -77,9 +76,8 @@ def test_a_discrete_system_is_recovered_exactly(model: SindyDiscrete | Narx) -> 
     assert set(expected) <= set(found)
 
 
-@pytest.mark.parametrize("family", [Sindy, SindyBagged])
-def test_a_differential_equation_is_recovered(family: type[Sindy] | type[SindyBagged]) -> None:
-    model = family(degree=2, threshold=0.05, ridge=1e-6, state_lags=0, control_lags=0)
+def test_a_differential_equation_is_recovered() -> None:
+    model = Sindy(degree=2, threshold=0.05, ridge=1e-6, state_lags=0, control_lags=0)
     model.fit(recording_of(through_rk4), rng=np.random.default_rng(0))
     expected = {(0, 0, 1): [2.0, 0.0], (1, 0, 0): [-1.5, 0.0], (0, 1, 0): [0.0, -3.0], (1, 0, 1): [0.0, 4.0]}
     found = {

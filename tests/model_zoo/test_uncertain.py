@@ -111,13 +111,12 @@ def test_the_compiled_form_adds_the_same_noise_and_counts_the_steps() -> None:
 
 @pytest.mark.parametrize(
     "family",
-    ["linear", *(pytest.param(name, marks=pytest.mark.slow) for name in ("narx", "k_neighbours", "sindy_bagged"))],
+    ["linear", *(pytest.param(name, marks=pytest.mark.slow) for name in ("narx", "k_neighbours"))],
 )
 def test_families_with_a_spread_keep_the_contract(family: str, switched: Dataset) -> None:
     options = {
         "narx": {"terms": 6, "control_lags": 1, "state_lags": 0},
         "k_neighbours": {"neighbours": 8, "control_lags": 0, "state_lags": 0},
-        "sindy_bagged": {"degree": 1, "threshold": 0.1, "bags": 2, "control_lags": 0},
     }.get(family, {})
     broken = [
         f"{c.sentence}: {c.failure}" for c in run_checks(family, switched, stochastic=True, **options) if c.failure

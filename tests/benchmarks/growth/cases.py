@@ -187,7 +187,6 @@ SHORT: dict[str, dict[str, object]] = {
     "evolved3": {"generations": 5},
     "parametrised": {"generations": 5},
     "backprop27": {"epochs": 20},
-    "sindy_bagged": {"bags": 2},
     "torch_ode": {"updates": 5},
     **dict.fromkeys(("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history"), FEW_UPDATES),
 }

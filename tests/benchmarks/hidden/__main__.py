@@ -41,8 +41,6 @@ FAMILIES = (
     "mlp_ensemble(members=3, hidden=[32, 32], one_step_updates=600, updates=200)",
     "linear_state_space",
     "nonlinear_state_space",
-    "subnet(updates=1000)",
-    "delay_embedding",
 )
 GUESSES, OFF = 6, 0.2
 AT_ONCE, WIDTH = 4, 120

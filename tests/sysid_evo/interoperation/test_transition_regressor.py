@@ -99,9 +99,9 @@ def test_lags_that_were_asked_for_are_refused_and_others_left_out() -> None:
 
 def test_a_family_that_needs_more_than_one_sample_is_refused() -> None:
     with pytest.raises(
-        IncompatibleSystem, match=r"DelayEmbedding looks at more than one sample \(it remembers \d+ num"
+        IncompatibleSystem, match=r"LinearStateSpace looks at more than one sample \(it remembers \d+ num"
     ):
-        TransitionRegressor("delay_embedding").fit(X, Y)
+        TransitionRegressor("linear_state_space").fit(X, Y)
 
 
 def test_columns_that_cannot_be_states_and_controls_are_refused() -> None:

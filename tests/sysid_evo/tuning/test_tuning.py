@@ -82,7 +82,7 @@ def test_input_noise_is_searched_in_every_family_of_networks_that_has_it(family:
     assert search_space(family)["input_noise"] == Within(0.02, 4.0, log=True)
 
 
-NOTHING_TO_SEARCH = {"adapted", "average", "delay_embedding"}
+NOTHING_TO_SEARCH = {"adapted", "average"}
 """What stands around another family, without parameters of that kind."""
 
 
