@@ -2,10 +2,8 @@
 
 from sysid_evo.adaptation.adapting import ANEW, REFIT, Adaptation, Learned, adaptation
 from sysid_evo.adaptation.another_condition import adapted, as_of
-from sysid_evo.adaptation.corrected import Corrected
 from sysid_evo.adaptation.gate import NONE, Trial, Verdict
 from sysid_evo.adaptation.home import held_out_error
-from sysid_evo.adaptation.recursive import SelfCorrection
 from sysid_evo.adaptation.terms import Terms
 
 __all__ = [
@@ -13,9 +11,7 @@ __all__ = [
     "NONE",
     "REFIT",
     "Adaptation",
-    "Corrected",
     "Learned",
-    "SelfCorrection",
     "Terms",
     "Trial",
     "Verdict",

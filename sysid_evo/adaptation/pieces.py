@@ -76,31 +76,23 @@ class Pieces:
 def free_runs(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
     """Return where ``model`` with each correction (P, size, nx) goes, (P, B, H, nx)."""
     at_once = max(1, ROWS // max(1, len(pieces)))
-    parts = [
-        run_beside(model, terms, candidates[i : i + at_once, None], pieces.carry, pieces.controls, pieces.envelope)
-        for i in range(0, len(candidates), at_once)
-    ]
+    parts = [_beside(model, terms, candidates[i : i + at_once], pieces) for i in range(0, len(candidates), at_once)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def run_beside(
-    model: Dynamics, terms: Terms, coefficients: Array, start: Array, controls: Array, envelope: Array | None
-) -> Array:
-    """Return free runs (P, B, H, nx) from ``start`` (B, n_carry) under ``controls`` (B, H, nu).
-
-    ``coefficients`` are (P, B, size, nx), or (P, 1, size, nx) for the same from every start.
-    """
-    count, (batch, horizon, nu), nx = len(coefficients), controls.shape, terms.system.nx
-    carry = np.tile(start, (count, 1))
+def _beside(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
+    """Return the free runs with all of the ``candidates`` at once."""
+    count, (batch, horizon, nu), nx = len(candidates), pieces.controls.shape, terms.system.nx
+    carry = np.tile(pieces.carry, (count, 1))
     noise = np.zeros((len(carry), model.n_noise)) if model.n_noise else None
     out = np.empty((count, batch, horizon, nx))
     with np.errstate(all="ignore"):
         for k in range(horizon):
-            control = np.tile(controls[:, k], (count, 1))
+            control = np.tile(pieces.controls[:, k], (count, 1))
             after = model.step(carry, control, noise)
             before, reached = (x[:, :nx].reshape(count, batch, nx) for x in (carry, after))
-            moved = terms.corrected(before, control.reshape(count, batch, nu), reached, coefficients)
-            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), envelope)
+            moved = terms.corrected(before, control.reshape(count, batch, nu), reached, candidates[:, None])
+            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), pieces.envelope)
             out[:, :, k] = carry[:, :nx].reshape(count, batch, nx)
     return out
 

@@ -59,13 +59,6 @@ class Terms:
             windows = dataset.windows(1, history=model.n_lags, moving=True)
             windows = windows if len(windows) else dataset.windows(1, history=model.n_lags)
             pushes = foreseen(model, windows.past_states, windows.past_controls, windows.controls[:, 0])
-        return cls.of_pairs(system, states, controls, products=products, pushes=pushes)
-
-    @classmethod
-    def of_pairs(
-        cls, system: System, states: Array, controls: Array, *, products: bool = False, pushes: Array | None = None
-    ) -> Self:
-        """Measure states (N, nx), controls (N, nu) and perhaps the accelerations (N, nx) that a model foresees."""
         seen = regressors(system, states, controls)
         low, high, centre, spread = seen.min(axis=0), seen.max(axis=0), seen.mean(axis=0), seen.std(axis=0)
         scale = np.where(spread > 1e-9 * np.abs(seen).max(axis=0), spread, 1.0)

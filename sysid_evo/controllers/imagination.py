@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -28,19 +27,11 @@ class Imagination:
     def __init__(self, dynamics: Dynamics, task: Task, *, engine: Engine = "auto") -> None:
         self.dynamics, self.task, self.engine = dynamics, task, engine
 
-    def scores(
-        self,
-        states: Array,
-        controls: Array,
-        sequences: Array,
-        task_state: TaskState,
-        told: Callable[[Array], Array] | None = None,
-    ) -> Array:
+    def scores(self, states: Array, controls: Array, sequences: Array, task_state: TaskState) -> Array:
         """Return fitness and promise at the end of every sequence, (K, B).
 
         ``states`` (B, L + 1, nx) and ``controls`` (B, L, nu) are the history of B trials, of which as much is used
         as the model wants; ``sequences`` (K, B, steps, nu) are outputs in [-1, 1]; ``task_state`` has B trials.
-        ``told`` adds what else is known to the carries (B, n_carry) at the start.
         """
         dynamics, task = self.dynamics, self.task
         count, trials, steps, _ = sequences.shape
@@ -48,7 +39,6 @@ class Imagination:
         legal = task.system.actuate(sequences)
         draws = np.zeros((trials, dynamics.n_draws))
         carry = dynamics.start(states[:, len(states[0]) - lags - 1 :], controls[:, len(controls[0]) - lags :], draws)
-        carry = carry if told is None else told(carry)
         if self.compiled is None or steps > task.horizon:  # a task's data are as long as its trials
             reached, state, lost = self._run(carry, legal, task_state)
         else:

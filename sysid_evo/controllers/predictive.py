@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -84,12 +84,6 @@ class Predictive(Controller):
     random: Array
 
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
-        return self.planned(parameters, memory, view)
-
-    def planned(
-        self, parameters: Array, memory: Array, view: View, told: Callable[[Array], Array] | None = None
-    ) -> tuple[Array, Array]:
-        """Return what `act` does; ``told`` adds to the carries (B, n_carry) with which the models begin."""
         check_shape("parameters", parameters, (None, self.n_parameters))
         system, grid = self.task.system, view.state.shape[:2]
         nu, size = system.nu, self.horizon * system.nu
@@ -104,7 +98,7 @@ class Predictive(Controller):
         sequences = self._variations(plan, steps, spread)
         states = np.concatenate([past_states, state[:, None]], axis=1)
         known = self.task.foreseen(view.task_state)
-        scores = np.min([one.scores(states, past_controls, sequences, known, told) for one in self.imagined], axis=0)
+        scores = np.min([one.scores(states, past_controls, sequences, known) for one in self.imagined], axis=0)
         better = scores - scores.max(axis=0)
         weights = np.exp(better / (temperature * scores.std(axis=0) + 1e-12))
         plan = np.einsum("kb,kbhu->bhu", weights / weights.sum(axis=0), sequences)

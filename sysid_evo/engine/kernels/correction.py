@@ -25,7 +25,6 @@ HEAD = Layout(
     "count",
     "products",
     "gains",
-    "carried_at",
     "dt",
     "limited",
     "inputs_at",
@@ -37,13 +36,10 @@ HEAD = Layout(
 )
 
 
-def correction_kernel(
-    inner: DynamicsKernel, terms: Terms, coefficients: Array | None, *, carried_at: int = -1
-) -> DynamicsKernel | None:
+def correction_kernel(inner: DynamicsKernel, terms: Terms, coefficients: Array) -> DynamicsKernel | None:
     """Return the kernel of ``inner`` with ``terms`` and ``coefficients`` (size, nx) added to its accelerations.
 
-    With None they stand in the carry from ``carried_at`` on, other ones for each rollout. None if the motion has no
-    compiled form.
+    None if the motion has no compiled form.
     """
     system = terms.system
     motion = motion_kernel(system)
@@ -53,8 +49,7 @@ def correction_kernel(
     of_inputs = np.concatenate([terms.low, terms.high, terms.centre, 1.0 / terms.scale, terms.least, terms.most])
     foreseen = [terms.weakest, terms.strongest, 1.0 / terms.strength] if terms.gains else [np.zeros(3 * system.nx)]
     of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits), *foreseen])
-    numbers = np.zeros(1) if coefficients is None else np.ravel(coefficients)
-    parts = [padded(of_inputs), padded(of_states), padded(numbers), padded(motion.parameters)]
+    parts = [padded(of_inputs), padded(of_states), padded(np.ravel(coefficients)), padded(motion.parameters)]
     places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
     parameters = HEAD.pack(
         *parts,
@@ -65,7 +60,6 @@ def correction_kernel(
         count=terms.size,
         products=terms.products,
         gains=terms.gains,
-        carried_at=carried_at if coefficients is None else -1,
         dt=system.dt,
         limited=system.limited,
         inputs_at=places[0],
@@ -106,20 +100,13 @@ def corrected(carry, control, noise, parameters, scratch):
     if parameters[HEAD.gains] > 0.0:
         own = size - nx
         write_gains(carry, coasting, nx, dt, states, view(terms, own * LANES))
-    numbers, carried_at = view(parameters, int(parameters[HEAD.coefficients_at])), int(parameters[HEAD.carried_at])
+    numbers = view(parameters, int(parameters[HEAD.coefficients_at]))
     for row in range(nx):
         total, gained = splat(0.0), splat(0.0)
-        if carried_at >= 0:
-            carried = view(carry, (carried_at + row) * LANES)
-            for term in range(own):
-                total = total + load(carried, term * rows) * load(terms, term * LANES)
-            for term in range(own, size):
-                gained = gained + load(carried, term * rows) * load(terms, term * LANES)
-        else:
-            for term in range(own):
-                total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
-            for term in range(own, size):
-                gained = gained + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        for term in range(own):
+            total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        for term in range(own, size):
+            gained = gained + splat(numbers[term * nx + row]) * load(terms, term * LANES)
         store(pushed, row * LANES, total * splat(states[nx + row]))
         store(coasting, row * LANES, load(coasting, row * LANES) - gained * splat(dt * states[nx + row]))
     integrate(before, pushed, nx, dt, frame)

@@ -1,19 +1,15 @@
 """What adaptation is worth in another condition: ``python -m tests.benchmarks.shift [FAMILY ...] [--groups cars ...]``.
 
 Every family is fitted in one condition and tested in another: on the other of two real cars and on the same one
-again, along the whole test drive of the same car ("drives", "grippy drive" for one of them), on each of four floors
-after the other three, on emulated cars with half the grip, a low battery, of another make, and unchanged. N (mean over
-channels of RMSE / standard deviation) after 1, 10, 20 and 60 steps is printed before adaptation, after 10 and 30 s of
-it, with recursive correction along the test drive without and with those 30 s before, of a fit from scratch to the
-same 30 s, and of a fit in-domain; ``--ways`` names those that are wanted. The mean is over ``--seeds``; a star marks
-what differs from "before" at 20 steps by a paired bootstrap over blocks of three seconds (95 %). What was decided after
-30 s stands below, and at the end how each family stands to what is demanded. With ``--keep`` fitted models are kept in
-a folder, and are not fitted again.
+again, on each of four floors after the other three, on emulated cars with half the grip, a low battery, of another
+make, and unchanged. N (mean over channels of RMSE / standard deviation) after 1, 10, 20 and 60 steps is printed before
+adaptation, after 10 and 30 s of it, of a fit from scratch to the same 30 s, and of a fit in-domain; ``--ways`` names
+those that are wanted. The mean is over ``--seeds``; a star marks what differs from "before" at 20 steps by a paired
+bootstrap over blocks of three seconds (95 %). What was decided after 30 s stands below, and at the end how each family
+stands to what is demanded. With ``--keep`` fitted models are kept in a folder, and are not fitted again.
 
 ``--out`` writes a row for each case, family and seed as JSON; ``--read FILE ...`` measures nothing, but prints the
-tables of all such rows together. ``--driving`` lets the predictive controller drive the emulated cars with the model of
-the nominal one, without and with a model that corrects itself, and prints waypoints and the milliseconds of processor
-time of a decision and of learning.
+tables of all such rows together.
 """
 
 from __future__ import annotations
@@ -31,15 +27,12 @@ import numpy as np
 from evaluation.comparison.model_cells import with_preset
 from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
 from evaluation.prediction.bootstrap import BlockErrors, interval
-from sysid_evo.adaptation import SelfCorrection
-from sysid_evo.adaptation.pieces import run_beside
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
 from sysid_evo.registry import Spec, make_model
 from sysid_evo.store import load_model, save_model
-from tests.benchmarks.shift.driving import drive_changed_cars
 from tests.benchmarks.shift.recordings import GROUPS, Case, cases
 from tests.benchmarks.shift.rows import MARKED, Row, errors_table, read_rows, verdicts_table, write_rows
 
@@ -77,21 +70,7 @@ def simulated(model: DynamicsModel, measured: MeasuredCases) -> Array:
     return model.without_noise().simulate(states, controls, w.controls)
 
 
-def recursive(model: DynamicsModel, test: Dataset, measured: MeasuredCases) -> Array:
-    """Return free runs with the coefficients that were known where each begins."""
-    learning, w = SelfCorrection.of(model), measured.windows
-    known = [learning.coefficients(np.concatenate(list(learning.along(episode)))) for episode in test]
-    coefficients = np.stack([known[episode][start] for episode, start in zip(w.episode, w.start, strict=True)])
-    lags = model.n_lags
-    start = model.start(
-        w.past_states[:, w.past_states.shape[1] - 1 - lags :],
-        w.past_controls[:, w.past_controls.shape[1] - lags :],
-        np.zeros((len(w), model.n_draws)),
-    )
-    return run_beside(model, learning.terms, coefficients[None], start, w.controls, model.envelope)[0]
-
-
-WAYS = ("10 s", "30 s", "recursive", "30 s, then recursive", "scratch", "in-domain")
+WAYS = ("10 s", "30 s", "scratch", "in-domain")
 
 
 @dataclass(frozen=True)
@@ -133,8 +112,6 @@ def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[d
     ways: dict[str, Callable[[], Array]] = {
         "10 s": lambda: simulated(base.adapt(case.first(10.0), rng=seed), measured),
         "30 s": lambda: simulated(there(), measured),
-        "recursive": lambda: recursive(base, case.test, measured),
-        "30 s, then recursive": lambda: recursive(there(), case.test, measured),
         "scratch": lambda: simulated(fits.fitted(case.first(30.0), seed), measured),
         "in-domain": lambda: simulated(fits.fitted(case.own, seed), measured),
     }
@@ -143,7 +120,7 @@ def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[d
             found[way] = resampled(measured, run())
         except (InvalidData, np.linalg.LinAlgError) as error:
             sys.stderr.write(f"{case.name}, {way}: {error}\n")
-    return found, there().fit_note if {"30 s", "30 s, then recursive"} & set(wanted) else ""
+    return found, there().fit_note if "30 s" in wanted else ""
 
 
 def table(case: Case, name: str, runs: list[dict[str, dict[int, Array]]]) -> str:
@@ -192,14 +169,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--read", type=Path, nargs="+", default=[])
-    parser.add_argument("--driving", action="store_true")
     options = parser.parse_args(arguments)
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
     write = sys.stdout.write
-    if options.driving:
-        drive_changed_cars(new_model(options.families[0], options.preset), write)
-        return 0
     rows = read_rows(options.read)
     if rows:
         write(f"{errors_table(rows)}\n\n{verdicts_table(rows)}\n")

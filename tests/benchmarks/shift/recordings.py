@@ -52,23 +52,6 @@ def real_cars() -> Iterator[Case]:
             yield Case(f"{before} -> {after}", before != after, training, new, own, test)
 
 
-def whole_drives() -> Iterator[Case]:
-    """Each of the two cars after itself, along the whole test drive: what the recursive form makes of it."""
-    yield whole_drive("slippery_20hz")
-    yield whole_drive("free_20hz")
-
-
-def grippy_drive() -> Iterator[Case]:
-    """The car that grips along its whole test drive, whose peers are known."""
-    yield whole_drive("free_20hz")
-
-
-def whole_drive(name: str) -> Case:
-    """Return one of the two cars after itself, along the whole test drive."""
-    training, drive = recording(name)
-    return Case(f"{name}, whole drive", False, training, cut(drive)[0], training, drive)
-
-
 def floors() -> Iterator[Case]:
     """Each of four drives after the other three; the middle of it is its own kind."""
     root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[3].parent / "shared" / "data"))
@@ -114,8 +97,6 @@ def cut(drive: Dataset) -> tuple[Dataset, Dataset]:
 
 GROUPS: dict[str, Callable[[], Iterator[Case]]] = {
     "cars": real_cars,
-    "drives": whole_drives,
-    "grippy drive": grippy_drive,
     "floors": floors,
     "emulated": emulated,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation import Corrected, Terms
+from sysid_evo.adaptation import Terms
 from sysid_evo.adaptation.learning import corrections
 from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
 from sysid_evo.adaptation.sensitivities import sensitivities
@@ -13,6 +13,7 @@ from sysid_evo.adaptation.terms import pushed
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.kernels.correction import correction_kernel
 from sysid_evo.registry import make_model
 from sysid_evo.system import System
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
@@ -101,24 +102,24 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there() -> None:
     data = example_dataset()
     model = make_model("linear", rest_hold=True).fit(data, rng=0)
     terms = Terms.of(data)
-    corrected, idle = Corrected(model, terms), np.zeros((1, 2))
-    resting = corrected.told(corrected.start(np.zeros((1, 1, 3)), np.zeros((1, 0, 2))), np.ones(terms.shape))
-    assert np.array_equal(corrected.step(resting, idle)[:, :3], np.zeros((1, 3)))
-    assert not np.array_equal(corrected.step(resting, idle + 1.0)[:, :3], model.step(np.zeros((1, 3)), idle + 1.0))
+    resting, idle = np.zeros((1, 3)), np.zeros((1, 2))
+    held, pushed_off = (model.step(resting, control) for control in (idle, idle + 1.0))
+    assert np.array_equal(terms.corrected(resting, idle, held, np.ones(terms.shape)), resting)
+    assert not np.array_equal(terms.corrected(resting, idle + 1.0, pushed_off, np.ones(terms.shape)), pushed_off)
 
 
 @pytest.mark.parametrize("system", example_systems(), ids=lambda system: system.name)
-def test_the_compiled_form_corrects_each_row_by_its_own_coefficients(system: System, rng: np.random.Generator) -> None:
+def test_the_compiled_form_corrects_as_the_terms_do(system: System, rng: np.random.Generator) -> None:
     model = ExampleDynamics(system)
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
     terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
-    corrected = Corrected(model, terms)
-    carry = corrected.told(corrected.start(2.0 * states[:70, None], controls[:0]), rng.normal(size=(70, *terms.shape)))
-    kernel = corrected.kernel()
+    before, control, coefficients = 2.0 * states[:70], controls[:70], rng.normal(size=terms.shape)
+    kernel = correction_kernel(model.kernel(), terms, coefficients)
     assert kernel is not None
-    compiled = kernel_step(kernel, carry, controls[:70], precision="float64")
-    np.testing.assert_allclose(compiled, corrected.step(carry, controls[:70]), rtol=1e-6, atol=1e-7)
-    assert not np.allclose(compiled[:, : system.nx], model.step(2.0 * states[:70], controls[:70]))
+    compiled = kernel_step(kernel, before, control, precision="float64")
+    after = model.step(before, control)
+    np.testing.assert_allclose(compiled, terms.corrected(before, control, after, coefficients), rtol=1e-6, atol=1e-7)
+    assert not np.allclose(compiled, after)
 
 
 def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other() -> None:
@@ -127,9 +128,11 @@ def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other() -> None
     terms, some = Terms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
     pieces = Pieces.of(model, data, model.envelope)
     runs = free_runs(model, terms, some, pieces)
-    corrected = Corrected(model, terms)
     for one, run in zip(some, runs, strict=True):
-        carry = corrected.told(np.concatenate([pieces.carry, np.zeros((len(pieces), 18))], axis=1), one)
+        carry = pieces.carry
         for k in range(pieces.horizon):
-            carry = corrected.step(carry, pieces.controls[:, k])
+            control = pieces.controls[:, k]
+            after = model.step(carry, control)
+            moved = terms.corrected(carry[:, :3], control, after[:, :3], one)
+            carry = np.concatenate([moved, after[:, 3:]], axis=1)
             np.testing.assert_allclose(run[:, k], carry[:, :3])

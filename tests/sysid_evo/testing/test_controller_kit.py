@@ -109,16 +109,9 @@ BROKEN: list[tuple[type[Controller], Callable[..., None], str]] = [
 ]
 
 
-class Recorded(ExampleDynamics):
-    """Dynamics that know what data they are for, as a fitted model does."""
-
-    pairs_ = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 5))
-
-
 ARGUMENTS: dict[str, dict[str, Any]] = {
     "lqr": {"model": ExampleDynamics(continuous_car()), "at": SetPoint(horizon=60).bind(continuous_car())},
     "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24},
-    "self_correcting": {"model": Recorded(continuous_car()), "horizon": 6, "samples": 24, "learned_steps": 2},
 }
 """What a controller cannot do without."""
 
