@@ -6,7 +6,6 @@ from .engine import DynamicsRunner, Rollouts, Runner, rollout
 from .environments import make_env, make_vector_env
 from .errors import SysidEvoError
 from .evolution import (
-    Aggregate,
     Champion,
     ControllerEvolution,
     EvolutionStrategy,
@@ -45,7 +44,6 @@ from .version import __version__
 
 __all__ = [
     "__version__",
-    "Aggregate",
     "Champion",
     "Channel",
     "CheckpointFile",

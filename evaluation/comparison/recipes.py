@@ -8,10 +8,12 @@ from evaluation.comparison.champion_cells import ChampionCell, ChooseCell, Evolv
 from evaluation.comparison.columns import Column
 from evaluation.comparison.experiment import Experiment
 from sysid_evo.evolution import ControllerEvolution
-from sysid_evo.registry import make_aggregate
+from sysid_evo.registry import Spec
 
 ALONE = "min"
 """The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
+MEAN_OF_ONE = ("min", "mean", "median")
+"""Rules that give, where there is one model, the mean over its trials."""
 POLISHED = 2
 """Finalists that the recommended recipe polishes."""
 
@@ -22,7 +24,7 @@ def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> Control
     Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
     """
     evolution = experiment.evolution
-    if len(members) == 1 and make_aggregate(evolution.aggregate).mean_of_one:
+    if len(members) == 1 and Spec.parse(evolution.aggregate).name in MEAN_OF_ONE:
         evolution = replace(evolution, aggregate=ALONE)
     if experiment.noise is None and any(member.robot is not None for member in members):
         return replace(evolution, noise="")

@@ -76,7 +76,7 @@ class Nested:
         """Return the figure of ``controller``, the mean over its seeds of what ``rule`` says of each.
 
         ``fitness`` (models, S, E) is that of the controller of every seed in every trial; without ``rule``, an
-        `Aggregate`, the mean over models. Raises `InvalidArgument` for another shape.
+        aggregate, the mean over models. Raises `InvalidArgument` for another shape.
         """
         fitness = np.asarray(fitness, dtype=np.float64)
         if fitness.ndim != 3 or 0 in fitness.shape:

@@ -1,6 +1,5 @@
 """Evolution: strategies, aggregates, the generation loop, ensembles of models, champions."""
 
-from sysid_evo.evolution.aggregates import Aggregate, Lowest, Mean, Median
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.choice import Judgement, choose, judge, of_each_seed, worth
 from sysid_evo.evolution.cma_es import CmaEs
@@ -15,7 +14,6 @@ from sysid_evo.evolution.schedule import Schedule, Stage
 from sysid_evo.evolution.strategy import EvolutionStrategy, StrategyState
 
 __all__ = [
-    "Aggregate",
     "Champion",
     "CmaEs",
     "ControllerEvolution",
@@ -24,9 +22,6 @@ __all__ = [
     "Finalist",
     "Generation",
     "Judgement",
-    "Lowest",
-    "Mean",
-    "Median",
     "ModelEvolution",
     "MuPlusLambda",
     "Niches",

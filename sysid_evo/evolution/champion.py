@@ -37,15 +37,14 @@ class Finalist:
 class Champion:
     """One evolved parameter vector (n,) of a registered ``controller`` at a registered ``task``.
 
-    ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history``
-    (G, 3) holds the best, mean and worst fitness of each generation, of the candidates that the strategy needs
-    (`EvolutionStrategy.needed`), as evolution saw them, with states observed ``estimator_delay`` s late, and with
-    ``noise`` and ``caution`` (specs, empty for none). ``seed_fitness`` holds the fitness of the champion of each
-    run, from different evolution seeds, on the same fresh trials. The champion is one of the ``finalists``: the one
-    that is worth most to the models that ``judges`` names; without judges the fittest. ``system`` is the one that it
-    was evolved for; None for somebody who drives by hand. It is ``polished`` if it was chosen among those of single
-    models and then polished on several, see `polish`. ``population`` (P, n) holds the last candidates of its run, best
-    first.
+    ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history`` (G, 3) holds the
+    best, mean and worst fitness of each generation, as evolution saw them, with states observed ``estimator_delay`` s
+    late, and with ``noise`` and ``caution`` (specs, empty for none). ``seed_fitness`` holds the fitness of the
+    champion of each run, from different evolution seeds, on the same fresh trials. The champion is one of the
+    ``finalists``: the one that is worth most to the models that ``judges`` names; without judges the fittest.
+    ``system`` is the one that it was evolved for; None for somebody who drives by hand. It is ``polished`` if it was
+    chosen among those of single models and then polished on several, see `polish`. ``population`` (P, n) holds the
+    last candidates of its run, best first.
     """
 
     name: str

@@ -213,7 +213,7 @@ def run_seed(seed: int, run: int) -> int:
 def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
     """Yield the best of every niche on the trials of ``seeds``."""
     for niche, candidates in strategy.finals.items():
-        fitness = objective.on_trials(candidates, seeds, needed=1).fitness
+        fitness = objective.on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
         yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
 

@@ -52,11 +52,6 @@ class MuPlusLambda(EvolutionStrategy):
         return self._parents
 
     @property
-    def needed(self) -> int | None:
-        """Those that survive; all, where they are compared with parents that are not asked again."""
-        return self.n_parents if self.reevaluate else None
-
-    @property
     def state(self) -> StrategyState:
         scored = {} if self._parents_fitness is None else {"parents_fitness": self._parents_fitness.copy()}
         return {"generation": self.generation, "parents": self._parents.copy(), **scored}

@@ -78,7 +78,7 @@ def polish(
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
-        fitness = objective(run).on_trials(candidates, seeds, needed=1).fitness
+        fitness = objective(run).on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
         label = f"{POLISHED} {chosen[run].niche}".strip()
         return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.loop import Generation, Objective, Scores, SparingObjective
+from sysid_evo.evolution.loop import Generation, Objective, Scores
 from sysid_evo.evolution.strategy import StrategyState
 from sysid_evo.registry import Spec, split, tasks
 
@@ -92,15 +92,6 @@ class Schedule:
     def __call__(self, population: Array, generation: int) -> Scores | Array:
         """Return what ``population`` (P, n) scores in the present stage."""
         return self.objectives[self.stage](population, generation)
-
-    def leading(self, population: Array, generation: int, needed: int) -> Scores | Array:
-        """Return what ``population`` scores, exactly for the ``needed`` best, and while stages last for half."""
-        objective = self.objectives[self.stage]
-        if not isinstance(objective, SparingObjective):
-            return objective(population, generation)
-        if self.stage < len(self.stages):
-            needed = max(needed, len(population) - len(population) // 2)
-        return objective.leading(population, generation, needed)
 
     def tell(self, generation: Generation) -> bool:
         """Take in a generation; return whether the next stage begins after it."""

@@ -69,15 +69,6 @@ class EvolutionStrategy(ABC):
         """
 
     @property
-    def needed(self) -> int | None:
-        """How many of the best candidates of a generation it must know exactly; None, the default, for all.
-
-        The fitness of any other may be told as any number below theirs, its behaviour and fitness on single
-        models as whatever is known. So candidates that are beaten anyway are spared the dear models.
-        """
-        return None
-
-    @property
     def status(self) -> str:
         """What to say beside the fitness while it runs, in a few words: how many niches are filled, for example."""
         return ""

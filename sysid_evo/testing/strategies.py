@@ -156,26 +156,6 @@ def what_is_forgotten_does_not_count(given: Given) -> None:
     expect(not stayed, f"{GENERATIONS} generations later, on another hill, {stayed} of the elite are still there")
 
 
-def what_is_not_needed_does_not_count(given: Given) -> None:
-    """Beyond the candidates that it says are needed, any fitness below theirs leads the same way"""
-    strategy, other = given.make(), given.make()
-    rng = np.random.default_rng(7)
-    for _ in range(10):
-        population, again = strategy.ask(), other.ask()
-        expect(same(population, again), "told other numbers of candidates that are not needed, it asks others")
-        score, needed = fitness(population), strategy.needed
-        told = score.copy()
-        if needed is not None and needed < len(score):
-            level = np.sort(score)[-needed]
-            told[score < level] = level - rng.uniform(0.1, 10.0, int((score < level).sum()))
-        strategy.tell(population, score)
-        other.tell(again, told)
-    expect(
-        same(strategy.elite, other.elite),
-        "told other numbers of candidates that are not needed, its elite is another",
-    )
-
-
 CHECKS: tuple[Check[Given], ...] = (
     ask_gives_candidates,
     the_seed_decides,
@@ -186,7 +166,6 @@ CHECKS: tuple[Check[Given], ...] = (
     a_plateau_is_no_end,
     a_restored_strategy_goes_on,
     what_is_forgotten_does_not_count,
-    what_is_not_needed_does_not_count,
 )
 
 

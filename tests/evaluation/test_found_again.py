@@ -95,8 +95,8 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of() -> None:
                                            "run near+linear on emulated_car"} | ASSESS),
         ({"aggregate": "mean"}, ASSESS | {
             title.replace("linear+near", "mean(linear+near)") for title in CONTROLLERS if "linear+near" in title}),
-        ({"aggregate": "rank_mean"}, {
-            title.replace("linear+near", "rank_mean(linear+near)") for title in CONTROLLERS}),
+        ({"aggregate": "cvar"}, {
+            title.replace("linear+near", "cvar(linear+near)") for title in CONTROLLERS}),
         ({"task": "point_to_point(horizon=61)"}, CONTROLLERS),
         ({"controller": "recurrent(hidden=4)"}, CONTROLLERS),
         ({"strategy": "mu_plus_lambda(children=6)"}, CONTROLLERS),
@@ -215,7 +215,7 @@ def test_a_default_that_is_written_out_and_a_seed_in_shorthand_change_nothing() 
 
 PLUGIN = """
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.evolution import Aggregate, MuPlusLambda
+from sysid_evo.evolution import MuPlusLambda
 from sysid_evo.registry import (
     register_aggregate, register_controller, register_model, register_strategy, register_task
 )
@@ -244,9 +244,8 @@ class TheirStrategy(MuPlusLambda):
 
 
 @register_aggregate("their_aggregate")
-class TheirAggregate(Aggregate):
-    def __call__(self, fitness):
-        return fitness.min(axis=0).mean(axis=1)
+def their_aggregate(fitness):
+    return fitness.min(axis=0).mean(axis=1)
 """
 
 

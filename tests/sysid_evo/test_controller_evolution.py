@@ -14,9 +14,9 @@ from sysid_evo.controllers import Controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
-from sysid_evo.evolution import Aggregate, ControllerEvolution, EnsembleObjective, evolve_controller
+from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, evolve_controller
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, aggregates, make_aggregate, make_model
+from sysid_evo.registry import Spec, aggregates, make_model
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
 from sysid_evo.wrappers import DelayedEstimate
@@ -90,20 +90,19 @@ def test_a_rule_may_look_at_the_spread_over_the_trials(
 ) -> None:
     """The steady candidate beats the one with the better mean, since the rule takes the spread off."""
 
-    class Cautious(Aggregate):
-        def __init__(self, *, weight: float = 1.0) -> None:
-            self.weight = weight
+    shapes = []
 
-        def __call__(self, fitness: Array) -> Array:
-            assert fitness.shape == (2, 3, 6)
-            return (fitness.mean(axis=2) - self.weight * fitness.std(axis=2)).min(axis=0)
+    def cautious(fitness: Array, *, weight: float = 1.0) -> Array:
+        shapes.append(fitness.shape)
+        return (fitness.mean(axis=2) - weight * fitness.std(axis=2)).min(axis=0)
 
-    register(aggregates, "cautious", Cautious)
+    register(aggregates, "cautious", cautious)
     population = np.array([[1.0], [0.0], [-0.5]])
     scores = [watched.run(Constant(), population, Ladder(), trial_seeds(1, 6)).fitness for watched in pair]
     expected = np.min([score.mean(axis=1) - 2.0 * score.std(axis=1) for score in scores], axis=0)
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate="cautious(weight=2.0)")
     np.testing.assert_allclose(objective(population, 0).fitness, expected)
+    assert shapes[-1] == (2, 3, 6)
     assert expected[0] < expected[1]
 
 
@@ -128,41 +127,6 @@ def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(
         np.testing.assert_array_equal(first.seeds[generation], trial_seeds(5, 4, generation=generation))
         np.testing.assert_array_equal(first.seeds[generation], second.seeds[generation])
     assert len({int(seed) for seeds in first.seeds for seed in seeds}) == 12
-
-
-def test_only_the_models_that_the_aggregate_draws_are_run_in_a_generation_but_all_for_a_claim(
-    pair: tuple[Watched, Watched],
-) -> None:
-    objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4, aggregate="random_subset(size=1)")
-    drawn = [int(make_aggregate("random_subset(size=1)").models(2, generation)[0]) for generation in range(8)]
-    assert set(drawn) == {0, 1}
-    for generation, one in enumerate(drawn):
-        scores = objective(np.ones((3, 1)), generation)
-        assert [len(watched.seeds) for watched in pair] == [drawn[: generation + 1].count(model) for model in (0, 1)]
-        assert scores.by_model is not None
-        np.testing.assert_array_equal(scores.fitness, scores.by_model[one])
-        assert np.isnan(scores.by_model[1 - one]).all()
-    claimed = objective.on_trials(np.ones((3, 1)), trial_seeds(9, 4)).by_model
-    assert claimed is not None
-    assert np.isfinite(claimed).all()
-
-
-def test_evolution_climbs_what_an_aggregate_says_of_a_population_and_claims_what_it_says_of_one(
-    pair: tuple[Watched, Watched], register: Callable[..., Any]
-) -> None:
-    class Ranked(Aggregate):
-        def __call__(self, fitness: Array) -> Array:
-            return fitness.mean(axis=(0, 2))
-
-        def in_population(self, fitness: Array) -> Array:
-            return np.sort(self(fitness))[::-1]
-
-    register(aggregates, "ranked", Ranked)
-    objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4, aggregate="ranked")
-    population = np.array([[1.0], [0.0], [-0.5]])
-    claimed = objective.on_trials(population, trial_seeds(5, 4)).fitness
-    assert claimed[0] < claimed[1]
-    np.testing.assert_array_equal(objective(population, 0).fitness, np.sort(claimed)[::-1])
 
 
 def test_an_ensemble_without_models_or_trials_is_refused(pair: tuple[Watched, Watched]) -> None:

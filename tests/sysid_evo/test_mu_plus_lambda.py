@@ -174,8 +174,8 @@ def test_the_loop_yields_what_was_asked_and_told() -> None:
     for generation in loop:
         seen.append(generation.index)
         np.testing.assert_array_equal(generation.fitness, sphere(generation.population) + generation.index)
-        survive = np.sort(generation.fitness)[-2:]  # only these count
-        assert generation.summary == (survive[1], survive.mean(), survive[0])
+        fitness = generation.fitness
+        assert generation.summary == (fitness.max(), fitness.mean(), fitness.min())
         assert strategy.generation == generation.index + 1
     assert seen == [0, 1, 2]
 

@@ -7,7 +7,6 @@ TEST_STRATEGY = ("tests/sysid_evo/test_mu_plus_lambda.py",)
 TEST_CHOICE = ("tests/sysid_evo/test_choice.py",)
 TEST_FORECAST = ("tests/evaluation/forecast/test_credibility.py",)
 TEST_NICHES = ("tests/sysid_evo/test_niches.py",)
-TEST_SPARING = ("tests/sysid_evo/test_sparing.py",)
 TEST_EVOLUTION = ("tests/sysid_evo/test_controller_evolution.py",)
 
 CHANGES = (
@@ -101,34 +100,6 @@ CHANGES = (
         "worst_first = np.sort(fitness.transpose(1, 0, 2)",
         "worst_first = -np.sort(-fitness.transpose(1, 0, 2)",
         ("tests/sysid_evo/test_aggregates.py",),
-    ),
-    Change(
-        "a model that denies a candidate may forbid everything",
-        "sysid_evo/evolution/aggregates.py",
-        "np.maximum(means.min(axis=0), self._floor(",
-        "np.minimum(means.min(axis=0), self._floor(",
-        ("tests/sysid_evo/test_aggregates.py",),
-    ),
-    Change(
-        "luck is added to the confidence",
-        "sysid_evo/evolution/aggregates.py",
-        "fitness.mean(axis=2) - self.weight * error",
-        "fitness.mean(axis=2) + self.weight * error",
-        ("tests/sysid_evo/test_aggregates.py",),
-    ),
-    Change(
-        "all models are run, whatever the aggregate draws",
-        "sysid_evo/evolution/ensemble.py",
-        "chosen = self._rule.models(len(self.runners), generation)",
-        "chosen = np.arange(len(self.runners))",
-        ("tests/sysid_evo/test_controller_evolution.py",),
-    ),
-    Change(
-        "evolution climbs the claim, not what the aggregate says of a population",
-        "sysid_evo/evolution/ensemble.py",
-        "needed, self._rule.in_population)",
-        "needed, self._rule)",
-        ("tests/sysid_evo/test_controller_evolution.py",),
     ),
     Change(
         "what is asked again counts as if it were the first time",
@@ -234,34 +205,6 @@ CHANGES = (
         "self.pc = (1 - c_c) * self.pc +",
         "self.pc = self.pc +",
         ("tests/sysid_evo/test_cma_es.py",),
-    ),
-    Change(
-        "who may be as good as the last of the best is spared",
-        "sysid_evo/evolution/sparing.py",
-        "due = (bounds >= level) & (done < models)",
-        "due = (bounds > level) & (done < models)",
-        TEST_SPARING,
-    ),
-    Change(
-        "candidates are spared models on which they may feel each other",
-        "sysid_evo/evolution/ensemble.py",
-        "alone = run.engine.startswith(COMPILED)",
-        "alone = True",
-        TEST_SPARING,
-    ),
-    Change(
-        "a stage may end by fitness that is not known",
-        "sysid_evo/evolution/schedule.py",
-        "if self.stage < len(self.stages):\n            needed",
-        "if self.stage > len(self.stages):\n            needed",
-        TEST_SPARING,
-    ),
-    Change(
-        "a rule of which a part says nothing spares candidates",
-        "sysid_evo/evolution/aggregates.py",
-        "return np.full(fitness.shape[1], np.inf)",
-        "return self(fitness)",
-        TEST_SPARING,
     ),
     Change(
         "a strategy that is stopped while it learns is kept",

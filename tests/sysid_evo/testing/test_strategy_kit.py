@@ -152,16 +152,6 @@ class Nostalgic(Climber):
         self.best = float(state["best"])
 
 
-class Averaging(Climber):
-    """Says that it needs the best alone, and learns from all that are better than the mean."""
-
-    needed = 1
-
-    def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
-        self.parent = population[fitness >= fitness.mean()].mean(axis=0)
-        self.generation += 1
-
-
 BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (
         SinglePrecision,
@@ -178,7 +168,6 @@ BROKEN: list[tuple[type[Climber], Callable[..., None], str]] = [
     (Drawing, kit.a_restored_strategy_goes_on, "it goes on otherwise after 0 generations and a question"),
     (Aliasing, kit.a_restored_strategy_goes_on, "a state changes after it was taken"),
     (Nostalgic, kit.what_is_forgotten_does_not_count, "60 generations later, on another hill, 1 of the elite"),
-    (Averaging, kit.what_is_not_needed_does_not_count, "that are not needed, it asks others"),
     (Unstorable, kit.a_restored_strategy_goes_on, "numbers and text, 'random' is a Generator"),
 ]
 
