@@ -3,10 +3,10 @@
     python -m tests.references --write build/references                    # before the change
     python -m tests.references --compare build/references [--renames FILE] # after it; exit code 1 if anything moved
 
-What is compared: a recording of every emulated robot, what every family learns on three of them and how it simulates,
-the fitness of eight controllers in six tasks on four robots in float32 and float64, five champions, and the report of
-one comparison without its timings. Every array is stored with its SHA-256. A comparison lists what is equal, what moved
-and by how much, what is gone and what is new.
+What is compared: a recording of every emulated robot, what every family learns on three of them, how it simulates and
+how controllers do on it, the fitness of eight controllers in six tasks on four robots in float32 and float64, five
+champions, and the report of one comparison without its timings. Every array is stored with its SHA-256. A comparison
+lists what is equal, what moved and by how much, what is gone and what is new.
 
 Things are known by their registered names. ``--renames`` is a CSV file, ``old,new`` in each line: names and words that
 were replaced since; of what was removed on purpose the new name is empty. About seven minutes on two cores.
@@ -118,7 +118,7 @@ def learned(family: str, robot: str) -> Found:
         manifest = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
     found: Found = {f"{where}/learned/{name}": array for name, array in tensors.items()}
     found |= flat(f"{where}/parameters", manifest["parameters"]) | flat(f"{where}/learned", manifest["learned"])
-    return found | {f"{where}/simulated": simulated(model, dataset)}
+    return found | {f"{where}/simulated": simulated(model, dataset), f"{where}/driven": driven(model)}
 
 
 def simulated(model: Any, dataset: Dataset) -> np.ndarray:
@@ -132,6 +132,14 @@ def simulated(model: Any, dataset: Dataset) -> np.ndarray:
             np.stack([one.controls[lags : lags + WINDOW] for one in long]),
         )
     )
+
+
+def driven(model: Any) -> np.ndarray:
+    """Return the fitness of small networks that drive ``model``, in the form that evolution takes."""
+    task = make_task("point_to_point" if model.system.motion else "swing_up", horizon=STEPS).bind(model.system)
+    controller = make_controller("recurrent").bind_to(task)
+    population = np.random.default_rng(5).normal(size=(CANDIDATES, controller.n_parameters))
+    return rollout(model, controller, population, task, trial_seeds(11, TRIALS)).fitness
 
 
 def fitness(robot: str) -> Found:
