@@ -15,7 +15,7 @@ from .evolution import (
     evolve,
     evolve_controller,
 )
-from .interoperation import TransitionRegressor, to_control
+from .interoperation import to_control
 from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
 from .registry import (
@@ -72,7 +72,6 @@ __all__ = [
     "Task",
     "TaskState",
     "Trajectory",
-    "TransitionRegressor",
     "Transitions",
     "View",
     "Windows",

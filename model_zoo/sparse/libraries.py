@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations, combinations_with_replacement
@@ -309,8 +309,3 @@ def _checked(spec: Spec, kind: type[Any], given: Mapping[str, Any]) -> Any:
         if not right or (isinstance(value, bool) and not isinstance(expected, bool)):
             raise InvalidArgument(f"library: {spec.name}: {name}={value!r} is of the wrong type")
     return kind(**given)
-
-
-def joined(parts: Sequence[str], sign: str) -> str:
-    """Return the text of a sum or a product of libraries."""
-    return f" {sign} ".join(f"({part})" if sign == "*" and " + " in part else part for part in parts)

@@ -17,7 +17,6 @@ from model_zoo.sparse.family import PolynomialFamily, Regression
 from model_zoo.sparse.libraries import WeakForm, basis_of, read_library
 from model_zoo.sparse.optimizers import counts_rows, make_optimizer, read_optimizer, run
 from model_zoo.sparse.polynomial import DEGREES, MOST_TERMS, evaluate, library_size, monomials
-from model_zoo.sparse.pysindy_objects import named_library, named_optimizer
 from model_zoo.sparse.weak import testing_functions
 from model_zoo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 from sysid_evo.arrays import Array, IntArray
@@ -139,8 +138,8 @@ class SparsePolynomial(PolynomialFamily):
     only none, and lags that are enough for dead time and slow actuators, are tried.
 
     ``library`` and ``optimizer`` name what pysindy's users know, with arguments (see `libraries`, `optimizers`), such
-    as "polynomial(degree=2) + fourier(n_frequencies=2)" and "SR3(reg_weight_lam=0.1)"; in Python pysindy's own
-    objects will do, which are stored as their names. An optimiser sees quantities divided by their root mean squares.
+    as "polynomial(degree=2) + fourier(n_frequencies=2)" and "SR3(reg_weight_lam=0.1)". An optimiser sees
+    quantities divided by their root mean squares.
     ``constraints`` says what is known of coefficients: "damping of yaw_rate <= 0", "steer in forward_speed = 0".
     """
 
@@ -170,11 +169,6 @@ class SparsePolynomial(PolynomialFamily):
     most_steps: int | None = 100_000
 
     def check_parameters(self) -> None:
-        """Turn objects of pysindy into their names, and refuse what cannot be named or does not go together."""
-        for name, named in (("library", named_library), ("optimizer", named_optimizer)):
-            given = getattr(self, name)
-            if given is not None and not isinstance(given, str):
-                setattr(self, name, named(given))
         super().check_parameters()
         if self.library is not None:
             named_terms = read_library(self.library)

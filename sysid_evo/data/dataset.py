@@ -41,10 +41,6 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.after)
 
-    def as_arrays(self) -> tuple[Array, Array]:
-        """Return what scikit-learn calls X and y: carry and control (N, n_carry + nu), and the state after (N, nx)."""
-        return np.concatenate([self.carry, self.control], axis=1), self.after
-
     @property
     def state(self) -> Array:
         """The state before each step, (N, nx)."""

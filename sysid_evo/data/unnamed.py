@@ -38,7 +38,7 @@ def from_samples(
             shapes = ", ".join(str(array.shape) for array in arrays)
             raise ShapeError(f"{what}: expected (samples, columns), or a list of such arrays, got {shapes}")
     n_controls = 0 if pushes is None else pushes[0].shape[1]
-    system = System(numbered("x", runs[0].shape[1]), numbered("u", n_controls), _step(t, runs))
+    system = System(_numbered("x", runs[0].shape[1]), _numbered("u", n_controls), _step(t, runs))
     return Dataset.from_arrays(system, list(runs), None if pushes is None else list(pushes))
 
 
@@ -49,7 +49,7 @@ def _listed(given: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[npt.ArrayLik
     return [np.asarray(given)]
 
 
-def numbered(letter: str, n: int) -> tuple[Channel, ...]:
+def _numbered(letter: str, n: int) -> tuple[Channel, ...]:
     """Return ``n`` channels without units: x0, x1, ..."""
     return tuple(Channel(f"{letter}{i}") for i in range(n))
 

@@ -1,4 +1,3 @@
 from .control import to_control
-from .regression import TransitionRegressor
 
-__all__ = ["TransitionRegressor", "to_control"]
+__all__ = ["to_control"]

@@ -1,4 +1,4 @@
-"""What is said of controllers: figures over seeds and trials, forecasts, manners, studies; and the single step."""
+"""What is said of controllers: figures over seeds and trials, forecasts, manners, studies."""
 
 from tests.mutation.change import Change
 
@@ -8,7 +8,6 @@ STANDING = ("tests/evaluation/test_standing.py",)
 FORECASTS = ("tests/evaluation/forecast/test_forecasting.py", "tests/evaluation/forecast/test_credibility.py")
 SHOWN = (*FORECASTS, "tests/evaluation/forecast/test_shown.py")
 MANNERS = ("tests/evaluation/test_manners.py",)
-ONE_STEP = ("tests/sysid_evo/interoperation/test_transition_regressor.py",)
 REPEATS = ("tests/evaluation/study/test_repeats.py",)
 
 CHANGES = (
@@ -116,27 +115,6 @@ CHANGES = (
         "if target.channel.period is not None:",
         "if target.channel.period is None and False:",
         MANNERS,
-    ),
-    Change(
-        "a change of the state is learned as the state",
-        "sysid_evo/interoperation/regression.py",
-        "after = before + after",
-        "after = 1.0 * after",
-        ONE_STEP,
-    ),
-    Change(
-        "lags that were asked for are left out without a word",
-        "sysid_evo/interoperation/regression.py",
-        "        if asked:\n",
-        "        if asked and not lags:\n",
-        ONE_STEP,
-    ),
-    Change(
-        "rows of which one state goes on are one recording",
-        "sysid_evo/interoperation/regression.py",
-        ".all(axis=1)",
-        ".any(axis=1)",
-        ONE_STEP,
     ),
     Change(
         "two robots make an interval",
