@@ -1,4 +1,4 @@
-"""What is told, in the order in which it is told: pages, Markdown and LaTeX are made of it."""
+"""What is told, in the order in which it is told: pages and Markdown are made of it."""
 
 from __future__ import annotations
 
@@ -27,9 +27,3 @@ class Story:
     def of(cls, report: Report) -> Story:
         """Tell what a report holds."""
         return cls(report.title, headlines(report), verdict(report), overview_sheet(report), sections(report))
-
-    @property
-    def sheets(self) -> list[tuple[str, Sheet]]:
-        """All tables, each with the anchor of its section."""
-        first = [] if self.overview is None else [("overview", self.overview)]
-        return first + [(section.anchor, sheet) for section in self.sections for sheet in section.sheets]

@@ -21,7 +21,7 @@ def report(
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
     formats: Annotated[
         list[str] | None,
-        typer.Option("--format", help="Write it as markdown, latex (tables) or svg (figures), too; repeatable."),
+        typer.Option("--format", help="Write it as markdown or svg (figures), too; repeatable."),
     ] = None,
 ) -> None:
     """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from evaluation.report.contents import Report
-from evaluation.report.formats.latex import story_to_latex
 from evaluation.report.formats.markdown import story_to_markdown
 from evaluation.report.story import Story
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import write_atomically
 
-STEM, FIGURES = "report", "figures"
+TEXT, FIGURES = "report.md", "figures"
 
 
 def write_format(report: Report, name: str, folder: str | Path) -> tuple[Path, ...]:
@@ -24,11 +23,7 @@ def write_format(report: Report, name: str, folder: str | Path) -> tuple[Path, .
 
 def _markdown(story: Story, folder: Path) -> tuple[Path, ...]:
     drawn = _figures(story, folder)
-    return (_text(folder / f"{STEM}.md", story_to_markdown(story, figures=FIGURES)), *drawn)
-
-
-def _latex(story: Story, folder: Path) -> tuple[Path, ...]:
-    return (_text(folder / f"{STEM}.tex", story_to_latex(story)),)
+    return (_text(folder / TEXT, story_to_markdown(story, figures=FIGURES)), *drawn)
 
 
 def _figures(story: Story, folder: Path) -> tuple[Path, ...]:
@@ -44,7 +39,6 @@ def _text(path: Path, text: str) -> Path:
 
 FORMATS: dict[str, Callable[[Story, Path], tuple[Path, ...]]] = {
     "markdown": _markdown,
-    "latex": _latex,
     "svg": _figures,
 }
 """Names of the forms, and what writes them."""
