@@ -9,7 +9,7 @@ import numpy as np
 
 from evaluation.behaviour.measures import measured
 from evaluation.transfer import Trace, TransferMatrix
-from evaluation.transfer.nested import Nested
+from evaluation.transfer.uncertainty import PairedEstimate
 from sysid_evo.arrays import Array
 from sysid_evo.system import System
 
@@ -63,7 +63,8 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
     for name in names:
         values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
         if len(values):
-            low, high = Nested.of(controller, values[None, None]).interval() if len(values) >= LEAST else (np.nan,) * 2
+            enough = len(values) >= LEAST
+            low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
             measures[name] = Measure(float(values.mean()), *_within(name, low, high), len(values))
     return Manner(controller, column, len(traces), measures)
 

@@ -59,7 +59,7 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
 def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
     """Draw, for each controller, claimed fitness and fitness elsewhere, with 90 % intervals.
 
-    Ticks below a claim are the champions of several evolution seeds. Names are folded to ``name_width``.
+    Ticks below a claim are the champions of several evolution runs. Names are folded to ``name_width``.
     """
     ax = axes_or_new(ax, 7.0, 1.2 + 0.34 * len(summary.controllers))
     for kind, label, marker, face, edge in MARKS:
@@ -87,8 +87,8 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
         if len(values) > 1:
             ax.plot([min(values), max(values)], [row, row], color=REFERENCE, linewidth=0.8, zorder=0)
         if len(controller.seed_fitness) > 1:
-            seeds = controller.seed_fitness
-            ax.plot(seeds, [row + 0.3] * len(seeds), "|", color=COLOURS[0], markersize=6)
+            each = controller.seed_fitness
+            ax.plot(each, [row + 0.3] * len(each), "|", color=COLOURS[0], markersize=6)
     ax.set_yticks(range(len(summary.controllers)), [folded(c.name, name_width) for c in summary.controllers])
     ax.set_ylim(len(summary.controllers) - 0.5, -0.5)
     ax.set_xlim(min(0.0, ax.get_xlim()[0]), None)

@@ -22,8 +22,8 @@ from evaluation.report.contents import Report
 from evaluation.report.headlines import headlines
 from evaluation.report.verdict import verdict
 from evaluation.transfer import Cell, ControllerSummary, Figures, TransferMatrix, TransferSummary
-from evaluation.transfer.nested import SHARE
 from evaluation.transfer.standing import judges_of
+from evaluation.transfer.uncertainty import SHARE
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 
@@ -248,7 +248,6 @@ def _cell(cell: Cell, figures: Figures) -> dict[str, Any]:
         "std": cell.std,
         "standard_error": cell.standard_error,
         "interval": None if figure is None else figure.interval(),
-        "by_evolution_seed": cell.by_seed.mean(axis=1) if len(cell.by_seed) else [],
         "clipped_share": cell.clipped_share,
         "diverged_share": cell.diverged_share,
         "engine": cell.engine,

@@ -8,7 +8,7 @@ from pathlib import Path
 from evaluation.prediction import Prediction
 from evaluation.report.contents import Report
 from evaluation.report.predicting import N_IN_WORDS, horizon_name, main_horizon
-from evaluation.report.sheets import Sheet, lines, number, plus_minus, seed_range, three_digits
+from evaluation.report.sheets import Sheet, lines, number, of_each_run, plus_minus, three_digits
 from evaluation.transfer import ControllerSummary
 
 EXPLOITED = {True: "yes", False: "no", None: "–"}
@@ -102,7 +102,7 @@ def _controller_cells(controller: ControllerSummary | None) -> list[str]:
     if controller is None:
         return ["–"] * 3
     return [
-        lines(plus_minus(controller.claimed), seed_range(controller)),
+        lines(plus_minus(controller.claimed), of_each_run(controller)),
         plus_minus(controller.elsewhere),
         EXPLOITED[controller.exploited],
     ]
@@ -112,7 +112,7 @@ def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[s
     assert report.matrix is not None
     unit = f", in {report.matrix.unit}" if report.matrix.unit else ""
     notes = [f"Claimed: fitness where it was evolved, ± standard error{unit}."]
-    seeds = {len(c.seed_fitness) for c in controllers if c.claimed is not None}
-    if any(count > 1 for count in seeds):
-        notes.append(f"Below it: the range over {number(max(seeds), 0)} evolution seeds.")
+    runs = {len(c.seed_fitness) for c in controllers if c.claimed is not None}
+    if any(count > 1 for count in runs):
+        notes.append(f"Below it: the champion of each of {number(max(runs), 0)} evolution runs.")
     return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth and two standard errors."]

@@ -89,10 +89,10 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
         )
 
     several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
-    seeds = " Ticks: the champions of several evolution seeds." if several else ""
+    ticks = " Ticks: the champion of each evolution run." if several else ""
     return Picture(
         "Claimed and achieved",
-        f"Bars are 90 % intervals over trials, those of the table below.{seeds}",
+        f"Bars are 90 % intervals over trials, those of the table below.{ticks}",
         (Panel(drawn("claims", WIDE, 26), drawn("claims-narrow", NARROW, 13)),),
     )
 

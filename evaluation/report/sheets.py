@@ -75,10 +75,10 @@ def within(estimate: Estimate | None, digits: int = 1) -> str:
     return lines(number(estimate.value, digits), " to ".join(number(end, digits) for end in ends) if known else "")
 
 
-def seed_range(controller: ControllerSummary) -> str:
-    """Return the fitness of the worst and the best champion of several evolution seeds; empty for fewer than two."""
-    found = controller.seed_fitness
-    return f"{min(found):.1f} to {max(found):.1f}" if len(found) > 1 else ""
+def of_each_run(controller: ControllerSummary) -> str:
+    """Return the fitness of the champion of each evolution run, three a line; empty for fewer than two runs."""
+    found = [f"{fitness:.1f}" for fitness in controller.seed_fitness]
+    return "\n".join(", ".join(found[i : i + 3]) for i in range(0, len(found), 3)) if len(found) > 1 else ""
 
 
 def lines(*parts: str) -> str:

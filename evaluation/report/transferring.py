@@ -14,8 +14,8 @@ LOST = 0.5
 """A claim is lost below this share of it."""
 ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
 POLISHED = (
-    "{} was polished once, from the best of all searches and seeds together: there is no such controller of each seed, "
-    "and how far another polish would end from it is unknown."
+    "{} was polished once, from the best of all searches and seeds together: how far another polish would end from it "
+    "is unknown."
 )
 
 

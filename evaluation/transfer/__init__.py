@@ -1,10 +1,9 @@
 """Which controllers work elsewhere than where they were evolved."""
 
 from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces, run_cell, run_on, transfer_seeds
-from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, seed_spread
+from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, of_each_run
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
-from evaluation.transfer.nested import Nested, alike, regrets
 from evaluation.transfer.standing import Figures, Standing, standings
 from evaluation.transfer.storage import load_cell, save_cell
 from evaluation.transfer.summary import (
@@ -14,6 +13,7 @@ from evaluation.transfer.summary import (
     TransferSummary,
     summarise,
 )
+from evaluation.transfer.uncertainty import PairedEstimate, regrets
 
 __all__ = [
     "AT_REST",
@@ -23,26 +23,25 @@ __all__ = [
     "Estimate",
     "Figures",
     "Measured",
-    "Nested",
+    "PairedEstimate",
     "RankCorrelation",
     "Standing",
     "Trace",
     "TransferMatrix",
     "TransferSummary",
-    "alike",
     "cell_of",
     "fitness_on",
     "is_exploited",
     "kept_traces",
     "load_cell",
     "load_measured",
+    "of_each_run",
     "person",
     "regrets",
     "run_cell",
     "run_on",
     "save_cell",
     "save_measured",
-    "seed_spread",
     "standings",
     "summarise",
     "transfer",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from sysid_evo.arrays import Array, Seeds
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, Runner
-from sysid_evo.evolution import Champion, of_each_seed
+from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_controller, make_task
 from sysid_evo.system import Channel
@@ -90,7 +90,6 @@ class Cell:
     ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
     model's envelope; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
     form of the rollout that ran. ``missing`` gives a reason for each trial that a robot did not finish.
-    Of a controller that was evolved several times ``by_seed`` (S, E) holds the fitness of the one of each seed.
     ``measures`` are the means of what else the task tells of its trials (`Task.measures`), None without a number.
     """
 
@@ -105,7 +104,6 @@ class Cell:
     reason: str = ""
     missing: tuple[str, ...] = ()
     measures: Mapping[str, float | None] = field(default_factory=dict)
-    by_seed: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def failed(self) -> bool:
@@ -144,7 +142,6 @@ class Cell:
             "reason": self.reason,
             "missing": list(self.missing),
             "measures": dict(self.measures),
-            "by_seed": self.by_seed.tolist(),
         }
 
     @classmethod
@@ -154,8 +151,6 @@ class Cell:
         fields["fitness"] = np.asarray(fields["fitness"], dtype=np.float64)
         fields["traces"] = tuple(Trace.from_dict(trace) for trace in fields["traces"])
         fields["missing"] = tuple(fields.get("missing", ()))
-        seeds = np.asarray(fields.get("by_seed", ()), dtype=np.float64)
-        fields["by_seed"] = seeds if seeds.size else np.empty((0, 0))
         return cls(**fields)
 
 
@@ -181,24 +176,10 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
 
 
 def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
-    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept.
-
-    If it was evolved several times, the controllers of its other evolution seeds are run, too.
-    """
+    """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
     controller, task = make_controller(champion.controller), make_task(champion.task)
     rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
-    cell = cell_of(champion, column, rollouts, task, traces=traces)
-    each = of_each_seed(champion)
-    if len(each) < 2 or cell.trials < len(seeds):
-        return cell
-    others = [row for row, parameters in enumerate(each) if not np.array_equal(parameters, champion.parameters)]
-    by_seed = np.tile(cell.fitness, (len(each), 1))
-    if others:
-        found = runner.run(controller, each[others], task, seeds).fitness
-        if found.shape != (len(others), len(seeds)):  # a robot that did not finish
-            return cell
-        by_seed[others] = found
-    return replace(cell, by_seed=by_seed)
+    return cell_of(champion, column, rollouts, task, traces=traces)
 
 
 def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> Cell:

@@ -76,10 +76,10 @@ def is_exploited(claimed: Estimate | None, gap: Estimate | None) -> bool | None:
     return gap.value > max(LEAST_GAP * abs(claimed.value), SURE * gap.standard_error)
 
 
-def seed_spread(seed_fitness: Sequence[float]) -> str:
-    """Say how far champions of several evolution seeds differ; empty for fewer than two."""
+def of_each_run(seed_fitness: Sequence[float]) -> str:
+    """List the champions of several evolution runs; empty for fewer than two."""
     if len(seed_fitness) < 2:
         return ""
     count = len(seed_fitness)
     word = COUNTS[count] if count < len(COUNTS) else str(count)
-    return f"{word} evolution seeds: {min(seed_fitness):.1f} to {max(seed_fitness):.1f}"
+    return f"{word} evolution runs: {', '.join(f'{fitness:.1f}' for fitness in seed_fitness)}"

@@ -1,4 +1,4 @@
-"""What a controller claims, achieves, has at worst and costs, each with an interval over seeds and trials."""
+"""What a controller claims, achieves, has at worst and costs, each with an interval over trials."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from evaluation.transfer.claims import Estimate
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.nested import Nested, Rule, alike, regrets
+from evaluation.transfer.uncertainty import PairedEstimate, Rule, regrets
 from sysid_evo.evolution import Champion
 from sysid_evo.registry import make_aggregate
 
 
 @dataclass(frozen=True)
 class Standing:
-    """What a controller, or those of several evolution ``seeds``, do in the matrix; None where nothing is known.
+    """What a controller does in the matrix; None where nothing is known.
 
     ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``achieved`` that on
     the robot, without one the mean over the other models, and ``gap`` the first less the second. ``kept`` is the share
@@ -28,7 +28,6 @@ class Standing:
     is regretted by none.
     """
 
-    seeds: int
     claimed: Estimate | None = None
     achieved: Estimate | None = None
     gap: Estimate | None = None
@@ -40,18 +39,17 @@ class Standing:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of the controllers of a matrix: of each one alone, or of the controllers of all its evolution seeds.
+    """Figures of the controllers of a matrix.
 
-    Then each tells the others how far evolution seeds differ, see `alike`. Shares of the claim are measured from the
-    fitness of ``at_rest``, the name of the controller that does nothing; None to measure from 0.
+    Shares of the claim are measured from the fitness of ``at_rest``, the name of the controller that does nothing; None
+    to measure from 0.
     """
 
     matrix: TransferMatrix
-    all_seeds: bool = False
     at_rest: str | None = None
 
     @cached_property
-    def singles(self) -> Mapping[tuple[str, str], Nested]:
+    def singles(self) -> Mapping[tuple[str, str], PairedEstimate]:
         """The mean fitness of every controller on every column that it was run on."""
         mean, found = make_aggregate("mean"), {}
         for column in self.matrix.columns:
@@ -59,29 +57,21 @@ class Figures:
             found.update({(name, column): figure for name, figure in of_column.items()})
         return found
 
-    @cached_property
-    def known(self) -> Mapping[tuple[str, str], Nested]:
-        """The same, and that of the controller alone where other seeds were not run."""
-        return {**Figures(self.matrix).singles, **self.singles} if self.all_seeds else self.singles
-
-    def on(self, champion: Champion, columns: Sequence[str], rule: Rule) -> Nested | None:
+    def on(self, champion: Champion, columns: Sequence[str], rule: Rule) -> PairedEstimate | None:
         """Return the figure on ``columns``, over the trials that were run on all; None if one was not run."""
         cells = [self.matrix.cell(champion.name, column) for column in columns if column in self.matrix.columns]
         if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
             return None
         trials = min(cell.trials for cell in cells)
-        found = [cell.by_seed if self.all_seeds else cell.fitness[None] for cell in cells]
-        if len({len(one) for one in found}) > 1 or not len(found[0]):
-            return None
-        return Nested.of(champion.name, np.stack([one[:, :trials] for one in found]), rule)
+        return PairedEstimate.of(champion.name, np.stack([cell.fitness[:trials] for cell in cells]), rule)
 
     @cached_property
-    def claimed(self) -> Mapping[str, Nested]:
+    def claimed(self) -> Mapping[str, PairedEstimate]:
         """The fitness of each on what it was evolved against, by the rule of its evolution."""
         return self._of_all(lambda one: self.on(one, one.against, make_aggregate(one.aggregate)))
 
     @cached_property
-    def elsewhere(self) -> Mapping[str, Nested]:
+    def elsewhere(self) -> Mapping[str, PairedEstimate]:
         """The fitness of each on the robot, without one the mean over the models that it was not evolved against."""
         mean, robot = make_aggregate("mean"), self.matrix.robot
         if robot is not None:
@@ -89,14 +79,14 @@ class Figures:
         return self._of_all(lambda one: self.on(one, self._run(one, self.matrix.models), mean))
 
     @cached_property
-    def gap(self) -> Mapping[str, Nested]:
+    def gap(self) -> Mapping[str, PairedEstimate]:
         """What each claims less what it achieves."""
-        return alike({name: self.claimed[name] - self.elsewhere[name] for name in self._with_both})
+        return {name: self.claimed[name] - self.elsewhere[name] for name in self._with_both}
 
     @cached_property
-    def kept(self) -> Mapping[str, Nested]:
+    def kept(self) -> Mapping[str, PairedEstimate]:
         """The share of a positive claim that each achieves, both measured from controls at rest."""
-        floor = None if self.at_rest is None else Figures(self.matrix).elsewhere.get(self.at_rest)
+        floor = None if self.at_rest is None else self.elsewhere.get(self.at_rest)
         found = {}
         for name in self._with_both:
             claimed, achieved = self.claimed[name], self.elsewhere[name]
@@ -104,20 +94,20 @@ class Figures:
                 claimed, achieved = claimed - floor, achieved - floor
             if claimed.value > 0.0:
                 found[name] = achieved.over(claimed)
-        return alike(found)
+        return found
 
-    def consensus(self, champion: Champion) -> Nested | None:
+    def consensus(self, champion: Champion) -> PairedEstimate | None:
         """Return the median over the models of families that it was not evolved in."""
         return self.on(champion, judges_of(champion, self.matrix), make_aggregate("median"))
 
-    def worst(self, champion: Champion) -> tuple[Nested | None, str]:
+    def worst(self, champion: Champion) -> tuple[PairedEstimate | None, str]:
         """Return the fitness on the system where it is lowest, and which one that is."""
         columns = self._run(champion, self.matrix.columns)
         found = {column: self.singles[key] for column in columns if (key := (champion.name, column)) in self.singles}
         lowest = min(found, key=lambda column: found[column].value, default="")
         return found.get(lowest), lowest
 
-    def regret(self, champion: Champion) -> Nested | None:
+    def regret(self, champion: Champion) -> PairedEstimate | None:
         """Return what the best other controller has more: on the robot, else where it is most."""
         robot = self.matrix.robot
         if robot is not None and robot in champion.against:
@@ -126,7 +116,7 @@ class Figures:
         found = []
         for column in columns:
             rivals = [one for one in self.matrix.champions if column not in one.against]
-            there = {one.name: self.known[key] for one in rivals if (key := (one.name, column)) in self.known}
+            there = {one.name: self.singles[key] for one in rivals if (key := (one.name, column)) in self.singles}
             if (champion.name, column) in self.singles and len(there) > 1:
                 found.append(regrets(there)[champion.name])
         return max(found, key=lambda figure: figure.value, default=None)
@@ -136,10 +126,10 @@ class Figures:
         """Return the controllers whose claim is known, and what they achieve."""
         return [name for name in self.claimed if name in self.elsewhere]
 
-    def _of_all(self, figure: Callable[[Champion], Nested | None]) -> dict[str, Nested]:
+    def _of_all(self, figure: Callable[[Champion], PairedEstimate | None]) -> dict[str, PairedEstimate]:
         """Return a figure of every controller that has it."""
         found = {one.name: figure(one) for one in self.matrix.champions}
-        return alike({name: one for name, one in found.items() if one is not None})
+        return {name: one for name, one in found.items() if one is not None}
 
     def _run(self, champion: Champion, columns: Sequence[str]) -> list[str]:
         """Return those of ``columns`` that it was run on and not evolved against."""
@@ -154,27 +144,19 @@ def judges_of(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
     return tuple(column for column in others if not matrix.cell(champion.name, column).failed)
 
 
-def standings(matrix: TransferMatrix, at_rest: str | None = None, *, all_seeds: bool = False) -> Mapping[str, Standing]:
-    """Return how the controllers of ``matrix`` stand, by name; with ``all_seeds`` those with several evolution seeds.
+def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str, Standing]:
+    """Return how the controllers of ``matrix`` stand, by name.
 
     ``at_rest`` names the controller that does nothing, from whose fitness shares are measured; None to measure from 0.
     """
-    figures = Figures(matrix, all_seeds=all_seeds, at_rest=at_rest)
-    found = {}
-    for champion in matrix.champions:
-        seeds = max((len(matrix.cell(champion.name, column).by_seed) for column in matrix.columns), default=0)
-        if not all_seeds:
-            found[champion.name] = _standing(champion, figures)
-        elif seeds > 1:
-            found[champion.name] = _standing(champion, figures, seeds)
-    return found
+    figures = Figures(matrix, at_rest)
+    return {champion.name: _standing(champion, figures) for champion in matrix.champions}
 
 
-def _standing(champion: Champion, figures: Figures, seeds: int = 1) -> Standing:
+def _standing(champion: Champion, figures: Figures) -> Standing:
     worst, worst_on = figures.worst(champion)
     name = champion.name
     return Standing(
-        seeds=seeds,
         claimed=_estimate(figures.claimed.get(name)),
         achieved=_estimate(figures.elsewhere.get(name)),
         gap=_estimate(figures.gap.get(name)),
@@ -185,7 +167,7 @@ def _standing(champion: Champion, figures: Figures, seeds: int = 1) -> Standing:
     )
 
 
-def _estimate(figure: Nested | None, *, least: float = -np.inf) -> Estimate | None:
+def _estimate(figure: PairedEstimate | None, *, least: float = -np.inf) -> Estimate | None:
     """Return value, standard error and interval of a figure that cannot be below ``least``."""
     if figure is None:
         return None

@@ -29,8 +29,7 @@ class ControllerSummary:
     None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run;
     ``polished`` as in `Champion`. ``floor`` is what controls at rest achieve on the robot, if that was run: shares
     are measured from there, since fitness may be negative; else from 0. ``standing`` says with intervals over trials
-    what is to be expected of it, ``over_seeds`` what of another one evolved in the same way, from several evolution
-    seeds; None for a single one.
+    what is to be expected of it.
     """
 
     name: str
@@ -47,8 +46,7 @@ class ControllerSummary:
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
     floor: float | None = None
-    standing: Standing = field(default_factory=lambda: Standing(1))
-    over_seeds: Standing | None = None
+    standing: Standing = field(default_factory=Standing)
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -117,10 +115,8 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
         champion.name for champion in matrix.champions if champion.controller.name == AT_REST and not champion.against
     ]
     floor = next((c.achieved.value for c in controllers if c.name in at_rest and c.achieved is not None), None)
-    alone, several = (standings(matrix, next(iter(at_rest), None), all_seeds=both) for both in (False, True))
-    controllers = tuple(
-        replace(one, floor=floor, standing=alone[one.name], over_seeds=several.get(one.name)) for one in controllers
-    )
+    standing = standings(matrix, next(iter(at_rest), None))
+    controllers = tuple(replace(one, floor=floor, standing=standing[one.name]) for one in controllers)
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
     correlations = tuple(
         _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])

@@ -56,7 +56,9 @@ Schedule: TypeAlias = Annotated[
     str | None,
     typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
 ]
-Runs: TypeAlias = Annotated[int | None, typer.Option(min=1, help="From different seeds; the best counts.")]
+Runs: TypeAlias = Annotated[
+    int | None, typer.Option(min=1, help="From different seeds; the best counts, all are listed.")
+]
 
 EstimatorDelay: TypeAlias = Annotated[
     float | None,

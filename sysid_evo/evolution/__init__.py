@@ -1,7 +1,7 @@
 """Evolution: strategies, aggregates, the generation loop, ensembles of models, champions."""
 
 from sysid_evo.evolution.champion import Champion, Finalist
-from sysid_evo.evolution.choice import Judgement, choose, judge, of_each_seed, worth
+from sysid_evo.evolution.choice import Judgement, choose, judge, worth
 from sysid_evo.evolution.cma_es import CmaEs
 from sysid_evo.evolution.controllers import ControllerEvolution, evolve_controller, observed_late
 from sysid_evo.evolution.ensemble import EnsembleObjective
@@ -34,7 +34,6 @@ __all__ = [
     "evolve",
     "evolve_controller",
     "judge",
-    "of_each_seed",
     "observed_late",
     "polish",
     "worth",

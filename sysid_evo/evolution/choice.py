@@ -77,21 +77,6 @@ def judge(
     return replace(champion, finalists=finalists, judges=tuple(judges))
 
 
-def of_each_seed(champion: Champion) -> Array:
-    """Return the controllers (S, n) that the S evolution runs of ``champion`` would have ended with, each alone.
-
-    Each is chosen as the champion was, among the finalists of its run. A champion of a single run, and one that
-    was polished, stands alone.
-    """
-    runs = range(len(champion.seed_fitness))
-    if champion.polished or len(runs) < 2:
-        return champion.parameters[None]
-    finalists = [[one for one in champion.finalists if one.run == run] for run in runs]
-    if not all(finalists):
-        return champion.parameters[None]
-    return np.stack([max(one, key=worth).parameters for one in finalists])
-
-
 def worth(finalist: Finalist) -> float:
     """Return by what finalists are ranked: what the judges made of it, or what it claims where nobody judged."""
     return finalist.fitness if finalist.elsewhere is None else finalist.elsewhere

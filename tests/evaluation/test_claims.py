@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability import assess_exploitability
-from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, seed_spread, summarise
+from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, of_each_run, summarise
 from tests.evaluation.known_models import recording
 from tests.evaluation.test_transfer import champion
 
@@ -105,7 +105,7 @@ def test_a_controller_evolved_on_the_robot_itself_exploits_nothing() -> None:
     assert summarise(matrix_of(*cells, against=("car",))).controller("c").exploited is None
 
 
-def test_the_spread_over_evolution_seeds_is_said_in_words() -> None:
-    assert seed_spread((10.8, 12.06, 11.0)) == "three evolution seeds: 10.8 to 12.1"
-    assert seed_spread(range(12)) == "12 evolution seeds: 0.0 to 11.0"
-    assert seed_spread((10.8,)) == seed_spread(()) == ""
+def test_the_champions_of_several_evolution_runs_are_listed() -> None:
+    assert of_each_run((10.8, 12.06, 11.0)) == "three evolution runs: 10.8, 12.1, 11.0"
+    assert of_each_run((1.0,) * 11).startswith("11 evolution runs: 1.0, ")
+    assert of_each_run((10.8,)) == of_each_run(()) == ""

@@ -1,4 +1,4 @@
-"""What to expect of a controller: claimed, achieved, worst case, regret, over trials and over evolution seeds."""
+"""What to expect of a controller: claimed, achieved, worst case, regret, with intervals over trials."""
 
 from __future__ import annotations
 
@@ -16,17 +16,10 @@ from evaluation.transfer import (
     Cell,
     Figures,
     TransferMatrix,
-    load_cell,
-    run_on,
-    save_cell,
     standings,
     summarise,
-    transfer_seeds,
 )
-from sysid_evo.engine import DynamicsRunner
-from sysid_evo.evolution import Champion, Finalist, of_each_seed
 from tests.evaluation import made_up
-from tests.evaluation.known_models import Known, fitted
 from tests.evaluation.test_transfer import champion
 
 FITNESS = {
@@ -34,27 +27,6 @@ FITNESS = {
     "b": {"a": 10.0, "b": 12.5, "c": 4.0, "car": 10.0},
     "hand": {"a": 6.0, "b": 6.5, "c": 5.0, "car": 7.0},
 }
-
-
-def with_seeds(spread: tuple[float, ...] = (-2.0, 0.0, 2.0)) -> TransferMatrix:
-    """Return a matrix whose first controller was evolved from several seeds; the champion is the best of them."""
-    matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
-    cells = {
-        key: replace(cell, by_seed=cell.fitness + np.array(spread)[:, None] - max(spread)) if key[0] == "a" else cell
-        for key, cell in matrix.cells.items()
-    }
-    return replace(matrix, cells=cells)
-
-
-def evolved_thrice() -> Champion:
-    """Return a champion of three runs with two niches each; the models of others like not the fittest best."""
-    one = champion("c", ("known",), seed=3)
-    worth = {(0, "l"): 1.0, (0, "r"): 3.0, (1, "l"): 5.0, (1, "r"): 2.0, (2, "l"): 0.0, (2, "r"): 1.0}
-    finalists = tuple(
-        Finalist(niche, run, 9.0 - elsewhere, np.random.default_rng((run, ord(niche))).normal(size=78), elsewhere)
-        for (run, niche), elsewhere in worth.items()
-    )
-    return replace(one, parameters=finalists[2].parameters, finalists=finalists, seed_fitness=(8.0, 7.0, 9.0))
 
 
 def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against() -> None:
@@ -92,58 +64,16 @@ def test_shares_are_measured_from_controls_at_rest() -> None:
     assert found["a"].kept.value == pytest.approx((9.0 - 7.0) / (12.0 - 7.0))
 
 
-def test_of_several_evolution_seeds_the_interval_is_over_seeds_and_says_so() -> None:
-    matrix = with_seeds()
+def test_intervals_are_over_trials_and_say_so() -> None:
+    matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     summary = summarise(matrix)
-    one = summary.controller("a")
-    assert summary.controller("b").over_seeds is None
-    assert one.over_seeds is not None
-    assert one.over_seeds.seeds == 3
-    alone, several = one.standing.achieved, one.over_seeds.achieved
-    assert alone is not None
-    assert several is not None
-    assert (alone.value, several.value) == (9.0, 7.0)
-    assert alone.high - alone.low < 0.2
-    assert several.high - several.low == pytest.approx(2 * 2.92 * 2.0 / np.sqrt(3), rel=0.01)
-    assert one.over_seeds.gap is not None
-    assert one.over_seeds.gap.high - one.over_seeds.gap.low < 0.2  # seeds are paired
+    achieved = summary.controller("a").standing.achieved
+    assert achieved is not None
+    assert achieved.value == 9.0
+    assert achieved.high - achieved.low < 0.2
     sheet = standing_sheet(matrix, summary)
-    assert [row[0].split("\n")[0] for row in sheet.rows] == ["a", "a, any of 3 seeds", "b", "hand"]
-    assert "over evolution seeds as well" in sheet.note
-    assert (
-        "not over evolution seeds" in standing_sheet(made_up.matrix(FITNESS), summarise(made_up.matrix(FITNESS))).note
-    )
-
-
-def test_a_robot_that_only_the_champion_drove_says_nothing_of_other_seeds() -> None:
-    matrix = with_seeds()
-    driven = replace(matrix.cell("a", "car"), by_seed=np.empty((0, 0)))
-    found = standings(replace(matrix, cells={**matrix.cells, ("a", "car"): driven}), all_seeds=True)["a"]
-    assert found.achieved is None
-    assert found.claimed is not None
-    assert found.worst_on == "c"
-
-
-def test_the_controller_of_each_seed_is_chosen_as_the_champion_is() -> None:
-    found = evolved_thrice()
-    expected = [found.finalists[place].parameters for place in (1, 2, 5)]
-    np.testing.assert_array_equal(of_each_seed(found), expected)
-    polished = replace(found, polished=True)
-    np.testing.assert_array_equal(of_each_seed(polished), polished.parameters[None])
-    np.testing.assert_array_equal(of_each_seed(champion("c", ("known",))), champion("c", ("known",)).parameters[None])
-
-
-def test_a_cell_holds_what_the_controller_of_every_seed_did(tmp_path) -> None:  # type: ignore[no-untyped-def]  # fixture
-    driver, runner, seeds = evolved_thrice(), DynamicsRunner(fitted(Known())), transfer_seeds(7, 4)
-    cell = run_on(driver, "known", runner, seeds, traces=1)
-    for row, parameters in zip(cell.by_seed, of_each_seed(driver), strict=True):
-        alone = run_on(replace(driver, parameters=parameters, seed_fitness=()), "known", runner, seeds)
-        np.testing.assert_array_equal(row, alone.fitness)
-        assert alone.by_seed.size == 0
-    np.testing.assert_array_equal(cell.by_seed[1], cell.fitness)
-    save_cell(cell, tmp_path / "cell")
-    np.testing.assert_array_equal(load_cell(tmp_path / "cell").by_seed, cell.by_seed)
-    assert len(cell.traces) == 1
+    assert [row[0].split("\n")[0] for row in sheet.rows] == ["a", "b", "hand"]
+    assert "over fresh trials of this one controller, not over evolution seeds" in sheet.note
 
 
 def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in() -> None:
@@ -182,14 +112,13 @@ def test_the_table_of_what_to_expect_fits_eighty_columns() -> None:
 
 
 def test_report_json_holds_every_interval() -> None:
-    document = json.loads(json.dumps(to_json(made_up.report(transfer=with_seeds())), allow_nan=False))
+    matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
+    document = json.loads(json.dumps(to_json(made_up.report(transfer=matrix)), allow_nan=False))
     assert document["schema"] == "sysid-evo/report/4"
     assert document["transfer"]["interval"] == 0.9
     cell = document["transfer"]["cells"][0]
     assert cell["interval"][0] < cell["mean"] < cell["interval"][1]
-    assert cell["by_evolution_seed"] == pytest.approx([8.0, 10.0, 12.0])
     consensus = document["transfer"]["consensus"][0]
     assert (consensus["models"], consensus["median"]) == (["b", "c"], 6.5)
-    over = document["controllers"]["controllers"][0]["over_seeds"]
-    assert over["seeds"] == 3
-    assert over["regret"]["low"] >= 0.0
+    standing = document["controllers"]["controllers"][0]["standing"]
+    assert standing["regret"]["low"] >= 0.0

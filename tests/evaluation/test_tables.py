@@ -70,7 +70,7 @@ def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **cha
         (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
         (
             exploited(seed_fitness=(9.0, 10.04, 8.0)),
-            "claim 10.0 waypoints (three evolution seeds: 8.0 to 10.0) and achieve 4.0",
+            "claim 10.0 waypoints (three evolution runs: 9.0, 10.0, 8.0) and achieve 4.0",
         ),
     ],
 )
@@ -151,13 +151,13 @@ def claims_note(transfer: TransferMatrix) -> str:
     return controller_sheet(transfer, summarise(transfer)).note
 
 
-def test_claims_stand_with_the_range_over_evolution_seeds_or_with_a_word_that_it_is_unknown() -> None:
+def test_claims_stand_with_those_of_all_evolution_runs_or_with_a_word_that_their_spread_is_unknown() -> None:
     one, three = (matrix(FITNESS, against=AGAINST, robot="car", seeds=seeds) for seeds in ((9.0,), (9.0, 8.0, 9.96)))
     assert ONE_SEED in claims_note(one)
-    assert "evolution seeds" not in claims_note(one)
+    assert "evolution runs" not in claims_note(one)
     assert ONE_SEED not in claims_note(three)
-    assert "its range over 3 evolution seeds" in claims_note(three)
-    assert controller_sheet(three, summarise(three)).rows[0][1].split("\n")[1] == "8.0 to 10.0"
+    assert "the champion of each of 3 evolution runs" in claims_note(three)
+    assert controller_sheet(three, summarise(three)).rows[0][1].split("\n")[1] == "9.0, 8.0, 10.0"
     people = matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")
     assert ONE_SEED not in claims_note(people)
 

@@ -6,14 +6,14 @@ import numpy as np
 
 from evaluation.exploitability import ModelExploitability
 from evaluation.labels import folded, percent
-from evaluation.report.sheets import Heat, Sheet, lines, listed, number, plus_minus, seed_range
+from evaluation.report.sheets import Heat, Sheet, lines, listed, number, of_each_run, plus_minus
 from evaluation.report.transferring import seeds_unknown
 from evaluation.transfer import (
     NOT_RUN,
     Cell,
     ControllerSummary,
     Figures,
-    Nested,
+    PairedEstimate,
     TransferMatrix,
     TransferSummary,
 )
@@ -78,15 +78,15 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     """Claimed and achieved fitness, and the gaps between them."""
     robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
     rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
-    seeds = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
-    spread = f"below a claim: its range over {max(seeds)} evolution seeds. " if max(seeds, default=0) > 1 else ""
+    runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
+    each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
     unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
     return Sheet(
         title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
         columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
         rows=tuple(rows),
         note=(
-            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {spread}"
+            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {each}"
             "other families: median over the models of families it was not evolved against. "
             "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
             f"chosen: without the robot, by its forecast.{unknown}"
@@ -217,11 +217,11 @@ def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
     return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
 
 
-def _value(figure: Nested | None) -> float:
+def _value(figure: PairedEstimate | None) -> float:
     return float("nan") if figure is None else figure.value
 
 
-def _consensus_cell(figure: Nested | None) -> str:
+def _consensus_cell(figure: PairedEstimate | None) -> str:
     return "–" if figure is None else f"{number(figure.value)} ±{number(figure.standard_error)}"
 
 
@@ -239,7 +239,7 @@ def _fitness_cell(cell: Cell, own: bool) -> str:
 def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
     row = [
         lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-        lines(plus_minus(controller.claimed), seed_range(controller)),
+        lines(plus_minus(controller.claimed), of_each_run(controller)),
         plus_minus(controller.others),
         plus_minus(controller.exploitation_gap),
         plus_minus(controller.other_families),

@@ -6,19 +6,12 @@ import numpy as np
 
 from evaluation.labels import folded
 from evaluation.report.sheets import Sheet, lines, within
-from evaluation.report.transferring import seeds_unknown
 from evaluation.transfer import Estimate, Standing, TransferMatrix, TransferSummary
 
 
 def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
-    """Claimed, achieved, worst case and regret of each controller and of its evolution seeds, with intervals."""
-    rows = []
-    for one in summary.controllers:
-        rows.append(_standing_row(lines(one.name, "(chosen)" if one.name == summary.pick else ""), one.standing))
-        if one.over_seeds is not None:
-            rows.append(_standing_row(f"{one.name}, any of {one.over_seeds.seeds} seeds", one.over_seeds))
+    """Claimed, achieved, worst case and regret of each controller, with intervals."""
     robot = matrix.robot is not None
-    several = any(one.over_seeds is not None for one in summary.controllers)
     return Sheet(
         title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, 90 % intervals)",
         columns=(
@@ -29,19 +22,16 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             "worst\ncase",
             "regret",
         ),
-        rows=tuple(rows),
+        rows=tuple(
+            _standing_row(lines(one.name, "(chosen)" if one.name == summary.pick else ""), one.standing)
+            for one in summary.controllers
+        ),
         note=(
             f"kept: share of the claim that is achieved{'' if robot else ' on the other models'}, ± standard error. "
             "worst case: the system where it is lowest, of those that it was not evolved against. "
             "regret: what the best other controller "
             + ("achieves more on the robot. " if robot else "has more, on the other model where that is most. ")
-            + "Intervals are over fresh trials"
-            + (
-                "; of any seed over evolution seeds as well: what to expect of another evolution."
-                if several
-                else " of this one controller, not over evolution seeds."
-            )
-            + (f" {seeds_unknown(summary)}" if several and seeds_unknown(summary) else "")
+            + "Intervals are over fresh trials of this one controller, not over evolution seeds."
         ),
     )
 

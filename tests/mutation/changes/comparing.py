@@ -1,9 +1,9 @@
-"""What is said of controllers: figures over seeds and trials, forecasts, manners, studies."""
+"""What is said of controllers: figures over trials, forecasts, manners, studies."""
 
 from tests.mutation.change import Change
 
-NESTED = "evaluation/transfer/nested.py"
-OF_SEEDS = ("tests/evaluation/test_nested.py",)
+UNCERTAINTY = "evaluation/transfer/uncertainty.py"
+PAIRED = ("tests/evaluation/test_uncertainty.py",)
 STANDING = ("tests/evaluation/test_standing.py",)
 FORECASTS = ("tests/evaluation/forecast/test_forecasting.py", "tests/evaluation/forecast/test_credibility.py")
 SHOWN = (*FORECASTS, "tests/evaluation/forecast/test_shown.py")
@@ -12,46 +12,25 @@ REPEATS = ("tests/evaluation/study/test_repeats.py",)
 
 CHANGES = (
     Change(
-        "what seeds owe to the trials that they met is counted twice",
-        NESTED,
-        "found.append((among - owed, among, degrees))",
-        "found.append((among, among, degrees))",
-        OF_SEEDS,
-    ),
-    Change(
-        "a 90 % interval over seeds reaches as far as one of 80 %",
-        NESTED,
+        "a 90 % interval reaches as far as one of 80 %",
+        UNCERTAINTY,
         "stdtrit(self.degrees, 0.5 + share / 2.0)",
         "stdtrit(self.degrees, share)",
-        OF_SEEDS,
-    ),
-    Change(
-        "seeds that differ much are made to differ less by what others tell",
-        NESTED,
-        "if variance <= self.variance:",
-        "if variance >= 0.0:",
-        OF_SEEDS,
-    ),
-    Change(
-        "a controller tells itself how far its seeds differ",
-        NESTED,
-        "for label, one in own.items() if label != name])",
-        "for label, one in own.items()])",
-        OF_SEEDS,
+        PAIRED,
     ),
     Change(
         "a share is as certain as if its denominator were known",
-        NESTED,
+        UNCERTAINTY,
         "(-share / other.value, other)",
         "(0.0 * share, other)",
-        OF_SEEDS,
+        PAIRED,
     ),
     Change(
         "regret is what a controller has beyond the worst of the others",
-        NESTED,
+        UNCERTAINTY,
         "max(others, key=lambda other: other.value) - figure",
         "min(others, key=lambda other: other.value) - figure",
-        (*OF_SEEDS, *STANDING),
+        (*PAIRED, *STANDING),
     ),
     Change(
         "the best controller is regretted by less than nothing",

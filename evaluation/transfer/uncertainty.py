@@ -1,0 +1,124 @@
+"""Figures of controllers with intervals over trials.
+
+All controllers and systems meet the same trials, so that figures can be subtracted and divided trial by trial.
+Intervals are Student's, their degrees of freedom those of Satterthwaite (1946). Figures that are no means, such as the
+lowest over several models, become sums over trials by the jackknife.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from scipy.special import stdtrit
+
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry import make_aggregate
+
+SHARE = 0.9
+"""Of repetitions with other trials, how many give an interval that holds the truth."""
+
+Rule: TypeAlias = Callable[[Array], Array]
+"""How fitness on models (models, candidates, trials) becomes one figure (candidates,)."""
+
+
+@dataclass(frozen=True)
+class PairedEstimate:
+    """A figure over trials, of one controller or of several that are compared.
+
+    ``trials`` holds, for each controller, what each of its E trials adds to the figure (E,), about zero. ``sizes`` are
+    the numbers of trials that went in. Figures can be subtracted and divided: their trials are paired.
+    """
+
+    value: float
+    trials: Mapping[str, Array] = field(repr=False)
+    sizes: frozenset[int]
+
+    @classmethod
+    def of(cls, controller: str, fitness: Array, rule: Rule | None = None) -> PairedEstimate:
+        """Return what ``rule`` says of ``controller``.
+
+        ``fitness`` (models, E) is that in every trial; without ``rule``, an aggregate, the mean over models. Raises
+        `InvalidArgument` for another shape.
+        """
+        fitness = np.asarray(fitness, dtype=np.float64)
+        if fitness.ndim != 2 or 0 in fitness.shape:
+            raise InvalidArgument(f"fitness: expected (models, trials), got shape {fitness.shape}")
+        rule = rule or make_aggregate("mean")
+        trials = fitness.shape[1]
+        adds = np.full(trials, np.nan)
+        if trials > 1:
+            kept = np.arange(trials)[None, :] + np.arange(1, trials)[:, None]
+            without = rule(fitness[:, kept.T % trials])
+            adds = np.sqrt((trials - 1) / trials) * (without.mean() - without)
+        return cls(float(rule(fitness[:, None])[0]), {controller: adds}, frozenset({trials}))
+
+    def __sub__(self, other: PairedEstimate) -> PairedEstimate:
+        return _sum(self.value - other.value, ((1.0, self), (-1.0, other)))
+
+    def over(self, other: PairedEstimate) -> PairedEstimate:
+        """Return this figure as a share of ``other``; its spread is that of small differences (the delta method)."""
+        share = self.value / other.value
+        return _sum(share, ((1.0 / other.value, self), (-share / other.value, other)))
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[float, float], ...]:
+        """Independent parts of the variance: how large each is, and its degrees of freedom."""
+        of_trial = np.zeros(max(self.sizes))
+        for adds in self.trials.values():
+            of_trial[: len(adds)] += adds
+        found = []
+        begin = 0
+        for end in sorted(self.sizes):
+            found.append((float((of_trial[begin:end] ** 2).sum()), max(1.0, end - begin - 1.0)))
+            begin = end
+        return tuple(found)
+
+    @property
+    def standard_error(self) -> float:
+        """Over other trials; nan for a single trial."""
+        return float(np.sqrt(sum(size for size, _ in self._parts)))
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of the standard error."""
+        below = sum(size**2 / degrees for size, degrees in self._parts)
+        return float(self.standard_error**4 / below) if below > 0.0 else np.inf
+
+    def interval(self, share: float = SHARE) -> tuple[float, float]:
+        """Return where the figure lies in ``share`` of the cases; nan for a single trial."""
+        error = self.standard_error
+        reach = 0.0 if error == 0.0 else float(stdtrit(self.degrees, 0.5 + share / 2.0)) * error
+        return self.value - reach, self.value + reach
+
+
+def regrets(figures: Mapping[str, PairedEstimate]) -> dict[str, PairedEstimate]:
+    """Return by how much each of ``figures`` falls short of the best other one: what taking it costs.
+
+    What is below 0 costs nothing. Where several are equally good the best is so by chance, too, and what it is better
+    by is a little too much. Of a single figure there is nothing to tell.
+    """
+    found = {}
+    for name, figure in figures.items():
+        others = [other for label, other in figures.items() if label != name]
+        if others:
+            found[name] = max(others, key=lambda other: other.value) - figure
+    return found
+
+
+def _sum(value: float, parts: Sequence[tuple[float, PairedEstimate]]) -> PairedEstimate:
+    """Return the weighted sum of figures: what one controller adds to several of them adds up, trial by trial."""
+    trials: dict[str, Array] = {}
+    for weight, figure in parts:
+        for controller, adds in figure.trials.items():
+            if controller not in trials:
+                trials[controller] = weight * adds
+                continue
+            longest = max(len(adds), len(trials[controller]))
+            padded = [np.pad(a, (0, longest - len(a))) for a in (trials[controller], weight * adds)]
+            trials[controller] = padded[0] + padded[1]
+    return PairedEstimate(value, trials, frozenset().union(*(figure.sizes for _, figure in parts)))
