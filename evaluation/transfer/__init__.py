@@ -1,7 +1,7 @@
 """Which controllers work elsewhere than where they were evolved."""
 
 from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces, run_cell, run_on, transfer_seeds
-from evaluation.transfer.claims import Estimate, fitness_on, is_exploited, of_each_run
+from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
 from evaluation.transfer.matrix import TransferMatrix, transfer
 from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
 from evaluation.transfer.standing import Figures, Standing, standings
@@ -13,7 +13,7 @@ from evaluation.transfer.summary import (
     TransferSummary,
     summarise,
 )
-from evaluation.transfer.uncertainty import PairedEstimate, regrets
+from evaluation.transfer.uncertainty import PairedEstimate
 
 __all__ = [
     "AT_REST",
@@ -35,9 +35,7 @@ __all__ = [
     "kept_traces",
     "load_cell",
     "load_measured",
-    "of_each_run",
     "person",
-    "regrets",
     "run_cell",
     "run_on",
     "save_cell",

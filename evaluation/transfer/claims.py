@@ -21,7 +21,6 @@ SURE = 2.0
 ENDS = (0.05, 0.95)
 """Quantiles of the draws between which a 90 % interval lies."""
 UNKNOWN = math.nan
-COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 @dataclass(frozen=True)
@@ -74,12 +73,3 @@ def is_exploited(claimed: Estimate | None, gap: Estimate | None) -> bool | None:
     if claimed is None or gap is None or not np.isfinite(gap.standard_error):
         return None
     return gap.value > max(LEAST_GAP * abs(claimed.value), SURE * gap.standard_error)
-
-
-def of_each_run(seed_fitness: Sequence[float]) -> str:
-    """List the champions of several evolution runs; empty for fewer than two."""
-    if len(seed_fitness) < 2:
-        return ""
-    count = len(seed_fitness)
-    word = COUNTS[count] if count < len(COUNTS) else str(count)
-    return f"{word} evolution runs: {', '.join(f'{fitness:.1f}' for fitness in seed_fitness)}"

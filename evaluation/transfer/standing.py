@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from evaluation.transfer.claims import Estimate
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.uncertainty import PairedEstimate, Rule, regrets
+from evaluation.transfer.uncertainty import PairedEstimate
 from sysid_evo.evolution import Champion
+from sysid_evo.evolution.aggregates import Aggregate, mean, median
 from sysid_evo.registry import make_aggregate
 
 
@@ -51,13 +52,14 @@ class Figures:
     @cached_property
     def singles(self) -> Mapping[tuple[str, str], PairedEstimate]:
         """The mean fitness of every controller on every column that it was run on."""
-        mean, found = make_aggregate("mean"), {}
-        for column in self.matrix.columns:
-            of_column = self._of_all(partial(self.on, columns=[column], rule=mean))
-            found.update({(name, column): figure for name, figure in of_column.items()})
-        return found
+        return {
+            (one.name, column): figure
+            for column in self.matrix.columns
+            for one in self.matrix.champions
+            if (figure := self.on(one, [column], mean)) is not None
+        }
 
-    def on(self, champion: Champion, columns: Sequence[str], rule: Rule) -> PairedEstimate | None:
+    def on(self, champion: Champion, columns: Sequence[str], rule: Aggregate) -> PairedEstimate | None:
         """Return the figure on ``columns``, over the trials that were run on all; None if one was not run."""
         cells = [self.matrix.cell(champion.name, column) for column in columns if column in self.matrix.columns]
         if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
@@ -73,7 +75,7 @@ class Figures:
     @cached_property
     def elsewhere(self) -> Mapping[str, PairedEstimate]:
         """The fitness of each on the robot, without one the mean over the models that it was not evolved against."""
-        mean, robot = make_aggregate("mean"), self.matrix.robot
+        robot = self.matrix.robot
         if robot is not None:
             return {name: figure for (name, column), figure in self.singles.items() if column == robot}
         return self._of_all(lambda one: self.on(one, self._run(one, self.matrix.models), mean))
@@ -98,7 +100,7 @@ class Figures:
 
     def consensus(self, champion: Champion) -> PairedEstimate | None:
         """Return the median over the models of families that it was not evolved in."""
-        return self.on(champion, judges_of(champion, self.matrix), make_aggregate("median"))
+        return self.on(champion, judges_of(champion, self.matrix), median)
 
     def worst(self, champion: Champion) -> tuple[PairedEstimate | None, str]:
         """Return the fitness on the system where it is lowest, and which one that is."""
@@ -108,17 +110,25 @@ class Figures:
         return found.get(lowest), lowest
 
     def regret(self, champion: Champion) -> PairedEstimate | None:
-        """Return what the best other controller has more: on the robot, else where it is most."""
+        """Return what the best other controller has more: on the robot, else where it is most.
+
+        Where several are equally good the best is so by chance, too, and what it is better by is a little too much.
+        """
         robot = self.matrix.robot
         if robot is not None and robot in champion.against:
             return None
         columns = [robot] if robot is not None else self._run(champion, self.matrix.models)
         found = []
         for column in columns:
-            rivals = [one for one in self.matrix.champions if column not in one.against]
-            there = {one.name: self.singles[key] for one in rivals if (key := (one.name, column)) in self.singles}
-            if (champion.name, column) in self.singles and len(there) > 1:
-                found.append(regrets(there)[champion.name])
+            own = self.singles.get((champion.name, column))
+            rivals = [one.name for one in self.matrix.champions if column not in one.against]
+            others = [
+                self.singles[name, column]
+                for name in rivals
+                if name != champion.name and (name, column) in self.singles
+            ]
+            if own is not None and others:
+                found.append(max(others, key=lambda other: other.value) - own)
         return max(found, key=lambda figure: figure.value, default=None)
 
     @property

@@ -7,23 +7,19 @@ lowest over several models, become sums over trials by the jackknife.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
 
 from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_aggregate
+from sysid_evo.evolution.aggregates import Aggregate, mean
 
 SHARE = 0.9
 """Of repetitions with other trials, how many give an interval that holds the truth."""
-
-Rule: TypeAlias = Callable[[Array], Array]
-"""How fitness on models (models, candidates, trials) becomes one figure (candidates,)."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +35,14 @@ class PairedEstimate:
     sizes: frozenset[int]
 
     @classmethod
-    def of(cls, controller: str, fitness: Array, rule: Rule | None = None) -> PairedEstimate:
-        """Return what ``rule`` says of ``controller``.
+    def of(cls, controller: str, fitness: Array, rule: Aggregate = mean) -> PairedEstimate:
+        """Return what ``rule`` says of ``controller``, by default the mean over models.
 
-        ``fitness`` (models, E) is that in every trial; without ``rule``, an aggregate, the mean over models. Raises
-        `InvalidArgument` for another shape.
+        ``fitness`` (models, E) is that in every trial. Raises `InvalidArgument` for another shape.
         """
         fitness = np.asarray(fitness, dtype=np.float64)
         if fitness.ndim != 2 or 0 in fitness.shape:
             raise InvalidArgument(f"fitness: expected (models, trials), got shape {fitness.shape}")
-        rule = rule or make_aggregate("mean")
         trials = fitness.shape[1]
         adds = np.full(trials, np.nan)
         if trials > 1:
@@ -94,20 +88,6 @@ class PairedEstimate:
         error = self.standard_error
         reach = 0.0 if error == 0.0 else float(stdtrit(self.degrees, 0.5 + share / 2.0)) * error
         return self.value - reach, self.value + reach
-
-
-def regrets(figures: Mapping[str, PairedEstimate]) -> dict[str, PairedEstimate]:
-    """Return by how much each of ``figures`` falls short of the best other one: what taking it costs.
-
-    What is below 0 costs nothing. Where several are equally good the best is so by chance, too, and what it is better
-    by is a little too much. Of a single figure there is nothing to tell.
-    """
-    found = {}
-    for name, figure in figures.items():
-        others = [other for label, other in figures.items() if label != name]
-        if others:
-            found[name] = max(others, key=lambda other: other.value) - figure
-    return found
 
 
 def _sum(value: float, parts: Sequence[tuple[float, PairedEstimate]]) -> PairedEstimate:

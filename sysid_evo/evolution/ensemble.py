@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from sysid_evo.arrays import Array, Seeds, check_shape
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.aggregates import Aggregate
 from sysid_evo.evolution.loop import Scores
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import aggregates, make_aggregate
@@ -55,8 +53,4 @@ class EnsembleObjective:
         fitness = np.stack([check_shape("fitness in every trial", run.fitness, shape) for run in runs])
         described = [run.behaviour.mean(axis=1) for run in runs if run.behaviour.shape[:2] == shape]
         behaviour = np.mean(described, axis=0) if described else None
-        return Scores(self._rule(fitness), behaviour, fitness.mean(axis=2))
-
-    @cached_property
-    def _rule(self) -> Aggregate:
-        return make_aggregate(self.aggregate)
+        return Scores(make_aggregate(self.aggregate)(fitness), behaviour, fitness.mean(axis=2))

@@ -117,8 +117,7 @@ class Runs:
         parts = [f"best {best:.1f}, mean {mean:.1f}"]
         if generation.by_model is not None and len(generation.by_model) > 1:
             of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
-            run_on = [(name, value) for name, value in zip(models, of_best, strict=True) if np.isfinite(value)]
-            parts.append(", ".join(f"{name} {value:.1f}" for name, value in run_on))
+            parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(models, of_best, strict=True)))
         if self.count > 1:
             parts.append(f"run {run + 1} of {self.count}")
         return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))

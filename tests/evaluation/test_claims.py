@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability import assess_exploitability
-from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, of_each_run, summarise
+from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, summarise
 from tests.evaluation.known_models import recording
 from tests.evaluation.test_transfer import champion
 
@@ -103,9 +103,3 @@ def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models
 def test_a_controller_evolved_on_the_robot_itself_exploits_nothing() -> None:
     cells = (Cell("c", "a", np.full(4, 9.0)), Cell("c", "car", np.full(4, 9.0)))
     assert summarise(matrix_of(*cells, against=("car",))).controller("c").exploited is None
-
-
-def test_the_champions_of_several_evolution_runs_are_listed() -> None:
-    assert of_each_run((10.8, 12.06, 11.0)) == "three evolution runs: 10.8, 12.1, 11.0"
-    assert of_each_run((1.0,) * 11).startswith("11 evolution runs: 1.0, ")
-    assert of_each_run((10.8,)) == of_each_run(()) == ""

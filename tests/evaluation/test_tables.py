@@ -70,7 +70,7 @@ def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **cha
         (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
         (
             exploited(seed_fitness=(9.0, 10.04, 8.0)),
-            "claim 10.0 waypoints (three evolution runs: 9.0, 10.0, 8.0) and achieve 4.0",
+            "claim 10.0 waypoints (3 evolution runs: 9.0, 10.0, 8.0) and achieve 4.0",
         ),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from evaluation.transfer import PairedEstimate, regrets
+from evaluation.transfer import PairedEstimate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_aggregate
 
@@ -62,17 +62,6 @@ def test_the_lowest_of_two_models_varies_as_the_lower_one_does(rng: np.random.Ge
     low, high = rng.normal(size=(2, 30))
     found = PairedEstimate.of("c", np.stack([low, high + 100.0]), make_aggregate("min"))
     np.testing.assert_allclose(found.interval(), of(low).interval())
-
-
-def test_regret_is_what_the_best_other_one_has_more(rng: np.random.Generator) -> None:
-    figures = {name: of(mean + rng.normal(size=30), name) for name, mean in (("a", 9.0), ("b", 5.0), ("c", 7.0))}
-    found = regrets(figures)
-    assert {name: one.value for name, one in found.items()} == {
-        "a": figures["c"].value - figures["a"].value,
-        "b": figures["a"].value - figures["b"].value,
-        "c": figures["a"].value - figures["c"].value,
-    }
-    assert regrets({"a": figures["a"]}) == {}
 
 
 def test_a_single_trial_has_no_interval() -> None:

@@ -27,10 +27,10 @@ CHANGES = (
     ),
     Change(
         "regret is what a controller has beyond the worst of the others",
-        UNCERTAINTY,
-        "max(others, key=lambda other: other.value) - figure",
-        "min(others, key=lambda other: other.value) - figure",
-        (*PAIRED, *STANDING),
+        "evaluation/transfer/standing.py",
+        "max(others, key=lambda other: other.value) - own",
+        "min(others, key=lambda other: other.value) - own",
+        STANDING,
     ),
     Change(
         "the best controller is regretted by less than nothing",
