@@ -1,4 +1,4 @@
-"""A frame of a tracker as one JSON object, and back from bytes that nobody vouches for."""
+"""A frame of a tracker, read from one JSON object in bytes that nobody vouches for."""
 
 from __future__ import annotations
 
@@ -27,13 +27,6 @@ class FrameMessage:
     body: str
     valid: bool
     pose: Array
-
-
-def format_message(message: FrameMessage) -> bytes:
-    """Return ``message`` as one line of JSON without its end; a pose that is not valid is null."""
-    pose = [float(value) for value in message.pose] if message.valid else None
-    fields = {"time": message.time, "frame": message.frame, "body": message.body, "valid": message.valid, "pose": pose}
-    return json.dumps(fields, allow_nan=False).encode()
 
 
 def parse_message(data: bytes) -> FrameMessage:

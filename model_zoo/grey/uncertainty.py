@@ -18,8 +18,6 @@ OPEN = 0.5
 AT_BOUND = 0.01
 NAMED = 0.3
 """Share of a direction from which on a parameter is named with it."""
-TOGETHER = 0.995
-"""Correlation from which on two parameters are told to be determined together only."""
 
 
 @dataclass(frozen=True)

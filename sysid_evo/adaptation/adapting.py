@@ -86,7 +86,7 @@ def adaptation(
     tried of a model that knows how far off it was on what was held out from its training, and is not farther off here.
     Raises `InvalidData` if no window fits.
     """
-    pieces, seconds = Pieces.of(model, dataset, model.envelope), moving_seconds(dataset)
+    pieces, seconds = Pieces.of(model, dataset), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
     ways = _ways(model, training, rng)
     counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(ways)))
@@ -231,7 +231,7 @@ def _shown(
 
 def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> Held:
     """Return the errors in ``block`` of a model whose lags are its own."""
-    pieces = Pieces.of(model, dataset, model.envelope, stride=1)
+    pieces = Pieces.of(model, dataset, stride=1)
     return _run(_uncorrected(model, dataset), pieces[block.held(pieces.first)])
 
 

@@ -27,7 +27,7 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
     squares = []
     for model, held in cases:
         try:
-            pieces = Pieces.of(model, held, getattr(model, "envelope", None))
+            pieces = Pieces.of(model, held)
         except InvalidData:
             return None
         pieces = pieces[np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES).round().astype(np.int64))]

@@ -38,7 +38,7 @@ class Pieces:
     envelope: Array | None
 
     @classmethod
-    def of(cls, model: Dynamics, dataset: Dataset, envelope: Array | None, *, stride: int = STRIDE) -> Self:
+    def of(cls, model: Dynamics, dataset: Dataset, *, stride: int = STRIDE) -> Self:
         """Cut windows of one second, 10 to 20 steps, that start in motion. Raises `InvalidData` if there is none."""
         system, lags = dataset.system, model.n_lags
         horizon = int(np.clip(round(SECOND / system.dt), FEWEST_STEPS, MOST_STEPS))
@@ -57,7 +57,7 @@ class Pieces:
         states = states if len(states) else np.concatenate([episode.states for episode in dataset])
         scale = state_scale(system, states)
         first = windows.start + begins[windows.episode]
-        return cls(carry, windows.controls, windows.states, first, scale, envelope)
+        return cls(carry, windows.controls, windows.states, first, scale, model.envelope)
 
     def __len__(self) -> int:
         return len(self.first)

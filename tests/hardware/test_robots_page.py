@@ -23,9 +23,10 @@ from hardware.recording.excitation import Manoeuvre
 from hardware.recording.scripted import ManoeuvrePilot, NewestPose
 from hardware.robot import find_robot
 from hardware.trackers.gates import GateLimits
-from hardware.trackers.message import FrameMessage, format_message
+from hardware.trackers.message import FrameMessage
 from sysid_evo.data import Dataset
 from sysid_evo.registry import load_plugin, robot_spec, robots
+from tests.rig.pose_stream import format_message
 
 PAGE = (Path(__file__).parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
 

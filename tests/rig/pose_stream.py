@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import socket
 from collections import deque
@@ -10,12 +11,19 @@ from collections import deque
 import numpy as np
 
 from hardware.measurement import Measurement
-from hardware.trackers.message import FrameMessage, format_message
+from hardware.trackers.message import FrameMessage
 from sysid_evo.arrays import Array
 from tests.rig.faults import FaultSchedule
 
 OTHER_BODY = "other"
 OTHER_POSE = (1.2, -0.8, 2.0)  # m, m, rad: where the other body stands
+
+
+def format_message(message: FrameMessage) -> bytes:
+    """Return ``message`` as one line of JSON without its end; a pose that is not valid is null."""
+    pose = [float(value) for value in message.pose] if message.valid else None
+    fields = {"time": message.time, "frame": message.frame, "body": message.body, "valid": message.valid, "pose": pose}
+    return json.dumps(fields, allow_nan=False).encode()
 
 
 class PoseStream:

@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.trackers.message import FrameMessage, format_message, parse_message
+from hardware.trackers.message import FrameMessage, parse_message
 from hardware.trackers.udp import UdpStream, UdpTracker
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
+from tests.rig.pose_stream import format_message
 
 numbers = st.floats(-1e6, 1e6)
 frames = st.builds(

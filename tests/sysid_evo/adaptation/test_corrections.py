@@ -37,7 +37,7 @@ def test_free_runs_find_the_correction_that_was_left_out() -> None:
     """Thrust 2 instead of 3 m/s2 is linear in the drive."""
     data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
     model, terms = FloorCar(), Terms.of(data)
-    found = list(corrections(model, terms, Pieces.of(model, data, None), [1e-2, 1e-4], 10.0))[-1]
+    found = list(corrections(model, terms, Pieces.of(model, data), [1e-2, 1e-4], 10.0))[-1]
     expected = np.zeros(terms.shape)
     expected[4, 0] = -1.0 * terms.scale[3] / terms.unit[0]
     expected[0, 0] = -1.0 * terms.centre[3] / terms.unit[0]
@@ -47,7 +47,7 @@ def test_free_runs_find_the_correction_that_was_left_out() -> None:
 def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_linear_correction_leaves() -> None:
     model = FloorCar()
     data = drive(Weaker(), seconds=15.0, seed=1, noise=0.0)
-    pieces = Pieces.of(model, data, None)
+    pieces = Pieces.of(model, data)
     left = []
     for terms in (Terms.of(data), Terms.of(data, model=model)):
         found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
@@ -68,7 +68,7 @@ class Weaker(FloorCar):
 def test_derivatives_along_a_run_are_those_of_differences(lags: int) -> None:
     data = drive(FloorCar(), seconds=6.0, seed=1)
     model = make_model("narx", degree=2, terms=8, state_lags=lags, control_lags=1).fit(data, rng=0)
-    terms, pieces = Terms.of(data, products=True, model=model), Pieces.of(model, data, model.envelope)
+    terms, pieces = Terms.of(data, products=True, model=model), Pieces.of(model, data)
     some = np.random.default_rng(0).normal(0.0, 0.01, terms.shape)
     runs, derivatives = sensitivities(model, terms, some, pieces)
     np.testing.assert_allclose(runs, free_runs(model, terms, some[None], pieces)[0])
@@ -85,7 +85,7 @@ def test_derivatives_along_a_run_are_those_of_differences(lags: int) -> None:
 def test_a_stronger_ridge_leaves_less_of_a_correction() -> None:
     data = drive(FloorCar(thrust=2.0), seconds=5.0, seed=1)
     model, terms = FloorCar(), Terms.of(data, products=True)
-    strong, weak = corrections(model, terms, Pieces.of(model, data, None), [100.0, 0.1], 5.0)
+    strong, weak = corrections(model, terms, Pieces.of(model, data), [100.0, 0.1], 5.0)
     assert 0.0 < np.abs(strong).sum() < 0.5 * np.abs(weak).sum()
 
 
@@ -126,7 +126,7 @@ def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other() -> None
     data = drive(FloorCar(), seconds=4.0, seed=0)
     model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
     terms, some = Terms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
-    pieces = Pieces.of(model, data, model.envelope)
+    pieces = Pieces.of(model, data)
     runs = free_runs(model, terms, some, pieces)
     for one, run in zip(some, runs, strict=True):
         carry = pieces.carry
