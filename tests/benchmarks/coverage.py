@@ -62,7 +62,7 @@ def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str
     """Write how often the intervals hold on the test part of each log."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.errors import IncompatibleSystem
-    from tests.benchmarks.prediction import recording
+    from tests.benchmarks.cars import recording
 
     for log in logs:
         training, test = recording(log)
@@ -105,7 +105,7 @@ def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: 
 
 def main() -> None:
     """Run the benchmark."""
-    from tests.benchmarks.prediction import EMULATED, TEST_EPISODE
+    from tests.benchmarks.cars import EMULATED, TEST_EPISODE
     from tests.benchmarks.shift.recordings import GROUPS
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.grey_box [--logs slippery_20hz free_20hz emulated_car] [--seeds 1] [--parameters]
 
-N is the mean over channels of RMSE / standard deviation after 1, 10, 20 and 60 steps, as in
-`tests.benchmarks.prediction`. The peer is a bicycle with Pacejka tyres that others would fit by hand, as it was
-measured once on the real cars. Times are of the processor; the first fit of a law also compiles it.
+N is the mean over channels of RMSE / standard deviation after 1, 10, 20 and 60 steps. The peer is a bicycle with
+Pacejka tyres that others would fit by hand, as it was measured once on the real cars. Times are of the processor; the
+first fit of a law also compiles it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from evaluation.prediction import PredictionProtocol, assess_model, measured_cases
 from model_zoo.grey import GreyBox
 from sysid_evo.registry import make_model
-from tests.benchmarks.prediction import EMULATED, TEST_EPISODE, recording
+from tests.benchmarks.cars import EMULATED, TEST_EPISODE, recording
 
 PEER = {"slippery_20hz": (0.121, 0.38, 0.44, 0.47), "free_20hz": (0.129, 0.29, 0.33, 0.37)}
 FAMILIES = {

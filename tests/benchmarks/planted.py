@@ -39,7 +39,7 @@ from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.registry import Spec, make_robot
-from tests.benchmarks.prediction import recording
+from tests.benchmarks.cars import recording
 from tests.evaluation.habits import FAULTS, Fault, driven, equations
 
 TASKS = {

@@ -5,8 +5,7 @@
 RECORDING is one of the two real cars (slippery_20hz, free_20hz); a drive of a third on one of four floors (DS1, DS3,
 DS4, DS5), the last 30 % held back; a robot that is emulated here (emulated_car, pendulum, cart_pole, thermal); or a
 system of `tests.benchmarks.choosing.systems` (own_cart_pole, hover_channel). What is simulated is recorded for six
-minutes, and again for the test. N is that of `tests.benchmarks.prediction`: RMSE / standard deviation, the mean over
-states, after 1, 10, 20 and 60 steps.
+minutes, and again for the test. N is RMSE / standard deviation, the mean over states, after 1, 10, 20 and 60 steps.
 
 First come `auto` with its note, seed by seed, and what all its fits took of the processors. Then, for ``--alone``
 seeds (0: none), every candidate fitted alone to all that `auto` learned from; the best in hindsight is the one with the
@@ -36,9 +35,9 @@ from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.registry import Spec, make_model, make_robot
 from sysid_evo.store import load_model, save_model
+from tests.benchmarks.cars import SECOND, TEST_EPISODE, pooled
+from tests.benchmarks.cars import recording as car_recording
 from tests.benchmarks.choosing.systems import SIMULATED
-from tests.benchmarks.prediction import SECOND, TEST_EPISODE, pooled
-from tests.benchmarks.prediction import recording as car_recording
 
 PEERS = {"slippery_20hz": {10: 0.266, 20: 0.296, 60: 0.305}, "free_20hz": {10: 0.192, 20: 0.204, 60: 0.212}}
 """The lowest N of any peer at each horizon, under the same rules."""

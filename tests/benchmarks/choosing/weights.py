@@ -6,7 +6,7 @@ RECORDING is one of `tests.benchmarks.choosing`. Candidates are fitted once for 
 which of them are kept and what they weigh is then decided for every rule, as the rule has a say in both: the gate is
 narrowed by errors of means. A class of n members weighs n to the power of 1 - P: with P = 0 members count alike
 whatever they are, with 1 classes do, and `auto` takes 1/2. With a gate of 1 the best candidate on what was held out is
-all that is kept. N is that of `tests.benchmarks.prediction` after 1, 10, 20 and 60 steps, the mean over the seeds; what
+all that is kept. N is that of `tests.benchmarks.choosing` after 1, 10, 20 and 60 steps, the mean over the seeds; what
 follows is N / N with the rule that `auto` has.
 """
 
@@ -26,8 +26,8 @@ from model_zoo.selection.fitting import Outcome, Task, Work
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.registry import Spec, make_model
+from tests.benchmarks.cars import TEST_EPISODE, pooled
 from tests.benchmarks.choosing.__main__ import Fits
-from tests.benchmarks.prediction import TEST_EPISODE, pooled
 
 POWERS = (0.5, 0.0, 0.25, 0.75, 1.0)
 OWN = f"{POWERS[0]:g}"

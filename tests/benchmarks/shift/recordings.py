@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid_evo.data import Dataset, Trajectory
-from tests.benchmarks.prediction import recording
+from tests.benchmarks.cars import recording
 from tests.benchmarks.shift.emulated import cars, recorded
 
 LONGEST = 30.0  # s to adapt to

@@ -1,0 +1,48 @@
+"""Recordings of two real cars and of the emulated one, each with the part that no fit sees, and errors over seeds."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from evaluation.prediction import ModelPrediction
+from hardware.recording.scripted import record_dataset
+from sysid_evo.data import Dataset
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import make_robot
+from sysid_evo.system import Channel, System
+
+TEST_EPISODE = {"slippery_20hz": "2025-04-16-17-36-01", "free_20hz": "car_1_Datarecording_09_16_2024_10_12_05"}
+EMULATED, RECORDED_TIME, HELD_BACK = "emulated_car", 360.0, 0.25
+SECOND = 20
+CAR = System(
+    states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
+    controls=(Channel("drive", low=0.0, high=1.0), Channel("steer", low=-1.0, high=1.0)),
+    dt=0.05,
+    motion=PlanarBody(),
+    name="throttle car",
+)
+
+
+def recording(log: str) -> tuple[Dataset, Dataset]:
+    """Return training and test set of one of the cars."""
+    if log == EMULATED:
+        return record_dataset(make_robot(EMULATED), seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
+    root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
+    states, controls, names = [], [], []
+    for path in sorted((root / "dart" / log).glob("*.csv")):
+        rows = np.genfromtxt(path, delimiter=",", names=True)
+        fields = rows.dtype.names or ()
+        safety = rows["safety"] if "safety" in fields else 1.0
+        states.append(np.stack([rows["u"], rows["v"], rows["r"]], axis=1))
+        controls.append(np.stack([np.maximum(rows["throttle"], 0.0) * safety, rows["steering"]], axis=1))
+        names.append(path.stem)
+    return Dataset.from_arrays(CAR, states, controls, names=names).split([TEST_EPISODE[log]])
+
+
+def pooled(rows: list[ModelPrediction], horizon: int | None) -> tuple[float, np.ndarray]:
+    """Return the mean N over seeds and its resamples (R,); N is RMSE / standard deviation, the mean over states."""
+    scores = [score for row in rows if (score := row.score(horizon)) is not None]
+    return float(np.mean([s.n for s in scores])), np.mean([s.resampled_n for s in scores], axis=0)
