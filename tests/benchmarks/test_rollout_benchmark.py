@@ -15,7 +15,7 @@ from tests.benchmarks.rollout.__main__ import main
 
 @pytest.mark.slow
 def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["--quick", "--without-jax", "--json", str(tmp_path / "speeds.json")])
+    main(["--quick", "--json", str(tmp_path / "speeds.json")])
     rows = json.loads((tmp_path / "speeds.json").read_text())["models"]
     assert len(rows) >= 6
     assert all(speed > 0 for row in rows for speed in row["million_steps_per_second"].values())

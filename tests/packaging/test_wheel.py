@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 OPTIONAL = (
-    *("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax", "evosax"),
+    *("torch", "torchdiffeq", "pysindy", "control", "cobs", "serial", "starlette", "uvicorn", "jax"),
     "distributed",
 )
 LEFT_OUT = {"sindy": "sindy"}
