@@ -1,22 +1,17 @@
 """The polynomials of float32 kernels, fitted anew: ``python -m tests.benchmarks.elementary``.
 
-Prints the minimax coefficients, lowest power first, beside their largest error before rounding, and the
-measured errors of the compiled functions.
+Prints the minimax coefficients, lowest power first, beside their largest error before rounding.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
-from sysid_evo.engine.compiled.signature import NUMBER, REALS, Signature
 
 ITERATIONS = 400
 END_OF_TANH = 9.0
@@ -71,38 +66,8 @@ def fit_odd(function: Callable[[Array], Array], end: float, terms: int) -> tuple
     return lawson(powers(x * x, 1, terms), np.zeros((len(x), 0)), f - 1.0, 1.0 / f)
 
 
-def tanh(n, x, y):  # type: ignore[no-untyped-def]  # read by Numba
-    for i in range(n):
-        y[i] = math.tanh(x[i])
-
-
-def sin(n, x, y):  # type: ignore[no-untyped-def]  # read by Numba
-    for i in range(n):
-        y[i] = math.sin(x[i])
-
-
-def cos(n, x, y):  # type: ignore[no-untyped-def]  # read by Numba
-    for i in range(n):
-        y[i] = math.cos(x[i])
-
-
-def angle(n, x, y):  # type: ignore[no-untyped-def]  # read by Numba
-    for i in range(n):
-        y[i] = math.atan2(x[i], 1.0)
-
-
-def measured(function: Any, x: Array) -> tuple[Array, Array]:
-    """Return x as float32 holds it, and the compiled float32 function there."""
-    given, result = x.astype(np.float32), np.zeros(len(x), np.float32)
-    compile_kernel(KernelSource(function), Signature(n=NUMBER, x=REALS, y=REALS), "float32", pointer=False)(
-        len(given), given, result
-    )
-    return given.astype(np.float64), result.astype(np.float64)
-
-
 def main() -> None:
-    """Print the coefficients and the errors."""
-    console = Console(width=160)
+    """Print the coefficients and their errors."""
     fits = {
         "tanh x / x = P / Q": fit_tanh(),
         "sin x = x + x^3 P": fit_odd(np.sin, np.pi / 2, 4),
@@ -111,19 +76,7 @@ def main() -> None:
     table = Table("form (P and Q in x^2)", "relative error", "P", "Q without its 1")
     for name, (error, p, q) in fits.items():
         table.add_row(name, f"{error:.2e}", "\n".join(map(repr, p.tolist())), "\n".join(map(repr, q.tolist())))
-    console.print(table)
-    table = Table("compiled float32", "range", "largest error")
-    wide = np.linspace(-1000.0, 1000.0, 2_000_001)
-    for name, function, exact, x in (
-        ("sin", sin, np.sin, wide),
-        ("cos", cos, np.cos, wide),
-        ("atan2(x, 1)", angle, np.arctan, wide),
-    ):
-        given, result = measured(function, x)
-        table.add_row(name, "-1000 to 1000", f"{np.abs(result - exact(given)).max():.2e} absolute")
-    given, result = measured(tanh, wide[np.abs(wide) > 1e-9] / 80.0)
-    table.add_row("tanh", "-12.5 to 12.5", f"{np.abs(result / np.tanh(given) - 1.0).max():.2e} relative")
-    console.print(table)
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
 """Elementary functions for float32 kernels, of numbers or rows: branch-free, so that LLVM vectorises them.
 
-The polynomials are minimax fits (``python -m tests.benchmarks.elementary`` computes and checks
-them). Largest errors in float32: `tanh` 4e-7 relative; `sin` and `cos` 2e-7 absolute for |x| up to
-1000; `atan2` 4e-7 absolute; `exp` 3e-7 relative for |x| up to 87. In
-float64 kernels the mathematics library takes their place.
+The polynomials are minimax fits (``python -m tests.benchmarks.elementary`` computes them). Largest errors
+in float32: `tanh` 4e-7 relative; `sin` and `cos` 2e-7 absolute for |x| up to 1000; `atan2` 4e-7 absolute;
+`exp` 3e-7 relative for |x| up to 87. In float64 kernels the mathematics library takes their place.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from sysid_evo.system import System
 
 GROUP = Layout("nx", "count", "next")
 MEMBER = Layout("at", "noise_at", "own")
-DOUBT = Layout("nx", "count", "doubt_at", "weight", "chain", align=CACHE_LINE)
+DOUBT = Layout("nx", "count", "weight", "chain", align=CACHE_LINE)
 MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
 
 
@@ -38,7 +38,6 @@ def cautious_kernel(
         chain.parameters,
         nx=nx,
         count=len(members),
-        doubt_at=nx,
         weight=weight,
         chain=DOUBT.size + len(numbers),
     )
@@ -66,7 +65,7 @@ def doubted(carry, control, noise, parameters, scratch):
         factor = per_limit[row]
         for lane in range(LANES):
             farthest[lane] = max(farthest[lane], (high[lane] - low[lane]) * factor)
-    doubt = view(carry, int(parameters[DOUBT.doubt_at]) * LANES)
+    doubt = view(carry, nx * LANES)
     for lane in range(LANES):
         doubt[lane] += weight * min(max(farthest[lane] - 1.0, 0.0), 1.0)
     copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)

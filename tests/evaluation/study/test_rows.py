@@ -38,8 +38,8 @@ def of(results: StudyResults, rows: Sequence[ControllerRow]) -> StudyResults:
     return replace(results, controllers=with_yardsticks(list(results.points), list(rows)))
 
 
-def figures_of(results: StudyResults, group: tuple[str, ...] = ()) -> dict[str, ControllerFigures]:
-    return {one.controller: one for one in controller_figures(results) if one.group == group}
+def figures_of(results: StudyResults) -> dict[str, ControllerFigures]:
+    return {one.controller: one for one in controller_figures(results) if one.group == ()}
 
 
 def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choice() -> None:
