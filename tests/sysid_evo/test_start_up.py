@@ -140,7 +140,6 @@ def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_
         "scipy.signal",
         "scipy.optimize",
         "pysindy",
-        "cma",
         "typer",
     }
     assert not heavy & set(imported)
