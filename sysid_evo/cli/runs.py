@@ -71,7 +71,7 @@ def diff(
     second: Annotated[Path, typer.Argument(help="Run folder.")],
     as_json: Json = False,
 ) -> None:
-    """Show settings and cells that differ between two runs, and the main figures of both beside each other."""
+    """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
     from rich.table import Table
 
     settings, cells, figures = zip(
@@ -95,9 +95,9 @@ def diff(
         table.add_column(heading, overflow="fold")
     for key, values in changed.items():
         table.add_row(key, *("-" if value is None else str(value) for value in values))
-    table.add_row("cells that the other lacks", *("\n".join(titles) or "-" for titles in alone))
     for key, values in known.items():
         table.add_row(key, *("-" if value is None else f"{value:.4g}" for value in values))
+    table.add_row("cells only this run has", *(str(len(titles)) for titles in alone))
     out.print(table)
 
 
@@ -197,10 +197,10 @@ def _figures(run: Path) -> dict[str, float | None]:
         if near and model["name"] != PERSISTENCE:
             found[f"N at {near[-1]['seconds']:g} s, {model['name']}"] = near[-1]["n"]
     controllers = (report["controllers"] or {"controllers": []})["controllers"]
-    for figure in ("claimed", "achieved"):
-        for one in controllers:
+    for one in controllers:
+        for figure in ("claimed", "achieved"):
             if one[figure] is not None:
-                found[f"{figure}, {one['name']}"] = one[figure]["value"]
+                found[f"{one['name']}: {figure}"] = one[figure]["value"]
     return found
 
 

@@ -202,10 +202,12 @@ def test_runs_are_listed_shown_and_compared(there: Caller, logs: Path) -> None:
     assert in_second[0] is None
     assert in_second[1] > 0.0
     (controller,) = json.loads((there.folder / "out" / "report.json").read_text())["controllers"]["controllers"]
-    assert difference["figures"]["claimed, linear"] == [controller["claimed"]["value"], None]
+    assert difference["figures"]["linear: claimed"] == [controller["claimed"]["value"], None]
     ended = there("runs", "diff", "out", "second")
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith(f"N at 1 s, {NEAR}")]
     assert line.split()[-2:] == ["-", f"{in_second[1]:.4g}"]
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith("cells only")]
+    assert line.split()[-2:] == [str(len(difference["only_first"])), "3"]
     assert "no difference" in there("runs", "diff", "out", "out").stdout
 
 
@@ -214,7 +216,7 @@ def test_a_run_without_a_report_is_compared_without_figures(compared: Path, ther
     (compared / "stopped" / "report.json").unlink()
     ended = there("runs", "diff", "out", "stopped")
     assert ended.says("stopped has no report yet, so it has no figures")
-    assert "claimed, linear" in ended.stdout
+    assert "linear: claimed" in ended.stdout
 
 
 def test_another_experiment_in_a_folder_is_remarked_and_what_both_need_is_kept(there: Caller, logs: Path) -> None:
