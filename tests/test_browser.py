@@ -30,7 +30,8 @@ def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(
     browser: Browser, tmp_path: Path, script: str
 ) -> None:
     visitor = Visitor(browser)
-    visitor.open(written(tmp_path, script))
+    page = visitor.open(written(tmp_path, script))
+    page.evaluate("0")  # what the page did until now is reported before its answer
     with pytest.raises(AssertionError, match=r"\['"):
         visitor.leave()
     assert WRONG[script] in visitor.faults[0]
