@@ -1,4 +1,4 @@
-"""What is told, in the order in which it is told: pages and Markdown are made of it."""
+"""The content of a report in its order: pages and Markdown are made of it."""
 
 from __future__ import annotations
 

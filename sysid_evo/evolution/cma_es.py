@@ -28,7 +28,7 @@ class LearningRates:
     """The constants of CMA-ES for n parameters and a population of lambda candidates.
 
     ``w`` (lambda,) are the weights, best candidate first: the first ``mu`` are positive and sum up to 1. ``gap`` is
-    after how many generations the axes are found anew. ``chi_n`` is E ||N(0, I)||.
+    the number of generations between two decompositions of C. ``chi_n`` is E ||N(0, I)||.
     """
 
     w: Array
@@ -59,7 +59,7 @@ class LearningRates:
         no_decay, like_mu = 1 + c_1 / c_mu, 1 + 2 * mu_eff_minus / (mu_eff + 2)  # (50), (51)
         alpha = min(no_decay, like_mu, (1 - c_1 - c_mu) / (n * c_mu))  # (52): C stays positive definite
         w = np.concatenate([better / better.sum(), alpha * worse / -worse.sum()])  # (53)
-        # Appendix B.2 finds the axes anew after a tenth of this, which in a hundred dimensions was the most of the
+        # Appendix B.2 decomposes C after a tenth of this, which in a hundred dimensions took most of the
         # time. Now C may have changed by 1 / n meanwhile, and which candidates come differs little.
         gap = 1 / (n * (c_1 + c_mu))
         chi_n = math.sqrt(2) * math.exp(math.lgamma((n + 1) / 2) - math.lgamma(n / 2))

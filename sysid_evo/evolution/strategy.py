@@ -92,7 +92,7 @@ class EvolutionStrategy(ABC):
         """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness.
 
         ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none. A
-        strategy that was not told of any is given none.
+        strategy that got none before is given none.
         """
         population = check_shape("population", population, (None, self.n_parameters))
         fitness = check_shape("fitness", fitness, (len(population),))
