@@ -20,7 +20,7 @@ from sysid_evo.store import is_stored
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most", "weakest", "strongest", "strength")
 

@@ -20,7 +20,7 @@ from sysid_evo.progress import Counter, Progress
 from sysid_evo.searched import Searched, Within
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 NEIGHBOURS = (8, 20)
 RIDGE = 0.03

@@ -16,7 +16,7 @@ from sysid_evo.hyperparameters import Limit, at_least
 from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 
 @register_model("nearest_neighbour")

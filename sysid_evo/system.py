@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -13,8 +14,12 @@ import numpy as np
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
-from sysid_evo.motion import Motion, motion_from_dict
+from sysid_evo.kernels import MotionKernel
+from sysid_evo.motion import Motion, MotionGradient, StraightGradient, motion_from_dict
+from sysid_evo.motion_kernels import STRAIGHT
 from sysid_evo.switches import switch
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -294,6 +299,22 @@ class System:
             return state + acceleration * self.dt
         return self.motion.integrate(state, acceleration, self.dt, self.state_names)
 
+    def motion_kernel(self) -> MotionKernel | None:
+        """Return the compiled form of the motion, `STRAIGHT` without a motion; None if the motion has none.
+
+        A remark is logged once for each kind of motion without one: its systems run in NumPy.
+        """
+        if self.motion is None:
+            return STRAIGHT
+        kernel = self.motion.kernel(self.state_names)
+        if kernel is None:
+            _remark_slow(self.motion.kind)
+        return kernel
+
+    def motion_gradient(self) -> MotionGradient:
+        """Return the derivatives of the motion, of straight integration without one."""
+        return StraightGradient() if self.motion is None else self.motion.gradient_form(self.state_names)
+
     def differences(self, other: System) -> tuple[str, ...]:
         """Return in what ``other`` is another system for a controller, in words; empty if it is the same.
 
@@ -382,3 +403,8 @@ def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
         if not isinstance(channel, Channel):
             raise InvalidSystem(f"system: expected Channel(...) or names as {what}, got {type(channel).__name__}")
     return tuple(channels)
+
+
+@cache
+def _remark_slow(kind: str) -> None:
+    LOG.warning("motion %s has no compiled form: what needs it runs in NumPy, some ten times slower", kind)

@@ -10,9 +10,8 @@ from matplotlib.ticker import MaxNLocator
 
 from evaluation.plots.canvas import COLOURS, MEASURED, REFERENCE, axes_or_new
 from evaluation.transfer import Trace
-from sysid_evo.angles import wrap
+from sysid_evo.angles import rotate, wrap
 from sysid_evo.errors import InvalidData
-from sysid_evo.motion import rotate
 from sysid_evo.system import System
 
 FORWARD, BACKWARD, PASSED = COLOURS[:3]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from hardware.emulation.car_parameters import FINE_DT, CarParameters
-from sysid_evo.motion import frame_change
+from sysid_evo.angles import frame_change
 
 LATENCY = 10  # fine steps: 50 ms from the parallel port through the remote to the car
 CREEP_SPEED = 0.05  # m/s: friction falls from static to rolling up to here

@@ -17,7 +17,7 @@ from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 FINE_DT = 0.005  # s
 REPEATS = 10  # fine steps in one sample of 50 ms
@@ -91,8 +91,7 @@ class CartPolePhysics(SensedPhysics):
         return np.stack([x + FINE_DT * v, v, a + FINE_DT * w, w, force], axis=1)
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.compiled.dialect import Lifted
-        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+        from sysid_evo.kernels import DynamicsKernel, Lifted
 
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])

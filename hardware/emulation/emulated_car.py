@@ -17,7 +17,7 @@ from sysid_evo.dynamics import PlainDynamics
 from sysid_evo.registry import register_robot
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 

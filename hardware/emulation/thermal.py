@@ -17,7 +17,7 @@ from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 FINE_DT = 0.05  # s
 REPEATS = 4  # fine steps in one sample of 0.2 s
@@ -83,8 +83,7 @@ class ThermalPhysics(SensedPhysics):
         return np.concatenate([np.stack([block, element, power], axis=1), carry[:, 4:], control], axis=1)
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.compiled.dialect import Lifted
-        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+        from sysid_evo.kernels import DynamicsKernel, Lifted
 
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.power_lag)])

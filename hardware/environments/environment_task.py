@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from hardware.environments.environment import LONGEST_SEED, make
 from hardware.environments.kernels import rewards
 from hardware.environments.known import KNOWN
 from sysid_evo.arrays import Array, BoolArray, Seeds
-from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.kernels import LANES
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
@@ -23,7 +23,7 @@ from sysid_evo.tasks.task import Task, TaskState
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 
 @dataclass(frozen=True)
@@ -175,12 +175,11 @@ class EnvironmentTask(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("Earned", task_state).earned
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         if self.rules is None:
             return None
         from hardware.environments.kernels import task
-        from sysid_evo.engine.compiled.dialect import KernelSource
-        from sysid_evo.engine.compiled.kernel import TaskKernel
+        from sysid_evo.kernels import KernelSource, TaskKernel
 
         states = [
             task.STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)

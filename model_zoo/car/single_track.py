@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from model_zoo.grey.parameter import Parameter
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import Layout
 
 AT_REST = 0.05
 """Speed in m/s at which three quarters of the rolling resistance act."""

@@ -7,8 +7,8 @@ import numpy as np
 from model_zoo.grey.structure import Structure, delay_shares
 from model_zoo.kernels.grey import LawOverLanes
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.kernels import Predictor, added, runge_kutta_predictor, stepping_kernel, turning_frame
+from sysid_evo.kernels import DynamicsKernel
 
 
 def structure_kernel(

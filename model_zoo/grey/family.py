@@ -41,7 +41,7 @@ from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""

@@ -13,9 +13,9 @@ from model_zoo.grey.structure import Structure
 from sysid_evo.arrays import Array, IntArray
 from sysid_evo.cross_validation import recording
 from sysid_evo.data import Dataset, Windows
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
+from sysid_evo.kernels import DynamicsKernel
 
 FEWEST = 60
 """Windows that a short recording is cut into, which then overlap."""

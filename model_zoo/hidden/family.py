@@ -17,7 +17,7 @@ from sysid_evo.dynamics import REST_BAND, DynamicsModel
 from sysid_evo.hyperparameters import Limit, at_least
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 SETTLING = 300
 """Steps after which a body that is left alone rests."""

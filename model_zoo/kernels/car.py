@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.lanes import (
-    LANES,
-    QUARTER,
-    load_quarter,
-    splat,
-    store,
-    view,
-    where_at_most,
-    where_less,
-)
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, QUARTER, Layout, load_quarter, splat, store, view, where_at_most, where_less
 
 HEAD = Layout("forward", "lateral", "yaw_rate", "drive", "steer", "nx", "dt", "oldest_command")
 PHYSICAL = HEAD.size

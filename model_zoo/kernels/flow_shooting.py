@@ -10,9 +10,8 @@ import functools
 from typing import Any
 
 from model_zoo.kernels.shooting import look, push, run, sensitivities
-from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
-from sysid_evo.engine.compiled.lanes import view
-from sysid_evo.engine.compiled.signature import WHOLES, Signature
+from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.kernels import WHOLES, KernelSource, Signature, view
 
 
 @functools.cache

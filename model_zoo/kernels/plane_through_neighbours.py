@@ -12,9 +12,12 @@ import math
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.lanes import (
+from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, boxes_around, packed, split
+from sysid_evo.kernels import (
     LANES,
     QUARTER,
+    Layout,
+    Predictor,
     first_lane,
     lanes_less,
     load_quarter,
@@ -24,9 +27,6 @@ from sysid_evo.engine.compiled.lanes import (
     view,
     where_less,
 )
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.neighbours import BUCKET, FAR, boxes_around, packed, split
-from sysid_evo.engine.kernels.stepping import Predictor
 
 HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "around", "ridge")
 UNREACHED = FAR**2

@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 from model_zoo.hidden.units import BOUND, SHARP
-from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
-from sysid_evo.engine.compiled.signature import WHOLES, Signature
+from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.kernels import WHOLES, KernelSource, Signature
 
 
 @functools.cache

@@ -9,11 +9,20 @@ import numpy as np
 
 from model_zoo.hidden.units import BOUND, SHARP
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
 from sysid_evo.system import System
 
 HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)

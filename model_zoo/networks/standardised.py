@@ -19,7 +19,6 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.free_run import judging_windows
 from sysid_evo.lags import CarryLayout
-from sysid_evo.motion.gradient_form import motion_gradient
 
 
 class StandardisedModel(ABC):
@@ -45,7 +44,7 @@ class StandardisedModel(ABC):
         mirror: Mirror | None = None,
     ) -> None:
         self.system = dataset.system
-        self.motion = motion_gradient(self.system)
+        self.motion = self.system.motion_gradient()
         self.layout = CarryLayout(self.system.nx, self.system.nu, *lags)
         self.standard = Standard.of(dataset, mirror)
         self.centre, self.scale = self.standard.of_inputs(self.layout)

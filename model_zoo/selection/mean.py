@@ -16,7 +16,7 @@ from sysid_evo.free_run import judging_windows
 from sysid_evo.wrappers.members import Members
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 
 class MeanOfMembers(DynamicsModel):

@@ -15,7 +15,6 @@ from torchdiffeq import odeint, odeint_adjoint
 from sysid_evo.angles import TURN
 from sysid_evo.free_run import chained
 from sysid_evo.lags import CarryLayout
-from sysid_evo.motion.gradient_form import motion_gradient
 from sysid_evo.system import System
 
 ADAPTIVE = ("dopri5", "dopri8")
@@ -53,7 +52,7 @@ class Turning(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         """Return the gradient by the states."""
         (state,) = ctx.saved_tensors
-        return torch.from_numpy(motion_gradient(ctx.system).turned(state.numpy(), gradient.numpy())), None
+        return torch.from_numpy(ctx.system.motion_gradient().turned(state.numpy(), gradient.numpy())), None
 
 
 @dataclass(frozen=True)

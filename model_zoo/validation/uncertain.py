@@ -24,7 +24,7 @@ from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import NotFitted
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 
 class Uncertain(DynamicsModel):

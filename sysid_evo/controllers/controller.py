@@ -11,8 +11,8 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import ControllerKernel
     from sysid_evo.export.program import Program
+    from sysid_evo.kernels import ControllerKernel
 
 
 @dataclass(frozen=True)

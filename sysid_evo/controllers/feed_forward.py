@@ -15,8 +15,8 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import register_controller
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import ControllerKernel
     from sysid_evo.export.program import Program
+    from sysid_evo.kernels import ControllerKernel
 
 
 @register_controller("feed_forward")

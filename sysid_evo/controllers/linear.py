@@ -16,8 +16,8 @@ from sysid_evo.registry import register_controller
 from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import ControllerKernel
     from sysid_evo.export.program import Program
+    from sysid_evo.kernels import ControllerKernel
 
 
 @register_controller("linear")

@@ -22,8 +22,8 @@ from sysid_evo.tasks.following import SHOWN, Following, FollowingState
 from sysid_evo.tasks.task import Task
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import ControllerKernel
     from sysid_evo.export.program import Program
+    from sysid_evo.kernels import ControllerKernel
 
 SAMPLES = 200
 NEAR = 0.01

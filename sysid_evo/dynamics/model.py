@@ -27,9 +27,8 @@ from sysid_evo.searched import Searched
 if TYPE_CHECKING:
     from sysid_evo.checkpoint import Checkpoint
     from sysid_evo.data import Dataset
-    from sysid_evo.engine.compiled.dialect import Precision
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
-    from sysid_evo.engine.kernels.stepping import Output, Predictor
+    from sysid_evo.engine.kernels.stepping import Output
+    from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
     from sysid_evo.progress import Progress
     from sysid_evo.system import System
 

@@ -10,7 +10,7 @@ import numpy as np
 from sysid_evo.arrays import Array, check_shape
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
     from sysid_evo.system import System
 
 

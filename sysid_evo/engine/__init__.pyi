@@ -1,20 +1,6 @@
 from .behaviour import behaviour_names
-from .compiled.dialect import KernelSource, Lifted
-from .compiled.kernel import (
-    ADVANCE,
-    CONTROLLER,
-    DYNAMICS,
-    OBSERVE,
-    ControllerKernel,
-    DynamicsKernel,
-    TaskKernel,
-)
-from .compiled.lanes import LANES, QUARTER, load, load_quarter, splat, splat_quarter, store, view, where_less
-from .compiled.layout import Layout
-from .compiled.signature import Signature
 from .compiled.single_step import kernel_step
 from .kernels import (
-    Predictor,
     added,
     command_network_predictor,
     gaussian_predictor,
@@ -31,46 +17,25 @@ from .kernels import (
 from .rollouts import DynamicsRunner, Engine, Rollouts, Runner, as_runners, available_processors, rollout
 
 __all__ = [
-    "ADVANCE",
-    "CONTROLLER",
-    "ControllerKernel",
-    "DYNAMICS",
-    "DynamicsKernel",
     "DynamicsRunner",
     "as_runners",
     "Engine",
-    "KernelSource",
-    "LANES",
-    "Layout",
-    "Lifted",
-    "OBSERVE",
-    "Predictor",
-    "QUARTER",
     "Rollouts",
     "Runner",
-    "Signature",
-    "TaskKernel",
     "added",
     "available_processors",
     "behaviour_names",
     "command_network_predictor",
     "gaussian_predictor",
     "kernel_step",
-    "load",
-    "load_quarter",
     "neighbour_predictor",
     "network_predictor",
     "polynomial_predictor",
     "rollout",
     "runge_kutta_predictor",
     "separate_networks_predictor",
-    "splat",
-    "splat_quarter",
     "stepping_kernel",
-    "store",
     "turning_frame",
-    "view",
-    "where_less",
     "with_angles",
     "within",
 ]

@@ -23,7 +23,7 @@ from sysid_evo.free_run import chained
 from sysid_evo.progress import Progress
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
     from sysid_evo.system import System
 
 PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]

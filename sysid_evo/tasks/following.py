@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from sysid_evo.tasks.scene import Scene, Target
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 SETTLED = 0.9
 """A state has settled if it stays within its tolerance from this share of the trial on."""
@@ -208,7 +208,7 @@ class Following(Task):
             )
         )
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         from sysid_evo.engine.kernels.following import following_kernel
 
         return following_kernel(self)

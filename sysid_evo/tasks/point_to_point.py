@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sysid_evo.tasks.scene import Scene
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 POSE = ("x", "y", "heading")
 APART = 128.0 / (45.0 * np.pi)
@@ -182,7 +182,7 @@ class PointToPoint(Task):
         markers = here.waypoints[here.trial[trial], : passed + 1].copy()
         return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         from sysid_evo.engine.kernels.waypoints import waypoints_kernel
 
         return waypoints_kernel(self.system, self.waypoint_radius, self.horizon + 1)

@@ -16,8 +16,7 @@ from sysid_evo.system import System
 from sysid_evo.tasks.reward import Reward
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.dialect import Picked
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import Picked, TaskKernel
 
 F = TypeVar("F", bound=Callable[..., Any])
 RESERVED = "horizon"
@@ -76,7 +75,7 @@ class NamedReward(Reward):
             return np.zeros(len(after), dtype=bool)
         return np.array([bool(self._value(self.over, *row)) for row in zip(after, control, strict=True)])
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         if not self.compiled:
             return None
         from sysid_evo.engine.kernels.reward import reward_kernel
@@ -97,7 +96,7 @@ class NamedReward(Reward):
             return math.nan
 
     def _picked(self, function: Callable[..., Any]) -> Picked:
-        from sysid_evo.engine.compiled.dialect import Picked
+        from sysid_evo.kernels import Picked
 
         places = {name: f"x[{i}]" for i, name in enumerate(self.system.state_names)}
         places |= {name: f"u[{i}]" for i, name in enumerate(self.system.control_names)}

@@ -16,7 +16,7 @@ from sysid_evo.tasks.following import formulas_of_states, observations, shown_st
 from sysid_evo.tasks.task import Task, TaskState
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 Worth: TypeAlias = Callable[[Array, Array], Array]
 """From states (B, nx) and the controls given in them (B, nu) to rewards (B,)."""
@@ -111,7 +111,7 @@ class Reward(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return np.maximum(cast("RewardState", task_state).score, self.worst)  # a sum of so many shares is rounded
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         if self.scalar is None or self.ended is not None:
             return None
         from sysid_evo.engine.kernels.reward import reward_kernel

@@ -6,7 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks.scene import Scene
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 
 @dataclass(frozen=True)
@@ -150,6 +150,6 @@ class Task(ABC):
         """
         return Scene()
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         """Return the compiled form of a bound task, if it has one."""
         return None

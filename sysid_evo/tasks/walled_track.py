@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.tasks.track import at_offset, distance_to_wall, place_of, tracks_of, wall
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import TaskKernel
+    from sysid_evo.kernels import TaskKernel
 
 POSE = ("x", "y", "heading")
 COLLISIONS = ("slow", "end")
@@ -202,7 +202,7 @@ class WalledTrack(Task):
         walls = tuple(wall(here.track[trial], offset) for offset in (-here.half, here.half))
         return Scene(walls=walls, extent=float(np.abs(walls[1]).max()))
 
-    def kernel(self) -> TaskKernel | None:
+    def kernel(self) -> TaskKernel[Any] | None:
         from sysid_evo.engine.kernels.walled_track import walled_track_kernel
 
         return walled_track_kernel(self)

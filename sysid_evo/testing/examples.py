@@ -13,7 +13,7 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 DECAY = 0.9
 """Of the distance of a state of `ExampleDynamics` from neutral, per step."""
@@ -85,8 +85,7 @@ class ExampleDynamics(PlainDynamics):
         return after
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.engine.compiled.dialect import KernelSource
-        from sysid_evo.engine.compiled.kernel import DynamicsKernel
+        from sysid_evo.kernels import DynamicsKernel, KernelSource
         from sysid_evo.testing.kernels.example_step import HEAD, decay_and_push
 
         parameters = HEAD.pack(self.offset, self.push, nx=self.system.nx, nu=self.system.nu, decay=DECAY)

@@ -14,7 +14,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.wrappers.members import Members
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 
 class Cautious(PlainDynamics):

@@ -12,7 +12,7 @@ from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 WHOLE_TOLERANCE = 1e-9
 """A delay this near to a whole number of samples is one."""

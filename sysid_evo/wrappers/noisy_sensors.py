@@ -10,7 +10,7 @@ from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics, PlainDynamics
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
     from sysid_evo.wrappers.radical_envelope import RadicalEnvelope
 
 

@@ -11,7 +11,7 @@ from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
     from sysid_evo.wrappers.radical_envelope import RadicalEnvelope
 
 NEVER = -1e6

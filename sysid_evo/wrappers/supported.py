@@ -13,7 +13,7 @@ from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
 
 if TYPE_CHECKING:
-    from sysid_evo.engine.compiled.kernel import DynamicsKernel
+    from sysid_evo.kernels import DynamicsKernel
 
 CHECKED_EVERY = 10
 """Steps from one look to the next."""

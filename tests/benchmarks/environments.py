@@ -28,8 +28,9 @@ from evaluation.transfer import transfer_seeds
 from hardware.environments.gymnasium_robot import GymnasiumRobot
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine import DynamicsKernel, DynamicsRunner, Lifted
+from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
+from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import Spec, make_controller, make_task
 from sysid_evo.store import load_champion
 from sysid_evo.system import System

@@ -13,7 +13,7 @@ from hardware.emulation.pendulum import PendulumParameters, PendulumPhysics
 from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine import LANES, DynamicsKernel, KernelSource, Layout, view
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
 from sysid_evo.registry import make_robot
 
 Numbers: TypeAlias = tuple[float, ...]

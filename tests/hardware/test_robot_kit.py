@@ -15,8 +15,8 @@ from hardware.robot import Connection, Robot
 from hardware.testing import check_robot, run_robot_checks
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.errors import ContractViolation
+from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import System
 from tests.broken import broken, sentence

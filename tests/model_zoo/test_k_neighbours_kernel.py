@@ -12,11 +12,10 @@ from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.dialect import Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
+from sysid_evo.kernels import DYNAMICS, LANES, Precision
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System

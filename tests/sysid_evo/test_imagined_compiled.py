@@ -15,8 +15,7 @@ from sysid_evo.controllers.imagination import Engine, Imagination
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import rollout
-from sysid_evo.engine.compiled.dialect import Lifted
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
+from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import System
 from sysid_evo.tasks import Reward, Task

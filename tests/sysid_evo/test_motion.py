@@ -10,15 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sysid_evo.angles import wrap
+from sysid_evo.angles import rotate, wrap
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.motion import Motion, PlanarBody, rotate
-from sysid_evo.motion.gradient_form import CentralDifferences
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
+from sysid_evo.motion import CentralDifferences, Motion, PlanarBody
 from sysid_evo.system import Channel, System
 
 HEAD = Layout("nx", "dt")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sysid_evo import system as systems
 from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
@@ -18,7 +19,7 @@ from sysid_evo.engine import rollout
 from sysid_evo.engine.kernels import network_predictor, stepping_kernel, turning_frame
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem
 from sysid_evo.evolution.identification import ModelEvolution
-from sysid_evo.motion import Motion, PlanarBody, compiled_form, motion_from_dict
+from sysid_evo.motion import Motion, PlanarBody, motion_from_dict
 from sysid_evo.registry import make_model, motions
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
@@ -110,10 +111,10 @@ def test_what_integrates_by_a_motion_has_no_kernel_without_its_compiled_form(car
 
 
 def test_one_remark_says_that_a_motion_has_no_compiled_form(car: System, caplog: pytest.LogCaptureFixture) -> None:
-    compiled_form._remark.cache_clear()
+    systems._remark_slow.cache_clear()
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
-            assert compiled_form.motion_kernel(clockwise(car)) is None
+            assert clockwise(car).motion_kernel() is None
     assert [record.getMessage() for record in caplog.records] == [
         "motion clockwise has no compiled form: what needs it runs in NumPy, some ten times slower"
     ]

@@ -14,12 +14,9 @@ from hardware.emulation.car_physics import (
     REST_YAW_RATE,
     Coefficients,
 )
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, store, view, where_at_most, where_less
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.angles import frame_change
 from sysid_evo.engine.kernels.stepping import copy
-from sysid_evo.motion import frame_change
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, load, store, view, where_at_most, where_less
 
 HEAD = Layout("repeats")
 COMMANDS = BUFFER.start

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
 
 HEAD = Layout("repeats", "n_noise")
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.compiled.elementary import nearest
-from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.motion.planar_body_kernel import PER_TURN, TURN
+from sysid_evo.kernels import LANES, nearest
+from sysid_evo.motion_kernels import PER_TURN, TURN
 
 FASTEST_SWING = 8.0  # rad/s, beyond which the pendulum does not turn
 CART_REACH, POLE_REACH = 2.4, 24.0 * math.pi / 360.0  # m, rad

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, Layout, view
 
 ROWS = Layout("fitness", "alive")
 HEAD = Layout("nx")

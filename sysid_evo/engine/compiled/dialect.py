@@ -7,9 +7,9 @@ hash of its text and of the versions it depends on, so that Numba's cache on dis
 and the second process finds everything compiled.
 
 What a kernel function may use: arguments and local names, numbers, ``math``, other such functions
-(also those decorated with ``numba.njit``), module-level numbers, the lane functions of
-`sysid_evo.engine.compiled.lanes`, and the places of a `Layout` of the module. Literals of real
-arithmetic are written with a point (``2.0``).
+(also those decorated with ``numba.njit``), module-level numbers, the words of `sysid_evo.kernels`,
+and the places of a `Layout` of the module. Literals of real arithmetic are written with a point
+(``2.0``).
 """
 
 from __future__ import annotations
@@ -18,29 +18,19 @@ import ast
 import inspect
 import numbers
 import textwrap
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from types import FunctionType, ModuleType
-from typing import Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import Any
 
-from sysid_evo.engine.compiled import elementary, lanes, row_mathematics
+from sysid_evo.engine.compiled import elementary
 from sysid_evo.engine.compiled.generated import imported
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, WORDS, KernelSource, Layout, Precision, Signature, Source, power_of_two
 
-Precision: TypeAlias = Literal["float32", "float64"]
-
-LANE_FUNCTIONS = (
-    "first_lane", "lane_of_lowest", "lanes_at_most", "lanes_differ", "lanes_less", "load", "load_quarter",
-    "look_up", "lowest", "pick", "splat", "splat_quarter", "store", "view", "where_at_most",
-    "where_bits", "where_less",
-)  # fmt: skip
-PASSED_ON = {getattr(lanes, name): name for name in LANE_FUNCTIONS}
-PASSED_ON[row_mathematics.power_of_two] = "power_of_two"
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
+FUNCTIONS = ", ".join(name for word, name in WORDS.items() if word is not power_of_two)
 INNER = (
     f"@njit(fastmath={FASTMATH}, error_model='numpy', forceinline=True, no_cpython_wrapper=True, "
     "no_cfunc_wrapper=True, _nrt=False, pipeline_class=Inlined)"
@@ -67,85 +57,6 @@ I = types.Array(types.int64, 1, "C")
 """
 
 
-@dataclass(frozen=True)
-class KernelSource:
-    """A kernel function, and what stands for the free names in it (functions or further sources)."""
-
-    function: Callable[..., Any]
-    bindings: Mapping[str, Any] = field(default_factory=dict)
-
-    def __hash__(self) -> int:
-        return hash((self.function, tuple(sorted((name, hash(bound)) for name, bound in self.bindings.items()))))
-
-
-class Wrapped(Protocol):
-    """A function and the text of another one around it."""
-
-    @property
-    def function(self) -> Callable[..., Any]:
-        """What is wrapped."""
-        ...
-
-    @property
-    def bindings(self) -> Mapping[str, Any]:
-        """What stands for the free names in it."""
-        ...
-
-    def write(self, inner: str, name: str) -> str:
-        """Return the text of the function ``name`` around the one called ``inner``."""
-        ...
-
-    def __hash__(self) -> int: ...
-
-
-@dataclass(frozen=True)
-class Lifted:
-    """A scalar step ``f(x, u, p) -> tuple``, or ``f(x, u, w, p)`` with noise, repeated over the lanes.
-
-    ``x``, ``u`` and ``w`` are tuples of ``n_carry``, ``nu`` and ``n_noise`` numbers, ``p`` is the flat
-    parameter array; the result has ``n_carry`` numbers.
-    """
-
-    function: Callable[..., Any]
-    n_carry: int
-    nu: int
-    n_noise: int = 0
-
-    bindings: ClassVar[Mapping[str, Any]] = {}
-
-    def write(self, inner: str, name: str) -> str:
-        """Return the text of the block kernel around the scalar function called ``inner``."""
-        x, u, w = (
-            "(" + "".join(f"{array}[{i} * LANES + lane], " for i in range(count)) + ")"
-            for array, count in (("carry", self.n_carry), ("control", self.nu), ("noise", self.n_noise))
-        )
-        arguments = [x, u, *([w] if self.n_noise else []), "parameters"]
-        lines = [
-            f"def {name}(carry, control, noise, parameters, scratch):",
-            "    for lane in range(LANES):",
-            f"        y = {inner}({', '.join(arguments)})",
-            *(f"        carry[{i} * LANES + lane] = y[{i}]" for i in range(self.n_carry)),
-        ]
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True)
-class Picked:
-    """A function of single numbers, called as a function of ``x`` and ``u`` with ``arguments``, such as ``x[0]``."""
-
-    function: Callable[..., Any]
-    arguments: tuple[str, ...]
-
-    bindings: ClassVar[Mapping[str, Any]] = {}
-
-    def write(self, inner: str, name: str) -> str:
-        """Return the text of the function ``name(x, u)`` around the one called ``inner``."""
-        return f"def {name}(x, u):\n    return {inner}({', '.join(self.arguments)})"
-
-
-Source: TypeAlias = KernelSource | Wrapped
-
-
 def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
     """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
 
@@ -170,7 +81,7 @@ def generate(source: Source, signature: Signature, precision: Precision, *, poin
         writer.open.append(source)
         entry = writer.function(source, entry=f"@njit({signature}, {options}, nogil=True)")
     origin = f"{source.function.__module__}.{source.function.__qualname__}"
-    header = HEADER.format(origin=origin, precision=precision, lanes=lanes.LANES, functions=", ".join(LANE_FUNCTIONS))
+    header = HEADER.format(origin=origin, precision=precision, lanes=LANES, functions=FUNCTIONS)
     return "\n\n".join([header, *writer.done, entry]) + "\n"
 
 
@@ -287,8 +198,8 @@ class _Specialise(ast.NodeTransformer):
             return _real(float(value))
         if value.__hash__ is None:
             raise self._unusable(text, f"a {type(value).__name__} is not a number; pass it among the parameters")
-        if value in PASSED_ON:
-            return ast.Name(PASSED_ON[value], ast.Load())
+        if value in WORDS:
+            return ast.Name(WORDS[value], ast.Load())
         if self.writer.precision == "float32" and value in elementary.FLOAT32:
             return self._named(KernelSource(elementary.FLOAT32[value]))
         if getattr(value, "__module__", "") == "math":

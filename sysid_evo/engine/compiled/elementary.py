@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from sysid_evo.engine.compiled.lanes import where_less
-from sysid_evo.engine.compiled.row_mathematics import power_of_two
+from sysid_evo.kernels import nearest, power_of_two, where_less
 
 
 def tanh(x):
@@ -95,11 +94,6 @@ def exp(x):
     p = p * r + 0.4999999420901864
     p = p * r + 1.0000000321652702
     return power_of_two(k) * (1.0 + p * r)
-
-
-def nearest(x):
-    """The whole number nearest to x, for |x| up to 2^51."""
-    return (x + 6755399441055744.0) - 6755399441055744.0
 
 
 def nearest_single(x):

@@ -9,12 +9,11 @@ import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import ADVANCE, DYNAMICS, DynamicsKernel, TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned, empty_lines
 from sysid_evo.engine.compiled.run import compiled
 from sysid_evo.engine.compiled.tables import envelope_table
+from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, KernelSource, Precision, TaskKernel
 from sysid_evo.tasks.task import TaskState
 
 
@@ -26,7 +25,7 @@ def _loop(precision: Precision) -> Any:
 class CompiledTrials:
     """The kernels of a dynamics and of a bound task, ready to run trials that are only imagined."""
 
-    def __init__(self, dynamics: DynamicsKernel, task: TaskKernel, envelope: Array, precision: Precision) -> None:
+    def __init__(self, dynamics: DynamicsKernel, task: TaskKernel[Any], envelope: Array, precision: Precision) -> None:
         self.task, self.n_scratch, self.precision = task, dynamics.n_scratch, precision
         self.shared = {
             "dynamics": compiled(dynamics.source, DYNAMICS, precision),

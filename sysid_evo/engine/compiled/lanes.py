@@ -1,16 +1,7 @@
 """What kernels do with rows of 64 lanes as values, so that a sum over many rows stays in registers.
 
-Block kernels hold 64 rollouts side by side: row i of a quantity is ``array[i * LANES : (i + 1) *
-LANES]``. Plain loops over lanes vectorise by themselves; what they cannot do is keep an accumulator
-in registers across an inner loop. A row as a value can: `load` and `splat` make one, arithmetic
-(`sysid_evo.engine.compiled.rows`) and `where_less` combine them, `store` writes one; `load_quarter`
-and `splat_quarter` make rows of sixteen. For a search, `lowest` and `lane_of_lowest` reduce a row,
-`pick` takes one lane of it, and `lanes_less` marks lanes as the bits of an integer, whose lowest
-`first_lane` finds.
-
-`view` moves the beginning of an array: an index that is a loop's own counter is known not to be
-negative, ``start + i`` is not, and Numba's test for it would keep the loop from vectorising; a slice
-would count references in the loop.
+Here stands what the words of `sysid_evo.kernels` mean for 64 lanes, or for sixteen; `view` and `power_of_two`
+(`sysid_evo.engine.compiled.row_mathematics`) are words too.
 """
 
 from __future__ import annotations

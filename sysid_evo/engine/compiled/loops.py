@@ -8,10 +8,17 @@ from __future__ import annotations
 import math
 
 from sysid_evo.engine.behaviour import EVERY
-from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
-from sysid_evo.engine.compiled.lanes import (
+from sysid_evo.kernels import (
+    ADVANCE,
+    CONTROLLER,
+    DYNAMICS,
     LANES,
+    NUMBER,
+    OBSERVE,
     QUARTER,
+    WHOLES,
+    Layout,
+    Signature,
     first_lane,
     lanes_at_most,
     lanes_differ,
@@ -24,8 +31,6 @@ from sysid_evo.engine.compiled.lanes import (
     where_bits,
     where_less,
 )
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",

@@ -9,11 +9,10 @@ import numpy as np
 
 from sysid_evo.arrays import Array, check_shape
 from sysid_evo.engine.compiled import window_loops
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned, empty_lines
 from sysid_evo.engine.compiled.run import Work, compiled, spread
+from sysid_evo.kernels import DYNAMICS, LANES, KernelSource, Precision, Source
 
 
 @cache

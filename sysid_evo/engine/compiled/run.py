@@ -17,20 +17,23 @@ from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import behaviour
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, Source, compile_kernel
-from sysid_evo.engine.compiled.kernel import (
+from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.engine.compiled.memory import aligned, together
+from sysid_evo.engine.compiled.tables import actuation_table, envelope_table, noise_table
+from sysid_evo.kernels import (
     ADVANCE,
     CONTROLLER,
     DYNAMICS,
+    LANES,
     OBSERVE,
     ControllerKernel,
     DynamicsKernel,
+    KernelSource,
+    Precision,
+    Signature,
+    Source,
     TaskKernel,
 )
-from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.memory import aligned, together
-from sysid_evo.engine.compiled.signature import Signature
-from sysid_evo.engine.compiled.tables import actuation_table, envelope_table, noise_table
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task
@@ -44,7 +47,7 @@ class Kernels:
 
     dynamics: DynamicsKernel
     controller: ControllerKernel
-    task: TaskKernel
+    task: TaskKernel[Any]
 
 
 @cache

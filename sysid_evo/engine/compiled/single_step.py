@@ -9,11 +9,10 @@ import numpy as np
 
 from sysid_evo.arrays import Array
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned, empty_lines
 from sysid_evo.engine.compiled.run import compiled
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, KernelSource, Precision
 
 
 def kernel_step(

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import Precision
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER
 from sysid_evo.engine.compiled.memory import empty_lines
+from sysid_evo.kernels import LANES, QUARTER, Precision
 from sysid_evo.switches import level_boundaries
 from sysid_evo.system import System
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.kernel import DYNAMICS
-from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.compiled.loops import clip
-from sysid_evo.engine.compiled.signature import NUMBER, WHOLES, Signature
+from sysid_evo.kernels import DYNAMICS, LANES, NUMBER, WHOLES, Layout, Signature
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 

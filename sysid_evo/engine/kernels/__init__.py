@@ -8,7 +8,8 @@ from sysid_evo.engine.kernels.networks import network_predictor, separate_networ
 from sysid_evo.engine.kernels.polynomial import polynomial_predictor
 from sysid_evo.engine.kernels.runge_kutta import runge_kutta_predictor
 from sysid_evo.engine.kernels.shells import added, on_top, turning_frame, within
-from sysid_evo.engine.kernels.stepping import Predictor, stepping_kernel
+from sysid_evo.engine.kernels.stepping import stepping_kernel
+from sysid_evo.kernels import Predictor
 
 __all__ = [
     "Predictor",

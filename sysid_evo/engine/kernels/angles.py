@@ -7,10 +7,8 @@ import math
 import numpy as np
 
 from sysid_evo.angles import TURN
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.engine.kernels.stepping import Predictor, copy
+from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, padded, view
 from sysid_evo.system import System
 
 HEAD = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)

@@ -12,11 +12,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load_quarter, look_up, store, view, where_less
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.commands import command_cells
-from sysid_evo.engine.kernels.stepping import Predictor, copy
+from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    QUARTER,
+    KernelSource,
+    Layout,
+    Predictor,
+    load_quarter,
+    look_up,
+    padded,
+    store,
+    view,
+    where_less,
+)
 
 HEAD = Layout("n_states", "n_exact", "n_controls", "pages", "weights", align=CACHE_LINE)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, where_less
+from sysid_evo.kernels import LANES, load, splat, store, where_less
 
 
 def command_cells(u, p, n_controls, cells):

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout
 
 HEAD = Layout("n_outputs")
 

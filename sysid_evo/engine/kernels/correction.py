@@ -9,11 +9,19 @@ import numpy as np
 
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.motion.compiled_form import motion_kernel
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
 
 if TYPE_CHECKING:
     from sysid_evo.adaptation.terms import Terms
@@ -42,7 +50,7 @@ def correction_kernel(inner: DynamicsKernel, terms: Terms, coefficients: Array) 
     None if the motion has no compiled form.
     """
     system = terms.system
-    motion = motion_kernel(system)
+    motion = system.motion_kernel()
     if motion is None:
         return None
     per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.kernels import CACHE_LINE, LANES, DynamicsKernel, KernelSource, Layout, padded, view
 
 HEAD = Layout("nx", "at", "whole", "share", "own", align=CACHE_LINE)
 

@@ -7,10 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_less
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_less,
+)
 from sysid_evo.system import System
 
 HEAD = Layout("nx", "at", "edges", "sizes", "limits", "own", align=CACHE_LINE)

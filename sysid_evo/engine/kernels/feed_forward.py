@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, store, view
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, load, store, view
 
 HEAD = Layout("n_layers", "widest")
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from sysid_evo.angles import TURN
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.elementary import nearest
-from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.motion.compiled_form import motion_kernel
+from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, nearest, view
 from sysid_evo.system import System
 from sysid_evo.tasks.following import SHOWN, Following, FollowingState, full_controls, scaling
 from sysid_evo.tasks.goals import Goal
@@ -32,10 +27,10 @@ CONTROL = Layout("neutral", "full")
 NEVER = 1e30
 
 
-def following_kernel(task: Following) -> TaskKernel | None:
+def following_kernel(task: Following) -> TaskKernel[Any] | None:
     """Return the compiled form of a bound task; None if the motion of its system has none."""
     system, goals = task.system, task.goals
-    motion = motion_kernel(system)
+    motion = system.motion_kernel()
     if motion is None:
         return None
     samples, m = task.horizon + 1 if task.changes else 1, len(goals)

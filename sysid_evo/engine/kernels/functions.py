@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.engine.kernels.stepping import Predictor
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, padded, view
 
 HEAD = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
 NUMBERS = 5

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, store
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, load, store
 
 HEAD = Layout("n_inputs", "n_outputs")
 

@@ -16,9 +16,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from sysid_evo.arrays import Array, IntArray
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import (
+from sysid_evo.engine.kernels.commands import command_cells
+from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import (
     LANES,
+    KernelSource,
+    Layout,
+    Predictor,
     first_lane,
     lane_of_lowest,
     lanes_less,
@@ -30,10 +35,6 @@ from sysid_evo.engine.compiled.lanes import (
     view,
     where_less,
 )
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.commands import command_cells
-from sysid_evo.engine.kernels.stepping import Predictor, copy
-from sysid_evo.errors import InvalidArgument
 
 BUCKET = 16
 GROUPS_AT_ONCE = 4

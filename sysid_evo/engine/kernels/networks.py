@@ -9,11 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
-from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.runge_kutta import move_rows
-from sysid_evo.engine.kernels.stepping import Predictor, copy
+from sysid_evo.engine.kernels.stepping import copy
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, Layout, Predictor, load, splat, store, view
 
 HEAD = Layout("n_networks", "n_layers", "n_carry", "n_control")
 

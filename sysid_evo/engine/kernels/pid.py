@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.elementary import nearest
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, nearest, view
 
 if TYPE_CHECKING:
     from sysid_evo.controllers.pid import Loop

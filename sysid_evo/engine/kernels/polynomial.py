@@ -10,10 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.engine.kernels.stepping import Predictor
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, Layout, Predictor, load, splat, store, view
 
 HEAD = Layout("n_out", "n_state", "n_control", "n_factors", "after_chains")
 

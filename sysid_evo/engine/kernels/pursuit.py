@@ -6,10 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sysid_evo.controllers.pursuit import CLOSEST, DAMPING, STRAIGHTEST
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, view
 
 if TYPE_CHECKING:
     from sysid_evo.controllers.pursuit import Pursuit

@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import ControllerKernel
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load, load_quarter, splat, splat_quarter, store, view
+from sysid_evo.kernels import (
+    LANES,
+    QUARTER,
+    ControllerKernel,
+    KernelSource,
+    load,
+    load_quarter,
+    splat,
+    splat_quarter,
+    store,
+    view,
+)
 
 
 def recurrent_kernel(n_inputs: int, hidden: int, n_outputs: int) -> ControllerKernel:

@@ -9,13 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource, Source
-from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
 from sysid_evo.engine.kernels.following import HEAD as OBSERVED
 from sysid_evo.engine.kernels.following import observe, state_numbers
-from sysid_evo.motion.compiled_form import motion_kernel
+from sysid_evo.kernels import LANES, KernelSource, Layout, Source, TaskKernel, view
 from sysid_evo.system import System
 from sysid_evo.tasks.reward import RewardState
 from sysid_evo.tasks.task import TaskState
@@ -31,12 +27,12 @@ def reward_kernel(
     lowest: float,
     horizon: int,
     over: Source | None = None,
-) -> TaskKernel | None:
+) -> TaskKernel[Any] | None:
     """Return the compiled form; None if the motion has none, or state and control fill more than a row.
 
     ``scalar`` and ``over`` are functions of one state and control; a trial is over where the latter is not 0.
     """
-    motion = motion_kernel(system)
+    motion = system.motion_kernel()
     if motion is None or system.nx + system.nu > LANES:
         return None
     worth = KernelSource(scalar) if callable(scalar) else scalar

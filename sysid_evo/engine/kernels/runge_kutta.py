@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout
-from sysid_evo.engine.kernels.stepping import Predictor
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, splat, store, view
 from sysid_evo.system import System
 
 HEAD = Layout("nx", "n_carry", "substeps", "h", align=CACHE_LINE)

@@ -8,11 +8,21 @@ from itertools import groupby
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.stepping import copy
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    Precision,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
 from sysid_evo.system import System
 
 GROUP = Layout("nx", "count", "next")

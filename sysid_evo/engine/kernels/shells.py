@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid_evo.arrays import Array, BoolArray
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.lanes import LANES, load, store, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.engine.kernels.stepping import Predictor
-from sysid_evo.motion.compiled_form import motion_kernel
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, padded, store, view
 from sysid_evo.system import System
 
 FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACHE_LINE)
@@ -22,7 +18,7 @@ def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = Non
     bounds; beyond those of a state, what drives it further out fades away over the margin, and the excess decays with
     the time constant dt. None if the system's motion has no compiled form.
     """
-    motion = motion_kernel(system)
+    motion = system.motion_kernel()
     if motion is None:
         return None
     limits = np.empty(0) if bounds is None else np.ravel(bounds)

@@ -1,25 +1,28 @@
-"""From a prediction to the next carry: integration by the motion, lags. The shell of most model kernels.
-
-A *predictor* is a block function ``predict(x, u, p, y, scratch)``: it reads rows of the carry ``x``
-and of the control ``u``, its own parameters ``p``, and writes ``nx`` rows to ``y``; ``scratch`` is
-room of its own. A function ``prepare(u, p, scratch)`` may fill the head of that room once a step, before
-an integrator asks several times under the same control.
-"""
+"""From a prediction to the next carry: integration by the motion, lags. The shell of most model kernels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, overload
+from typing import Literal, TypeAlias, overload
 
 import numpy as np
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, load, splat, store, view, where_at_most
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
-from sysid_evo.motion.compiled_form import MotionKernel, motion_kernel
-from sysid_evo.motion.straight_kernel import move_nothing, turn_nothing
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    MotionKernel,
+    Predictor,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
+from sysid_evo.motion_kernels import move_nothing, turn_nothing
 from sysid_evo.system import System
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
@@ -38,26 +41,6 @@ HEAD = Layout(
     "own",
     align=CACHE_LINE,
 )
-
-
-@dataclass(frozen=True)
-class Predictor:
-    """A block function, its flat parameters, the rows of scratch it needs, and what prepares them."""
-
-    function: Any
-    parameters: Array
-    n_scratch: int
-    prepare: Any = None
-
-    @property
-    def bindings(self) -> dict[str, Any]:
-        """What a shell binds: ``predict`` and ``prepare``."""
-        return {"predict": self.function, "prepare": self.prepare or nothing_to_prepare}
-
-
-def nothing_to_prepare(u, p, scratch):
-    """Leave the scratch as it is."""
-    return
 
 
 @overload
@@ -93,7 +76,7 @@ def stepping_kernel(
     ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
     controls in the carry included. No state leaves the limits of its channel.
     """
-    motion = REACHED if output == "next_state" else motion_kernel(system)
+    motion = REACHED if output == "next_state" else system.motion_kernel()
     if motion is None:
         return None
     rest = np.empty(0)

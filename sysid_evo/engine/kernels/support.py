@@ -7,11 +7,8 @@ import math
 import numpy as np
 
 from sysid_evo.data.support import Support
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import CACHE_LINE, Layout, padded
 from sysid_evo.engine.kernels.neighbours import neighbour_predictor
+from sysid_evo.kernels import CACHE_LINE, LANES, DynamicsKernel, KernelSource, Layout, padded, view
 
 HEAD = Layout(
     "nx", "nu", "doubt_at", "clock_at", "weight", "every", "per_limit", "inner", "table", align=CACHE_LINE

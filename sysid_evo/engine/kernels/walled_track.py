@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from sysid_evo import angles
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES, view
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.motion.compiled_form import motion_kernel
+from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, view
 from sysid_evo.tasks.task import TaskState
 from sysid_evo.tasks.track import NOWHERE, NUMBERS, STILL, WALK
 from sysid_evo.tasks.walled_track import KEPT, PRESSED, WalledTrack, WalledTrackState
@@ -26,9 +22,9 @@ ROWS = Layout(
 HEAD = Layout("forward", "lateral", "yaw_rate", "dt", "half", "room", "ends", "reach", "rays")
 
 
-def walled_track_kernel(task: WalledTrack) -> TaskKernel | None:
+def walled_track_kernel(task: WalledTrack) -> TaskKernel[Any] | None:
     """Return the compiled form of a bound task; None if its motion has none."""
-    motion = motion_kernel(task.system)
+    motion = task.system.motion_kernel()
     if motion is None:
         return None
     forward, *lateral = task.speeds

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from sysid_evo import angles
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource
-from sysid_evo.engine.compiled.kernel import TaskKernel
-from sysid_evo.engine.compiled.lanes import (
+from sysid_evo.kernels import (
     LANES,
     QUARTER,
+    KernelSource,
+    Layout,
+    TaskKernel,
     first_lane,
     lanes_at_most,
     load,
@@ -25,9 +26,7 @@ from sysid_evo.engine.compiled.lanes import (
     view,
     where_bits,
 )
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.motion.compiled_form import motion_kernel
-from sysid_evo.motion.planar_body_kernel import wrap
+from sysid_evo.motion_kernels import wrap
 from sysid_evo.system import System
 from sysid_evo.tasks.point_to_point import PointToPointState
 from sysid_evo.tasks.task import TaskState
@@ -36,9 +35,9 @@ ROWS = Layout("passed", "alive", "x", "y", "heading", "next_x", "next_y")
 HEAD = Layout("forward", "yaw_rate", "dt", "radius_squared", "n_data")
 
 
-def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -> TaskKernel | None:
+def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -> TaskKernel[Any] | None:
     """Return the compiled form of `PointToPoint` on ``system``; None if its motion has none."""
-    motion = motion_kernel(system)
+    motion = system.motion_kernel()
     if motion is None or system.motion is None:
         return None
     roles = system.motion.roles()

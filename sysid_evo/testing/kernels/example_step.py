@@ -1,7 +1,6 @@
 """One block of `ExampleDynamics`."""
 
-from sysid_evo.engine.compiled.lanes import LANES
-from sysid_evo.engine.compiled.layout import Layout
+from sysid_evo.kernels import LANES, Layout
 
 HEAD = Layout("nx", "nu", "decay")
 

@@ -21,7 +21,6 @@ from model_zoo.parametrised import Parametrised
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.dynamics import Dynamics, training_envelope
-from sysid_evo.engine.compiled.kernel import DynamicsKernel
 from sysid_evo.engine.kernels import (
     command_network_predictor,
     network_predictor,
@@ -30,6 +29,7 @@ from sysid_evo.engine.kernels import (
     separate_networks_predictor,
     stepping_kernel,
 )
+from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
 

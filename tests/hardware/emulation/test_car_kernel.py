@@ -15,10 +15,9 @@ from hardware.emulation.held_control import HeldControl
 from sysid_evo.arrays import Array
 from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.dialect import Lifted, Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
 from sysid_evo.randomness import trial_seeds
 from tests.hardware.emulation.delayed import Delayed
 

@@ -12,9 +12,9 @@ from hardware.listener import Command, Listener, RobotStatus
 from hardware.loop.pilot import Estimate, Pilot
 from hardware.measurement import Measurement
 from hardware.robot import Connection, Robot
+from sysid_evo.angles import rotate
 from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
-from sysid_evo.motion import rotate
 
 
 @dataclasses.dataclass

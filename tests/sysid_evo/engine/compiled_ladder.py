@@ -8,9 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from sysid_evo.arrays import Array, Seeds
-from sysid_evo.engine.compiled.dialect import KernelSource, Lifted
-from sysid_evo.engine.compiled.kernel import ControllerKernel, DynamicsKernel, TaskKernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.kernels import LANES, ControllerKernel, DynamicsKernel, KernelSource, Lifted, TaskKernel
 from sysid_evo.system import System
 from sysid_evo.tasks import TaskState
 from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState

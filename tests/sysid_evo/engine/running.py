@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned
-from sysid_evo.engine.compiled.signature import Signature
 from sysid_evo.engine.kernels import Predictor
+from sysid_evo.kernels import DYNAMICS, LANES, KernelSource, Precision, Signature
 
 PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
 EXACT_FIRST = ("float64", pytest.param("float32", marks=pytest.mark.slow))

@@ -14,10 +14,10 @@ import numba
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel, generate
-from sysid_evo.engine.compiled.signature import REALS, Signature
+from sysid_evo.engine.compiled.dialect import compile_kernel, generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
+from sysid_evo.kernels import REALS, KernelSource, Precision, Signature
 
 from . import same_name
 from .running import PRECISIONS
@@ -222,8 +222,8 @@ def test_a_function_without_source_is_refused() -> None:
 SECOND = """
 import json, sys
 from pathlib import Path
-from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
-from sysid_evo.engine.compiled.signature import REALS, Signature
+from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.kernels import REALS, KernelSource, Signature
 from tests.sysid_evo.engine.test_dialect import with_numbers, mathematics
 for function in (with_numbers, mathematics):
     for pointer in (False, True):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.signature import NUMBER, REALS, Signature
+from sysid_evo.kernels import NUMBER, REALS, Signature
 
 from .running import compile_for_python
 

@@ -14,13 +14,11 @@ from sysid_evo.controllers import RecurrentNetwork, View
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import Engine, rollout
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision
-from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, OBSERVE
-from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.compiled.open_loop import final_errors
 from sysid_evo.engine.kernels import Predictor, stepping_kernel
 from sysid_evo.evolution.identification import final_error, kernel_error
 from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.kernels import ADVANCE, CONTROLLER, LANES, OBSERVE, KernelSource, Precision
 from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_model

@@ -12,11 +12,11 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled.dialect import KernelSource, generate
+from sysid_evo.engine.compiled.dialect import generate
 from sysid_evo.engine.compiled.generated import imported, name_of
 from sysid_evo.engine.compiled.inlined import TRIED, compiler_for
-from sysid_evo.engine.compiled.signature import REALS, Signature
 from sysid_evo.files import cache_folder
+from sysid_evo.kernels import REALS, KernelSource, Signature
 
 
 def test_what_another_process_compiles_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

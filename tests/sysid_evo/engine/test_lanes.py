@@ -9,11 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled import lanes
-from sysid_evo.engine.compiled.dialect import KernelSource, Precision, compile_kernel
-from sysid_evo.engine.compiled.lanes import (
+from sysid_evo import kernels
+from sysid_evo.engine.compiled import lanes, row_mathematics
+from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.kernels import (
     LANES,
     QUARTER,
+    REALS,
+    WHOLES,
+    WORDS,
+    KernelSource,
+    Precision,
+    Signature,
     first_lane,
     lanes_at_most,
     lanes_differ,
@@ -27,7 +34,6 @@ from sysid_evo.engine.compiled.lanes import (
     where_bits,
     where_less,
 )
-from sysid_evo.engine.compiled.signature import REALS, WHOLES, Signature
 
 from .running import PRECISIONS
 
@@ -182,3 +188,17 @@ def compile_kernel_anew(function: Callable[..., Any], precision: Precision) -> A
     space: dict[str, Any] = {"numba": numba}
     exec(compile(text, "anew", "exec"), space)
     return space["entry"]
+
+
+def test_every_word_of_the_kernel_language_has_a_compiled_meaning() -> None:
+    assert [name for name in WORDS.values() if not (hasattr(lanes, name) or hasattr(row_mathematics, name))] == []
+    assert all(getattr(kernels, name) is word for word, name in WORDS.items())
+
+
+@pytest.mark.parametrize("function", [arithmetic, chosen, chosen_at_most, blended])
+def test_a_word_means_for_each_lane_what_it_means_in_plain_python(function: Callable[..., Any]) -> None:
+    with np.errstate(invalid="ignore"):
+        rows = [np.zeros(1) for _ in range(LANES)]
+        for lane, row in enumerate(rows):
+            function(A[lane : lane + 1], B[lane : lane + 1], row)
+        np.testing.assert_allclose(row_of(function, "float64"), np.concatenate(rows), rtol=1e-15)

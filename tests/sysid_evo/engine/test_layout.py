@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.dialect import KernelSource, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS
-from sysid_evo.engine.compiled.layout import Layout, padded
-from sysid_evo.engine.compiled.signature import NUMBER, REALS, WHOLES, Signature
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, KernelSource, Layout, Signature, padded
 
 from .running import call_block
 

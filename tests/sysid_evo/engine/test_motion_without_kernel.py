@@ -12,9 +12,9 @@ import pytest
 from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine import DynamicsKernel, Predictor, rollout, stepping_kernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine import rollout, stepping_kernel
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, DynamicsKernel, Predictor
 from sysid_evo.motion import Motion
 from sysid_evo.system import System
 

@@ -11,9 +11,7 @@ import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine.compiled import window_loops
-from sysid_evo.engine.compiled.dialect import KernelSource, Source, generate
-from sysid_evo.engine.compiled.kernel import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE
-from sysid_evo.engine.compiled.signature import REALS, Signature
+from sysid_evo.engine.compiled.dialect import generate
 from sysid_evo.engine.kernels import (
     command_network_predictor,
     neighbour_predictor,
@@ -22,6 +20,7 @@ from sysid_evo.engine.kernels import (
     runge_kutta_predictor,
     stepping_kernel,
 )
+from sysid_evo.kernels import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE, REALS, KernelSource, Signature, Source
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 

@@ -11,8 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import Precision
-from sysid_evo.engine.compiled.lanes import LANES
 from sysid_evo.engine.kernels import (
     added,
     command_network_predictor,
@@ -22,6 +20,7 @@ from sysid_evo.engine.kernels import (
     polynomial_predictor,
 )
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, Precision
 
 from .running import EXACT_FIRST, RTOL, predictions
 

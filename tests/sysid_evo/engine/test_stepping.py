@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import Lifted, Precision, compile_kernel
-from sysid_evo.engine.compiled.kernel import DYNAMICS, DynamicsKernel
-from sysid_evo.engine.compiled.lanes import LANES
+from sysid_evo.engine.compiled.dialect import compile_kernel
 from sysid_evo.engine.compiled.memory import aligned
 from sysid_evo.engine.kernels import (
     Predictor,
@@ -25,6 +23,7 @@ from sysid_evo.engine.kernels import (
     turning_frame,
 )
 from sysid_evo.engine.kernels.stepping import Output
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_evo.arrays import Array, BoolArray, IntArray, Seeds
-from sysid_evo.engine.compiled.kernel import TaskKernel
 from sysid_evo.errors import ContractViolation, IncompatibleTask
+from sysid_evo.kernels import TaskKernel
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import tasks
 from sysid_evo.system import Channel, System

@@ -1,19 +1,46 @@
-"""A body on a plane, over lanes."""
+"""The compiled forms of motions: of a body on a plane, and of a system without a motion."""
 
 from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.compiled.elementary import nearest
-from sysid_evo.engine.compiled.lanes import LANES, QUARTER, load, load_quarter, store, view, where_at_most
-from sysid_evo.engine.compiled.layout import Layout
-from sysid_evo.motion import planar_body
-from sysid_evo.motion.compiled_form import MotionKernel
-from sysid_evo.motion.straight_kernel import integrate_straight
+from sysid_evo import angles
+from sysid_evo.angles import TURN
+from sysid_evo.kernels import (
+    LANES,
+    QUARTER,
+    Layout,
+    MotionKernel,
+    load,
+    load_quarter,
+    nearest,
+    store,
+    view,
+    where_at_most,
+)
 
 ROLES = Layout("forward", "lateral", "yaw_rate")
-TURN = 2.0 * math.pi
 PER_TURN = 1.0 / TURN
+
+
+def integrate_straight(state, after, nx, dt, p):
+    """Write state + dt acceleration."""
+    for row in range(nx):
+        store(after, row * LANES, load(state, row * LANES) + dt * load(after, row * LANES))
+
+
+def turn_nothing(state, rate, p):
+    """Leave the rate as it is."""
+    return
+
+
+def move_nothing(pose, before, after, dt, p):
+    """Leave the pose as it is."""
+    return
+
+
+STRAIGHT = MotionKernel(integrate_straight, turn_nothing, move_nothing)
+"""Of a system without a motion: no frame turns, and there is no pose."""
 
 
 def planar_body_kernel(forward: int, lateral: int | None, yaw_rate: int) -> MotionKernel:
@@ -32,7 +59,7 @@ def integrate(state, after, nx, dt, p):
         for lane in range(0, LANES, QUARTER):
             angle = load_quarter(yaw_rate, lane) * dt
             ahead, aside = load_quarter(along, lane), load_quarter(across, lane)
-            forward, sideways = planar_body.turn(ahead, aside, math.cos(angle), -math.sin(angle))
+            forward, sideways = angles.turn(ahead, aside, math.cos(angle), -math.sin(angle))
             store(along, lane, forward)
             store(across, lane, sideways)
 
@@ -45,7 +72,7 @@ def turn(state, rate, p):
         along, across = view(state, forward), view(state, lateral * LANES)
         yaw_rate = view(state, int(p[ROLES.yaw_rate]) * LANES)
         along_rate, across_rate = view(rate, forward), view(rate, lateral * LANES)
-        forward_change, lateral_change = planar_body.frame_change(load(along, 0), load(across, 0), load(yaw_rate, 0))
+        forward_change, lateral_change = angles.frame_change(load(along, 0), load(across, 0), load(yaw_rate, 0))
         store(along_rate, 0, load(along_rate, 0) + forward_change)
         store(across_rate, 0, load(across_rate, 0) + lateral_change)
 
@@ -63,7 +90,7 @@ def move(pose, before, after, dt, p):
         along = 0.5 * dt * (load_quarter(u0, lane) + load_quarter(u1, lane))
         across = sideways * (load_quarter(v0, lane) + load_quarter(v1, lane))
         middle = load_quarter(heading, lane) + 0.5 * turned
-        dx, dy = planar_body.turn(along, across, math.cos(middle), math.sin(middle))
+        dx, dy = angles.turn(along, across, math.cos(middle), math.sin(middle))
         store(pose, lane, load_quarter(pose, lane) + dx)
         store(y, lane, load_quarter(y, lane) + dy)
         store(heading, lane, wrap(load_quarter(heading, lane) + turned))

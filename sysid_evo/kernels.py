@@ -1,0 +1,503 @@
+"""What a compiled form is: the words that kernel functions are written in, and the records that hand them over.
+
+**Lanes.** A compiled rollout does not go through one trial after the other. It takes 64 of them side by side, and every
+quantity is an array of rows of 64 numbers, one for each rollout, its *lane*: number i of lane l stands at
+``i * LANES + l``. A kernel is a plain Python function over one such block. It loops over the lanes in its innermost
+loop, and the compiler turns that loop into vector instructions, eight or sixteen lanes at a time::
+
+    def decay(carry, control, noise, parameters, scratch):
+        for row in range(3):
+            here = view(carry, row * LANES)
+            for lane in range(LANES):
+                here[lane] *= parameters[row]
+
+For this to work:
+
+- The innermost loop has no branches that differ between lanes: write ``a if test else b``, ``min``, ``max``.
+- ``view(array, n)`` is the array from element n on. A slice would count references in the loop, and an index
+  ``start + lane`` would be tested for its sign; both keep the loop from becoming vectors.
+- A sum over many rows is kept in registers with ``load``, ``splat`` and ``store``, which move a whole row;
+  ``load_quarter`` and ``splat_quarter`` make rows of sixteen. Short work on several arrays is faster with them too: a
+  loop over lanes first tests whether its arrays overlap.
+- For a search, ``lowest`` and ``lane_of_lowest`` reduce a row, ``pick`` takes one lane of it, and ``lanes_less`` marks
+  lanes as the bits of an integer, whose lowest ``first_lane`` finds.
+- Real numbers are written with a point: ``2 * x`` makes a float64 number of a float32 one. All literals, and
+  ``math.sin`` and the like, are turned into the kernel's own precision (float32 unless told otherwise).
+- Nothing is allocated. A kernel says how many rows of ``scratch`` it wants.
+
+**Parameters.** A kernel gets one flat array. `Layout` names the numbers at its head. The arguments of each kind of
+kernel are `DYNAMICS`, `CONTROLLER`, `OBSERVE` and `ADVANCE`, each a `Signature`.
+
+**Three ways to a kernel of a model**, the shorter first: a predictor of the kernel library (networks, polynomials,
+neighbours) in `stepping_kernel`; a step of one sample, `Lifted` to all lanes; a block function of one's own.
+Integration and the turning of the body's frame come from the system's motion. A motion without a compiled form has
+none here either: shells then return None, and the model runs in NumPy.
+
+**Where it is slow.** The first call compiles (a second or so, kept on disk). Less than 64 rollouts cost as much as 64.
+Everything that follows is the same for any number of threads.
+
+This module needs no compiler. Each word is a function with the meaning that it has for a single lane, where a row is a
+number; the engine knows the words by identity (`WORDS`) and compiles their meaning for 64 lanes. So a law, its kernel
+and the class that returns it import nothing heavy.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.arrays import Array
+from sysid_evo.errors import InvalidArgument
+
+Precision: TypeAlias = Literal["float32", "float64"]
+
+LANES = 64
+QUARTER = LANES // 4
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Words
+
+
+def view(array, first):
+    """Return ``array`` from element ``first`` on, without length or ownership: never keep it.
+
+    An index that is a loop's own counter is known not to be negative, ``start + i`` is not, and the compiler's test
+    for it would keep the loop from vectorising; a slice would count references in the loop.
+    """
+    return array[first:]
+
+
+def load(array, offset):
+    """Return the row of ``array`` that begins at ``offset``."""
+    return array[offset]
+
+
+def load_quarter(array, offset):
+    """Return a quarter of a row of ``array`` that begins at ``offset``."""
+    return array[offset]
+
+
+def splat(number):
+    """Return a row with ``number`` in every lane."""
+    return number
+
+
+def splat_quarter(number):
+    """Return a quarter of a row with ``number`` in every lane."""
+    return number
+
+
+def store(array, offset, row):
+    """Write ``row`` into ``array`` from ``offset`` on."""
+    array[offset] = row
+
+
+def where_less(a, b, x, y):
+    """Return x in the lanes where a < b, else y; rows, numbers or both."""
+    return x if a < b else y
+
+
+def where_at_most(a, b, x, y):
+    """Return x in the lanes where a <= b, else y; rows, numbers or both."""
+    return x if a <= b else y
+
+
+def where_bits(bits, x, y):
+    """Return x in the lanes whose bit is set, else y; of a quarter, the lowest sixteen bits count."""
+    return x if bits & 1 else y
+
+
+def lanes_less(a, b):
+    """Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
+    return 1 if a < b else 0
+
+
+def lanes_at_most(a, b):
+    """Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
+    return 1 if a <= b else 0
+
+
+def lanes_differ(a, b):
+    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
+    return 1 if a != b else 0
+
+
+def lowest(row):
+    """Return the smallest number of a row (or of a quarter); none may be nan."""
+    return row
+
+
+def lane_of_lowest(row):
+    """Return the first lane of a quarter that holds its smallest number; the last lane if none compares."""
+    return 0
+
+
+def first_lane(bits):
+    """Return the number of the lowest bit that is set; there must be one."""
+    return (bits & -bits).bit_length() - 1
+
+
+def pick(row, lane):
+    """Return the number in one lane of a row."""
+    return row
+
+
+def look_up(table, place):
+    """Return for each lane of a quarter the number of ``table`` (another quarter) at ``place``, from 0.0 to 15.0."""
+    raise TypeError("look_up: a single lane has no quarter to look in")
+
+
+def power_of_two(exponent):
+    """Return 2 to the power of whole numbers, one or a row, given as real ones."""
+    return 2.0**exponent
+
+
+WORDS: Mapping[Callable[..., Any], str] = {
+    word: word.__name__
+    for word in (
+        first_lane, lane_of_lowest, lanes_at_most, lanes_differ, lanes_less, load, load_quarter, look_up, lowest,
+        pick, power_of_two, splat, splat_quarter, store, view, where_at_most, where_bits, where_less,
+    )
+}  # fmt: skip
+"""What the compiler passes on by name, because it has a meaning of its own for it."""
+
+
+def nearest(x):
+    """The whole number nearest to x, for |x| up to 2^51; an ordinary kernel function, of float32 another one."""
+    return (x + 6755399441055744.0) - 6755399441055744.0
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Parameters and arguments
+
+CACHE_LINE = 16
+"""Numbers of float32 in a cache line: what begins at a multiple of it stays aligned."""
+
+
+class Layout:
+    """The names of the first numbers of a parameter array, in order; ``layout.name`` is where ``name`` stands.
+
+    A kernel gets one flat array. Its first numbers have names, the rest is its own::
+
+        HEAD = Layout("nx", "dt")
+
+        def predict(x, u, p, y, scratch):
+            nx, dt, weights = int(p[HEAD.nx]), p[HEAD.dt], view(p, HEAD.size)
+
+        parameters = HEAD.pack(weights, nx=3, dt=0.05)
+
+    In a kernel function ``HEAD.nx`` is the number 0 and ``HEAD.size`` the number 2. ``size`` is how many numbers the
+    head takes: as many as there are names, or more to a multiple of ``align``.
+    """
+
+    size: int
+
+    def __init__(self, *names: str, align: int = 1) -> None:
+        repeated = sorted({name for name in names if names.count(name) > 1 or name == "size"})
+        if repeated or align < 1:
+            raise InvalidArgument(f"layout: expected different names, none of them 'size', got {', '.join(names)}")
+        self.names = names
+        self.size = -(-len(names) // align) * align
+
+    def __getattr__(self, name: str) -> int:
+        names: tuple[str, ...] = self.__dict__.get("names", ())
+        if name not in names:
+            raise AttributeError(f"layout: no {name!r}; its names are {', '.join(names)}")
+        return names.index(name)
+
+    def pack(self, *rest: Any, **values: float) -> Array:
+        """Return the named values in their order, then ``rest``, flat. Raises `InvalidArgument` for other names."""
+        if values.keys() != set(self.names):
+            raise InvalidArgument(f"layout: expected {', '.join(self.names)}, got {', '.join(values) or 'nothing'}")
+        head = np.zeros(self.size)
+        head[: len(self.names)] = [values[name] for name in self.names]
+        return np.concatenate([head, *(np.ravel(part) for part in rest)]).astype(np.float64)
+
+    def integers(self, **values: int) -> npt.NDArray[np.int64]:
+        """Return the named values in their order as whole numbers."""
+        return self.pack(**values).astype(np.int64)
+
+
+def padded(array: Array, align: int = CACHE_LINE) -> Array:
+    """Return ``array`` with zeros after it, up to a multiple of ``align`` numbers."""
+    return np.pad(array, (0, -len(array) % align))
+
+
+class Kind(Enum):
+    """What an argument is, in the words of a generated file: R, I and types."""
+
+    REALS = "R"
+    WHOLES = "I"
+    NUMBER = "types.int64"
+
+
+REALS, WHOLES, NUMBER = Kind.REALS, Kind.WHOLES, Kind.NUMBER
+
+
+class Signature:
+    """Named arguments in order, each a `Kind` or the signature of a function that is passed; nothing comes back.
+
+    ``REALS`` is an array of the kernel's own precision, ``WHOLES`` one of int64, ``NUMBER`` an int64.
+    """
+
+    def __init__(self, **arguments: Argument) -> None:
+        self.arguments = arguments
+
+    @classmethod
+    def of(cls, function: Callable[..., Any], **others: Argument) -> Signature:
+        """Return that of ``function``, whose arguments are ``REALS`` except for the ``others``."""
+        names = tuple(inspect.signature(function).parameters)
+        unknown = [name for name in others if name not in names]
+        if unknown:
+            raise InvalidArgument(f"signature of {function.__qualname__}: no argument is called {', '.join(unknown)}")
+        return cls(**{name: others.get(name, REALS) for name in names})
+
+    def ordered(self, **given: Any) -> tuple[Any, ...]:
+        """Return what is ``given`` by name in the order of the arguments. Raises `InvalidArgument` for other names."""
+        if given.keys() != self.arguments.keys():
+            missing = ", ".join(self.arguments.keys() - given.keys()) or "none"
+            unknown = ", ".join(given.keys() - self.arguments.keys()) or "none"
+            raise InvalidArgument(f"call of a kernel: missing arguments: {missing}; unknown ones: {unknown}")
+        return tuple(given[name] for name in self.arguments)
+
+    def check(self, function: Callable[..., Any]) -> None:
+        """Raise `InvalidArgument` if ``function`` takes another number of arguments."""
+        names = tuple(inspect.signature(function).parameters)
+        if len(names) != len(self.arguments):
+            raise InvalidArgument(
+                f"kernel function {function.__module__}.{function.__qualname__}: expected {len(self.arguments)} "
+                f"arguments ({', '.join(self.arguments)}), got {len(names)} ({', '.join(names)})"
+            )
+
+    def __str__(self) -> str:
+        """Return the type as the text of a generated file."""
+        kinds = [
+            kind.value if isinstance(kind, Kind) else f"types.FunctionType({kind.of_pointers()})"
+            for kind in self.arguments.values()
+        ]
+        return f"types.void({', '.join(kinds)})"
+
+    def of_pointers(self) -> str:
+        """Return the type as the text of a generated file, of a function that is passed: addresses of its arrays."""
+        return f"types.void({', '.join(f'types.CPointer({kind}.dtype)' for kind in self._arrays())})"
+
+    def _arrays(self) -> list[str]:
+        others = [name for name, kind in self.arguments.items() if kind not in (Kind.REALS, Kind.WHOLES)]
+        if others:
+            raise InvalidArgument(f"a kernel that is passed takes arrays alone, got {', '.join(others)}")
+        return [kind.value for kind in self.arguments.values() if isinstance(kind, Kind)]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Signature) and list(self.arguments.items()) == list(other.arguments.items())
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.arguments.items()))
+
+
+Argument: TypeAlias = Kind | Signature
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Sources
+
+
+@dataclass(frozen=True)
+class KernelSource:
+    """A kernel function, and what stands for the free names in it (functions or further sources)."""
+
+    function: Callable[..., Any]
+    bindings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __hash__(self) -> int:
+        return hash((self.function, tuple(sorted((name, hash(bound)) for name, bound in self.bindings.items()))))
+
+
+class Wrapped(Protocol):
+    """A function and the text of another one around it."""
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """What is wrapped."""
+        ...
+
+    @property
+    def bindings(self) -> Mapping[str, Any]:
+        """What stands for the free names in it."""
+        ...
+
+    def write(self, inner: str, name: str) -> str:
+        """Return the text of the function ``name`` around the one called ``inner``."""
+        ...
+
+    def __hash__(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """A scalar step ``f(x, u, p) -> tuple``, or ``f(x, u, w, p)`` with noise, repeated over the lanes.
+
+    ``x``, ``u`` and ``w`` are tuples of ``n_carry``, ``nu`` and ``n_noise`` numbers, ``p`` is the flat
+    parameter array; the result has ``n_carry`` numbers.
+    """
+
+    function: Callable[..., Any]
+    n_carry: int
+    nu: int
+    n_noise: int = 0
+
+    bindings: ClassVar[Mapping[str, Any]] = {}
+
+    def write(self, inner: str, name: str) -> str:
+        """Return the text of the block kernel around the scalar function called ``inner``."""
+        x, u, w = (
+            "(" + "".join(f"{array}[{i} * LANES + lane], " for i in range(count)) + ")"
+            for array, count in (("carry", self.n_carry), ("control", self.nu), ("noise", self.n_noise))
+        )
+        arguments = [x, u, *([w] if self.n_noise else []), "parameters"]
+        lines = [
+            f"def {name}(carry, control, noise, parameters, scratch):",
+            "    for lane in range(LANES):",
+            f"        y = {inner}({', '.join(arguments)})",
+            *(f"        carry[{i} * LANES + lane] = y[{i}]" for i in range(self.n_carry)),
+        ]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Picked:
+    """A function of single numbers, called as a function of ``x`` and ``u`` with ``arguments``, such as ``x[0]``."""
+
+    function: Callable[..., Any]
+    arguments: tuple[str, ...]
+
+    bindings: ClassVar[Mapping[str, Any]] = {}
+
+    def write(self, inner: str, name: str) -> str:
+        """Return the text of the function ``name(x, u)`` around the one called ``inner``."""
+        return f"def {name}(x, u):\n    return {inner}({', '.join(self.arguments)})"
+
+
+Source: TypeAlias = KernelSource | Wrapped
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Records: what an author hands over
+
+DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
+"""Overwrite ``carry`` with the next one."""
+CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, parameters=REALS, scratch=REALS)
+"""Write ``raw``, overwrite ``memory``."""
+OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
+"""Write ``observation``."""
+ADVANCE = Signature(
+    task=REALS, before=REALS, after=REALS, control=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS
+)
+"""Overwrite ``task``, perhaps ``after``.
+
+Row 0 of ``task`` is the fitness, row 1 is 1.0 while the trial is alive; ``trials`` (64,) is the trial
+of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
+"""
+
+
+@dataclass(frozen=True)
+class DynamicsKernel:
+    """The compiled form of `Dynamics.step`; ``precision`` is the lowest one in which it is exact enough."""
+
+    source: Source
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    n_scratch: int = 0
+    precision: Precision = "float32"
+
+    def of_candidates(self, own: Array) -> Array:
+        """Return the flat parameters (P, n) of this kernel for candidates whose predictors have ``own`` (P, m)."""
+        shell = self.parameters[: len(self.parameters) - own.shape[1]]
+        return np.concatenate([np.tile(shell, (len(own), 1)), own], axis=1)
+
+
+@dataclass(frozen=True)
+class ControllerKernel:
+    """The compiled form of `Controller.act`.
+
+    ``before_tanh`` says that ``raw`` is still to be squashed by tanh. The loop does that where a control is
+    continuous; a switch at b is one at artanh b before it.
+    """
+
+    source: Source
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    n_scratch: int = 0
+    before_tanh: bool = False
+
+
+State = TypeVar("State")
+"""The state of a task, `sysid_evo.tasks.TaskState`; kernels stand below tasks."""
+
+
+@dataclass(frozen=True)
+class TaskKernel(Generic[State]):
+    """The compiled form of a bound task.
+
+    ``rows`` turns the state of E trials into task rows (n_rows, E); ``state`` turns the rows of B
+    trials (n_rows, B), tiled from those, back. ``trial_data`` (E, n) is what advancing looks up.
+    ``pose_row`` is the first of ``n_pose`` rows that hold the pose.
+    """
+
+    observe: Source
+    advance: Source
+    n_rows: int
+    rows: Callable[[State], Array]
+    trial_data: Callable[[State], Array]
+    state: Callable[[State, Array], State]
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+    pose_row: int = 2
+    n_pose: int = 0
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """The compiled form of `next_state` or `acceleration`: a block function, its parameters, its rows of scratch.
+
+    ``function(x, u, p, y, scratch)`` reads rows of the carry ``x`` and of the control ``u``, its own parameters ``p``,
+    and writes ``nx`` rows to ``y``; ``scratch`` is room of its own. ``prepare(u, p, scratch)`` may fill the head of
+    that room once a step, before an integrator asks several times under the same control.
+    """
+
+    function: Any
+    parameters: Array
+    n_scratch: int
+    prepare: Any = None
+
+    @property
+    def bindings(self) -> dict[str, Any]:
+        """What a shell binds: ``predict`` and ``prepare``."""
+        return {"predict": self.function, "prepare": self.prepare or nothing_to_prepare}
+
+
+def nothing_to_prepare(u, p, scratch):
+    """Leave the scratch as it is."""
+    return
+
+
+@dataclass(frozen=True)
+class MotionKernel:
+    """Three block functions over lanes and the flat ``parameters`` ``p`` that all of them get.
+
+    - ``integrate(state, after, nx, dt, p)``: ``after`` holds an acceleration and becomes the state dt later;
+    - ``turn(state, rate, p)``: add w(x) to ``rate``;
+    - ``move(pose, before, after, dt, p)``: ``pose`` becomes that after dt, angles in (-pi, pi].
+    """
+
+    integrate: Callable[..., Any]
+    turn: Callable[..., Any]
+    move: Callable[..., Any]
+    parameters: Array = field(default_factory=lambda: np.zeros(1))
+
+    @property
+    def bindings(self) -> dict[str, Any]:
+        """What a shell binds: ``integrate``, ``turn`` and ``move``."""
+        return {"integrate": self.integrate, "turn": self.turn, "move": self.move}
