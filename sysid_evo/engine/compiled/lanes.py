@@ -17,9 +17,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from sysid_evo.engine.compiled.rows import LanesType, broadcast, call_named
-
-LANES = 64
-QUARTER = LANES // 4
+from sysid_evo.kernels import LANES, QUARTER
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: Any) -> Any:
