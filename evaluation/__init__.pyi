@@ -1,10 +1,17 @@
-from .comparison import Experiment, compare, plan_comparison
-from .exploitability import ModelExploitability, assess_exploitability
-from .prediction import Prediction, PredictionProtocol, assess_prediction
-from .report import DataSummary, Failure, ModelSummary, Report, save_report, tables, to_json
-from .report.page import to_html
-from .study import Study, StudyResults, run_study
-from .transfer import Cell, TransferMatrix, TransferSummary, run_cell, summarise, transfer, transfer_seeds
+from .experiment import Experiment
+from .exploitability.assessment import assess_exploitability
+from .exploitability.results import ModelExploitability
+from .planning import plan_comparison
+from .prediction.cases import PredictionProtocol
+from .prediction.scores import Prediction
+from .prediction.scoring import assess_prediction
+from .report.report import save_report, tables, to_html, to_json
+from .results import DataSummary, Failure, ModelSummary, Report
+from .running import compare, run_study
+from .study.results import StudyResults
+from .study.study import Study
+from .transfer.matrix import Cell, TransferMatrix, run_cell, transfer, transfer_seeds
+from .transfer.summary import TransferSummary, summarise
 
 __all__ = [
     "Cell",

@@ -1,17 +1,34 @@
-"""A session with a robot: commands go out, frames come in; and what can open one."""
+"""The contract of a session: Connection, Measurement, Command, RobotStatus, GateLimits, Listener; time to live."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from typing import Protocol
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from types import TracebackType
+from typing import Any, Protocol, Self
 
-from hardware.listener import RobotStatus
-from hardware.measurement import Measurement
-from hardware.session import Session
-from hardware.trackers.gates import GateLimits
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from hardware.arguments import number, table, whole
+from sysid_evo.models import Dynamics
 from sysid_evo.system import System
+from sysid_evo.types import Array
+
+
+class Session(ABC):
+    """Something open; the ``with`` statement closes it on every way out."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End it; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
 
 class Connection(Session):
@@ -67,3 +84,129 @@ class Connectable(Protocol):
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session."""
         ...
+
+
+@dataclass(frozen=True)
+class Command:
+    """A control (nu,) sent at tick ``tick``, which was due at ``due``; times in s on the connection's clock."""
+
+    tick: int
+    due: float
+    time: float
+    control: Array
+
+
+@dataclass(frozen=True)
+class RobotStatus:
+    """What the robot said of itself.
+
+    ``time`` is when it got here (s, the connection's clock), ``robot_time`` when it was said (s, the
+    robot's clock); ``state`` is a word for what it does ("driving", "neutral", "tripped"),
+    ``control`` (nu,) what its outputs are set to, ``counters`` what it has counted since it started.
+    """
+
+    time: float
+    robot_time: float
+    state: str
+    control: Array
+    counters: Mapping[str, int] = field(default_factory=dict)
+
+
+class Listener:
+    """Is told of everything that happens in a session, in the order of time; each method does nothing here.
+
+    Called from the loop's own thread: a listener returns within a millisecond and never raises.
+    """
+
+    def measured(self, measurement: Measurement) -> None:
+        """Take note of a frame of the tracker."""
+
+    def commanded(self, command: Command) -> None:
+        """Take note of a control that was sent."""
+
+    def reported(self, status: RobotStatus) -> None:
+        """Take note of what the robot said."""
+
+    def close(self) -> None:
+        """Finish; a second call does nothing."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One frame of a tracker.
+
+    ``source_time`` is when the frame was taken, ``arrival_time`` when it got here. Both are in s on
+    one clock, that of the connection; a tracker with a clock of its own is mapped onto the host's
+    (`time.monotonic`). ``pose`` (n_pose,) is in the units of the system's motion; where ``valid``
+    is false the tracker has lost ``body`` and the pose means nothing.
+    """
+
+    source_time: float
+    arrival_time: float
+    frame: int
+    body: str
+    valid: bool
+    pose: Array
+
+
+TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops that soon
+
+MOST_FRAMES = 1_000_000
+
+
+@dataclass(frozen=True)
+class GateLimits:
+    """What a body can do between two accepted frames dt s apart, beyond the tracker's own errors.
+
+    It moves at most ``speed`` dt + ``position_error`` and never over ``jump`` m; it turns at most
+    ``yaw_rate`` dt + ``heading_error`` and never over ``turn`` rad. While it is told to drive, no
+    more than ``frozen`` poses in a row are equal to the last bit: a real tracker is never that still
+    (None for one without noise). A body that turns up elsewhere is believed again when its frames agree
+    with each other: after ``confirm`` of them if it could have got there, as after a dropout; after
+    ``recover`` s if it could not, because then it is another body or a flipped one. A run ends before.
+
+    A robot that can do more says so: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
+    """
+
+    speed: float = 5.0
+    yaw_rate: float = 12.0
+    jump: float = 0.25
+    turn: float = 1.0
+    position_error: float = 0.01
+    heading_error: float = 0.1
+    frozen: int | None = 10
+    confirm: int = 10
+    recover: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
+            value = getattr(self, name)
+            if value != math.inf:
+                number(f"gate: {name}", value, above=0.0)
+        for name in ("position_error", "heading_error"):
+            number(f"gate: {name}", getattr(self, name), least=0.0)
+        whole("gate: confirm", self.confirm, least=1, most=MOST_FRAMES)
+        if self.frozen is not None:
+            whole("gate: frozen", self.frozen, least=1, most=MOST_FRAMES)
+
+    @classmethod
+    def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
+        """Return limits from a table such as ``[gate]`` in a robot's file; None means the ones that hold for most.
+
+        Raises `InvalidArgument`.
+        """
+        if isinstance(given, GateLimits):
+            return given
+        return cls(**table("gate", {} if given is None else given, (item.name for item in fields(cls))))
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the limits as strict JSON (an absent limit is null)."""
+        return {
+            name: value if value is not None and math.isfinite(value) else None for name, value in asdict(self).items()
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
+        """Undo `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
+        limits: dict[str, Any] = {k: math.inf if v is None and k != "frozen" else v for k, v in value.items()}
+        return cls(**limits)

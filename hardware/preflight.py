@@ -6,20 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.driving.keyboard import control_of, key_life
-from hardware.loop.demands import check_loop
-from hardware.loop.estimator import PoseEstimator
+from hardware.control_loop import check_loop
+from hardware.estimator import PoseEstimator
 from hardware.recording.journal import check_journals
 from hardware.robot import Robot
-from sysid_evo.arrays import Array, check_shape
 from sysid_evo.controllers import Controller
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.extras import check_installed
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
-
-PAGE = ("starlette", "uvicorn", "websockets")
-"""Modules that the page for driving by hand is served with."""
+from sysid_evo.types import Array, check_shape
 
 
 def check_driving(
@@ -40,23 +35,6 @@ def check_driving(
         if parameters is not None:
             check_shape("parameters", parameters, (None, controller.n_parameters))
     robot.check()
-
-
-def check_driving_by_hand(robot: Robot, task: Task) -> None:
-    """Raise if a person could not drive ``robot`` at ``task`` on the page.
-
-    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
-    controls that keys cannot move and `MissingExtra` if the page cannot be served.
-    """
-    if robot.system.motion is None:
-        raise IncompatibleSystem(
-            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
-            "--controller and --watch the page shows how a controller drives it"
-        )
-    check_installed("driving by hand", PAGE)
-    control_of(0, robot.system)
-    key_life(robot.system)
-    check_driving(robot, task)
 
 
 def check_recording(robot: Robot, folder: Path | None, *, duration: float) -> None:

@@ -8,23 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from hardware.connection import Connection
-from sysid_evo.dynamics import Dynamics
+from hardware.control_loop import check_loop
+from hardware.recording.manoeuvres import Manoeuvre, excitation
+from hardware.recording.record import Recorded, record_dataset, record_manoeuvres
+from hardware.run_report import Stops
+from hardware.self_test import Finding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
+from sysid_evo.models import Dynamics
 from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
 
 if TYPE_CHECKING:
     import numpy as np
-
-    from hardware.finding import Finding
-    from hardware.loop.stops import Stops
-    from hardware.recording.excitation import Manoeuvre
-    from hardware.recording.scripted import Recorded
-
-__all__ = ["Connection", "Robot", "find_robot"]
 
 
 class Robot(ABC):
@@ -66,8 +64,6 @@ class Robot(ABC):
 
     def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
         """Say whether it is ready to be driven, after ``seconds`` in which nothing moves; see `self_test`."""
-        from hardware.loop.self_test import self_test
-
         return self_test(self, seconds=seconds, seed=seed, stops=stops)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
@@ -76,9 +72,6 @@ class Robot(ABC):
         Raises `IncompatibleSystem` if it cannot be driven by the control loop, `InvalidArgument` if there is no
         time for them.
         """
-        from hardware.loop.demands import check_loop
-        from hardware.recording.excitation import excitation
-
         check_loop(self.system)
         return excitation(self.system, duration=duration, rng=rng)
 
@@ -92,8 +85,6 @@ class Robot(ABC):
         progress: Progress | None = None,
     ) -> Recorded:
         """Drive these manoeuvres and record the answer."""
-        from hardware.recording.scripted import record_manoeuvres
-
         return record_manoeuvres(self, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 
     def record(
@@ -106,8 +97,6 @@ class Robot(ABC):
         progress: Progress | None = None,
     ) -> Recorded:
         """Drive manoeuvres for ``duration`` s and record the answer, see `record_dataset`."""
-        from hardware.recording.scripted import record_dataset
-
         return record_dataset(self, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)
 
 
@@ -123,3 +112,6 @@ def find_robot(spec: str | Spec) -> Robot:
             "derive the registered class from Robot, or let the registered function return one"
         )
     return made
+
+
+__all__ = ["Robot", "find_robot"]

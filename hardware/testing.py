@@ -13,28 +13,39 @@ from typing import Any
 
 import numpy as np
 
-from hardware.connection import Connection
-from hardware.measurement import Measurement
+from hardware.connection import Connection, Measurement
 from hardware.robot import Robot
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import ContractViolation, InvalidArgument, LinkLost, ShapeError
+from sysid_evo.models import Dynamics
 from sysid_evo.registry import Spec, robots
 from sysid_evo.system import System
-from sysid_evo.testing.arrays import expect_numbers, normal, same
-from sysid_evo.testing.stepping import (
+from sysid_evo.testing.contract import (
+    Check,
+    CheckResult,
+    DoesNotApply,
+    expect,
+    expect_numbers,
+    normal,
+    raise_broken,
+    same,
+    verdicts,
+)
+from sysid_evo.testing.models import (
     Inputs,
     expect_compiled_alike,
     expect_independent_rows,
     expect_pure,
     expect_shape_and_type,
 )
-from sysid_evo.testing.verdicts import Check, CheckResult, DoesNotApply, expect, raise_broken, verdicts
+from sysid_evo.types import Array
 
 FRAMES = 40
+
 LOOKS = 100
 """Calls of measure within which the next frame must come."""
+
 SECONDS = 2.0
+
 ROWS = 8
 
 

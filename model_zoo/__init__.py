@@ -12,5 +12,5 @@ points of pyproject.toml. What several families share stands in the folders besi
 - ``car``: the physics of a car (`parametrised`, `hybrid_ode`);
 - ``kernels``: compiled forms of single families.
 
-The carry with lags, `fit`, `simulate` and `score` are inherited from `sysid_evo.dynamics`.
+The carry with lags, `fit`, `simulate` and `score` are inherited from `sysid_evo.models`.
 """

@@ -7,16 +7,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.selection.mean import MeanOfMembers
 from sysid_evo import Dataset, DynamicsModel, make_model, register_model
-from sysid_evo.cross_validation import folds_of
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
+from sysid_evo.validation.folds import folds_of
 
 FAMILIES = ("narx", "k_neighbours")
+
 FOLDS = 3
+
 PARTS = 100
 """Parts in which the fit of one family is told."""
 

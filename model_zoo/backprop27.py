@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.channels.command_cells import CommandCells
-from model_zoo.channels.features import Features
-from model_zoo.channels.integrals import integrals, next_state, next_state_predictor
-from model_zoo.channels.standard import deviation
+from model_zoo.control_grid import CommandCells
+from model_zoo.features import Features, integrals, next_state, next_state_predictor
 from model_zoo.networks.network import random_network
+from model_zoo.scaling import deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
-from sysid_evo.arrays import Array, IntArray
-from sysid_evo.hyperparameters import Limit, above, at_least
+from sysid_evo.models.kernels import Predictor, command_network_predictor, with_angles
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
-
-if TYPE_CHECKING:
-    from sysid_evo.engine.kernels import Predictor
+from sysid_evo.types import Array, IntArray
 
 TOLD_EVERY = 50
 """Epochs between two reports of progress."""
@@ -100,8 +97,6 @@ class Backprop27(DynamicsModel):
         return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor:
-        from sysid_evo.engine.kernels import command_network_predictor, with_angles
-
         cells, serving = self._serving
         commands, n_in, _ = self.first_.shape
         shape = self.last_.shape[1:]

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.channels.features import Features
-from model_zoo.channels.standard import Standard
+from model_zoo.features import Features
+from model_zoo.scaling import Standard
 from sysid_evo import Dataset, DynamicsModel, register_model
-from sysid_evo.arrays import Array
 from sysid_evo.evolution import ModelEvolution
-from sysid_evo.evolution.identification import Weights
-from sysid_evo.hyperparameters import Limit, above, at_least
+from sysid_evo.evolution.model_evolution import Weights
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.kernels import network_predictor, with_angles
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Progress
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array
 
 
 @register_model("evolved3")
@@ -90,8 +89,6 @@ class Evolved3(DynamicsModel):
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
-        from sysid_evo.engine.kernels import network_predictor, with_angles
-
         nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
         cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
         own = np.repeat(np.eye(nx), hidden, axis=0)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from model_zoo.channels.integrals import between_limits
-from model_zoo.channels.standard import deviation
-from model_zoo.validation.uncertain import Uncertain
+from model_zoo.features import between_limits
+from model_zoo.scaling import deviation
 from sysid_evo import Dataset, register_model
-from sysid_evo.arrays import Array
-from sysid_evo.hyperparameters import Limit, at_least
+from sysid_evo.models.kernels import Predictor, network_predictor
+from sysid_evo.models.parameters import Limit, Searched, Within, at_least
+from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Progress
-from sysid_evo.searched import Searched, Within
-
-if TYPE_CHECKING:
-    from sysid_evo.engine.kernels import Predictor
+from sysid_evo.types import Array
 
 
 @register_model("linear")
@@ -62,6 +59,4 @@ class Linear(Uncertain):
         return carry @ self.coefficients_[:n] + control @ self.coefficients_[n:] + self.intercept_
 
     def predictor(self) -> Predictor:
-        from sysid_evo.engine.kernels import network_predictor
-
         return network_predictor([[(self.coefficients_, self.intercept_)]], self.n_carry, self.system.nu)

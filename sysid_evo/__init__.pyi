@@ -1,32 +1,28 @@
-from .controllers import Controller, RecurrentNetwork, View
-from .cross_validation import ConditionFold, EpisodeFold
-from .data import Dataset, Trajectory, Transitions, Windows
-from .dynamics import Dynamics, DynamicsModel, PlainDynamics
-from .engine import DynamicsRunner, Rollouts, Runner, rollout
-from .environments import make_env, make_vector_env
+from .artefacts import CheckpointFile
+from .controllers.controller import Controller, View, make_controller
+from .controllers.networks import RecurrentNetwork
+from .data.dataset import Dataset, Transitions
+from .data.trajectory import Trajectory, Windows
+from .engine.results import Rollouts
+from .engine.rollout import DynamicsRunner, Runner, rollout
+from .environments.registration import make_env, make_vector_env
 from .errors import SysidEvoError
-from .evolution import (
-    Champion,
-    ControllerEvolution,
-    EvolutionStrategy,
-    MuPlusLambda,
-    Schedule,
-    Stage,
-    evolve,
-    evolve_controller,
-)
-from .interoperation import to_control
+from .evolution.aggregates import make_aggregate
+from .evolution.champion import Champion, load_champion, save_champion
+from .evolution.controller_evolution import ControllerEvolution, evolve_controller
+from .evolution.loop import Schedule, Stage, evolve
+from .evolution.strategies.mu_plus_lambda import MuPlusLambda
+from .evolution.strategies.strategy import EvolutionStrategy, make_strategy
+from .interoperation.python_control import to_control
+from .models.base import DynamicsModel, make_model
+from .models.dynamics import Dynamics, PlainDynamics
+from .models.storage import load_model, save_model
 from .motion import Motion, PlanarBody
 from .randomness import trial_seeds
-from .registry import (
-    Spec,
-    load_plugin,
-    make_aggregate,
-    make_controller,
-    make_model,
+from .registry.grammar import Spec
+from .registry.plugins import load_plugin
+from .registry.registry import (
     make_robot,
-    make_strategy,
-    make_task,
     register_aggregate,
     register_controller,
     register_model,
@@ -37,9 +33,11 @@ from .registry import (
     register_strategy,
     register_task,
 )
-from .store import CheckpointFile, load_champion, load_model, save_champion, save_model
 from .system import Channel, System
-from .tasks import PointToPoint, Task, TaskState, register_reward
+from .tasks.point_to_point import PointToPoint
+from .tasks.reward import register_reward
+from .tasks.task import Task, TaskState, make_task
+from .validation.folds import ConditionFold, EpisodeFold
 from .version import __version__
 
 __all__ = [

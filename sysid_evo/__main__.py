@@ -1,6 +1,19 @@
-"""``python -m sysid_evo`` is ``sysid-evo``."""
+"""Python -m sysid_evo is sysid-evo."""
 
-from sysid_evo.cli import main
+import sys
+
+
+def main() -> None:
+    """Run the command line. Ctrl-C ends it quietly, also while all of it is still being imported."""
+    from sysid_evo.cli.console import INTERRUPTED
+
+    try:
+        from sysid_evo.cli.app import main as run
+
+        run()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
 
 if __name__ == "__main__":
     main()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array
+from sysid_evo.types import Array
 
 TURN = 2.0 * math.pi
 

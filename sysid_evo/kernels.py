@@ -52,12 +52,13 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.types import Array
 
 Precision: TypeAlias = Literal["float32", "float64"]
 
 LANES = 64
+
 QUARTER = LANES // 4
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -391,10 +392,13 @@ Source: TypeAlias = KernelSource | Wrapped
 
 DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
 """Overwrite ``carry`` with the next one."""
+
 CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, parameters=REALS, scratch=REALS)
 """Write ``raw``, overwrite ``memory``."""
+
 OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
 """Write ``observation``."""
+
 ADVANCE = Signature(
     task=REALS, before=REALS, after=REALS, control=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS
 )

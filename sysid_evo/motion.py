@@ -12,14 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.angles import TURN, frame_change, rotate, turn, wrap
-from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem, UnknownName
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.motion_kernels import planar_body_kernel
-from sysid_evo.registry import motions, register_motion
+from sysid_evo.registry.registry import motions, register_motion
+from sysid_evo.types import Array
 
 Numbers: TypeAlias = npt.NDArray[Any]
 """Of single or double precision."""
+
 SMALL_STEP = 1e-6
 """By which `CentralDifferences` moves each column."""
 

@@ -1,8 +1,15 @@
-"""How many processors the work of this process may use, and the limits that it sets for the libraries inside."""
+"""How many processors this process may use."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    pass
+
 
 INNER_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Libraries work on one thread: the matrices are small, and the engine spreads its blocks over all processors.
@@ -28,3 +35,18 @@ def usable_processors() -> int:
 def use_processors(count: int) -> None:
     """Let what begins from now on in this process use ``count`` processors; 0 for all. No result depends on it."""
     _Share.count = count
+
+
+@contextmanager
+def one_thread(seed: int) -> Iterator[None]:
+    """Let torch work on one thread, with random numbers from ``seed``; then all is as it was before."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.set_num_threads(threads)

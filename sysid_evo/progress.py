@@ -1,10 +1,12 @@
-"""How long work tells how far it is: a callable, so that libraries never print."""
+"""How long work reports its progress and keeps its state: callables, so that libraries never print or write."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeAlias
+
+from sysid_evo.types import Array
 
 
 class Progress(Protocol):
@@ -46,3 +48,23 @@ def shown(title: str) -> Iterator[Progress]:
             bars.update(task, completed=done, total=total, description=f"{title}: {note}" if note else title)
 
         yield update
+
+
+State: TypeAlias = Mapping[str, Array | int | float | str]
+"""Everything that is needed to go on, by name: float64 arrays, numbers and text, which can be stored."""
+
+
+class Checkpoint(Protocol):
+    """Keeps the last state of long work; `sysid_evo.artefacts.CheckpointFile` keeps it in a file."""
+
+    def load(self, identity: str) -> State | None:
+        """Return what was saved under this ``identity``, None if there is nothing that can be used."""
+        ...
+
+    def due(self) -> bool:
+        """Whether it is time to save again; results never depend on it."""
+        ...
+
+    def save(self, identity: str, state: State) -> None:
+        """Keep ``state`` in place of what was kept before."""
+        ...

@@ -1,4 +1,4 @@
-"""Random numbers by key: the same (seed, trial, stream) always gives the same sequence.
+"""Seeds and counter-based random numbers by (seed, trial, stream).
 
 The generator is Philox, which is counter-based: the number for a step depends on the key and on
 the step alone, so every candidate of a generation meets the same trials, in any order and engine.
@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.types import Array, Seeds
 
 TASK_STREAM = 0
+
 NOISE_STREAM = 1
+
 DRAW_STREAM = 2
+
 CONTROLLER_STREAM = 3
 
 
@@ -67,3 +70,12 @@ def step_noise(seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STR
 def trial_draws(seeds: Seeds, n_draws: int) -> Array:
     """Return standard normal numbers for every trial, (E, n_draws)."""
     return drawn(seeds, DRAW_STREAM, (n_draws,))
+
+
+def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
+    """Return a generator: the one given, or that of a seed; None is seed 0, so that the same call gives the same."""
+    if isinstance(rng, np.random.Generator):
+        return rng
+    if rng is None or (isinstance(rng, (int, np.integer)) and not isinstance(rng, bool) and rng >= 0):
+        return np.random.default_rng(0 if rng is None else rng)
+    raise InvalidArgument(f"rng: expected a seed (a whole number >= 0), a Generator or None, got {rng!r}")

@@ -1,9 +1,9 @@
-"""What a robot is to this library: named states and controls, a sampling time, a motion."""
+"""Channels and systems: names, units, limits, levels, dt, motion."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.angles import TURN, wrap
-from sysid_evo.arrays import Array, check_last, check_shape
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.motion import Motion, MotionGradient, StraightGradient, motion_from_dict
 from sysid_evo.motion_kernels import STRAIGHT
-from sysid_evo.switches import switch
+from sysid_evo.types import Array, check_last, check_shape
 
 LOG = logging.getLogger(__name__)
 
@@ -408,3 +407,23 @@ def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
 @cache
 def _remark_slow(kind: str) -> None:
     LOG.warning("motion %s has no compiled form: what needs it runs in NumPy, some ten times slower", kind)
+
+
+SWITCH_MARGIN = 0.9
+"""Boundaries between levels are equal parts of [-1, 1] drawn together by this factor.
+
+Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
+"""
+
+
+@cache
+def level_boundaries(n_levels: int) -> tuple[float, ...]:
+    """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
+    return tuple(SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels)
+
+
+def switch(raw: Array, levels: Sequence[float], control: Array) -> None:
+    """Write the level that each output in [-1, 1] selects to ``control``; a boundary itself is inner."""
+    control[...] = levels[0]
+    for boundary, level in zip(level_boundaries(len(levels)), levels[1:], strict=True):
+        np.copyto(control, level, where=(raw >= boundary) if boundary < 0 else (raw > boundary))

@@ -37,13 +37,16 @@ from safetensors.numpy import load_file, save_file
 
 from evaluation import compare
 from evaluation.report import to_json
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_controller, make_model, make_robot, make_task, models
-from sysid_evo.store import save_model
+from sysid_evo.registry import Spec, make_robot, models
+from sysid_evo.tasks.task import make_task
 
 Found: TypeAlias = dict[str, "np.ndarray | str"]
 """What was found, by a path such as ``family/linear/pendulum/learned/weights_``: an array, or a text."""

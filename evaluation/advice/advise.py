@@ -7,28 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluation.advice.commands import dead_command
-from evaluation.advice.coverage import missing_excitation, other_states
-from evaluation.advice.evidence import Evidence
-from evaluation.advice.generalising import halved, overfit, too_few_data
-from evaluation.advice.memory import hidden_state, late_controls
-from evaluation.advice.noise import noise_floor
-from evaluation.advice.remark import MOST, ModelAdvice, Remark
-from evaluation.advice.shift import shift
-from evaluation.advice.worst import weak_region
-from evaluation.exploitability.steps import Steps
+from evaluation.advice.evidence import MOST, Evidence, ModelAdvice, Remark
+from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
+from evaluation.advice.one_step import hidden_state, late_controls, noise_floor
+from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
+from evaluation.steps import Steps
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
+from sysid_evo.models import DynamicsModel
 
 FEWEST = 20
 """Windows of the part held back below which there is nothing to judge on."""
+
 HELD_BACK = 0.25
 """Share of the end of each episode that a copy is judged on where there is no test part."""
+
 NEGLIGIBLE = 0.05
 """N at the main horizon up to which a model is not limited by anything that is worth a word."""
+
 EVEN_THEN = ("noise", "excitation", "test part", "dead command")
 """What is said of such a model all the same: that little is left to gain, and where the data do not lie."""
+
 EXPLAINS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
@@ -38,6 +37,7 @@ EXPLAINS = {
 }
 """What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
 to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
+
 LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,

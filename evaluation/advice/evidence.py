@@ -1,25 +1,30 @@
-"""What remarks are made from: a fitted model, its data, and what it gets wrong in them."""
+"""What checks look at (a model, its data, its errors) and what they return (remarks)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from evaluation.exploitability.steps import Steps
-from evaluation.prediction import PredictionProtocol, Residuals, StepErrors, analyse, measured_cases, step_errors
-from evaluation.prediction.bootstrap import BlockErrors
-from sysid_evo.arrays import Array, IntArray
-from sysid_evo.cross_validation import recording
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
+from evaluation.steps import Steps
 from sysid_evo.data import Dataset
-from sysid_evo.data.linear_fit import acting_controls
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.data.response import acting_controls
+from sysid_evo.data.trajectory import recording
+from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
+from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.bootstrap import BlockErrors
 
 MOST_WINDOWS = 1200
 """Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
+
 STRIDE, FIRST = 4, 5
+
 BLOCK_WINDOWS = 15
 
 
@@ -127,3 +132,44 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
         names[windows.episode][usable],
         blocks[usable],
     )
+
+
+MOST = 5
+"""Remarks that are made at most: a list that is longer is not read."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """What limits a model, or what is known of its limits, under one ``topic``.
+
+    ``weight`` orders remarks: about the share of the error, or of the time, that is at stake, 0 to 1. ``figures`` are
+    the numbers in the sentence.
+    """
+
+    topic: str
+    sentence: str
+    weight: float
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ModelAdvice:
+    """The remarks on ``model``, the most important first; ``judged_on`` says which data it was judged on."""
+
+    model: str
+    remarks: tuple[Remark, ...]
+    judged_on: str = ""
+
+
+def advice_to_json(advice: ModelAdvice) -> dict[str, Any]:
+    """Return the advice as strict JSON."""
+    remarks = [
+        {"topic": one.topic, "sentence": one.sentence, "weight": one.weight, "figures": dict(one.figures)}
+        for one in advice.remarks
+    ]
+    return {"model": advice.model, "judged_on": advice.judged_on, "remarks": remarks}
+
+
+def advice_from_json(value: Mapping[str, Any]) -> ModelAdvice:
+    """Undo `advice_to_json`."""
+    return ModelAdvice(value["model"], tuple(Remark(**remark) for remark in value["remarks"]), value["judged_on"])

@@ -1,4 +1,4 @@
-"""The measured side of a prediction test: windows, free runs, scales and the guard."""
+"""What models are asked to predict: protocol, windows, free runs, scales, limits."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.prediction.protocol import PredictionProtocol
-from sysid_evo.arrays import Array, BoolArray, IntArray
 from sysid_evo.data import Dataset, Trajectory, Windows
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, IntArray
 
 SECOND = 1.0
+
 MOST_LISTED = 6
 """Names in a note; how many more there are is said in a number."""
 
@@ -191,3 +191,66 @@ def _listed(items: list[int] | list[str]) -> str:
     if len(items) <= MOST_LISTED:
         return ", ".join(map(str, items))
     return f"{', '.join(map(str, items[:MOST_LISTED]))} and {len(items) - MOST_LISTED} others"
+
+
+@dataclass(frozen=True)
+class PredictionProtocol:
+    """Which windows are simulated, which errors count, and how the intervals are drawn.
+
+    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is
+    simulated freely for the longest of ``horizons`` (steps) under the recorded controls. A model is given
+    as many earlier samples as it wants, if the record has them, but ``history`` at most. The error counts *at*
+    each horizon, not averaged over the way to it, and only where the target moves. A free run starts at sample
+    ``first`` of each episode and goes on to its end.
+
+    Windows overlap, so intervals come from a bootstrap over blocks: ``block_windows`` consecutive
+    windows, or ``block_samples`` consecutive samples of a free run, drawn ``resamples`` times.
+
+    Predictions are clipped to ``guard_multiple`` times the largest absolute training value.
+    """
+
+    horizons: tuple[int, ...] = (1, 10, 20, 60)
+    stride: int = 4
+    history: int | None = None
+    first: int = 5
+    block_windows: int = 15
+    block_samples: int = 100
+    resamples: int = 1000
+    confidence: float = 0.95
+    guard_multiple: float = 2.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "horizons", tuple(sorted({int(horizon) for horizon in self.horizons})))
+        if not self.horizons or self.horizons[0] < 1:
+            raise InvalidArgument(f"protocol: expected horizons of one step or more, got {self.horizons}")
+        for name in ("stride", "block_windows", "block_samples", "resamples"):
+            if getattr(self, name) < 1:
+                raise InvalidArgument(f"protocol: expected {name} >= 1, got {getattr(self, name)}")
+        if not 0 <= self.given <= self.first:
+            raise InvalidArgument(
+                f"protocol: expected 0 <= history <= first, got history {self.history}, first {self.first}"
+            )
+        if not 0.0 < self.confidence < 1.0 or self.guard_multiple <= 0.0:
+            raise InvalidArgument(
+                "protocol: expected a confidence between 0 and 1 and a guard_multiple > 0, "
+                f"got {self.confidence} and {self.guard_multiple}"
+            )
+
+    @property
+    def given(self) -> int:
+        """Earlier samples that every window has."""
+        return self.first if self.history is None else self.history
+
+    @property
+    def history_in_words(self) -> str:
+        """How much history models are given."""
+        return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
+
+    def describe(self, dt: float) -> str:
+        """Return the rules in one sentence; ``dt`` is in seconds."""
+        return (
+            f"Free run under recorded controls from measured states with {self.history_in_words}; "
+            f"starts every {self.stride} samples where the body moves; error at the horizon; dt {dt:g} s; "
+            f"{100 * self.confidence:g} % intervals by bootstrap over blocks of {self.block_windows} windows."
+        )

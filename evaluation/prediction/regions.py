@@ -7,18 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evaluation.prediction.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
 from evaluation.prediction.cases import MeasuredCases
-from evaluation.prediction.metrics import mean_over_channels
-from sysid_evo.arrays import Array, BoolArray
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array, BoolArray
+from sysid_evo.validation.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
+from sysid_evo.validation.measures import mean_over_channels
 
 LOW, HIGH = 20.0, 80.0
 """Percentiles that bound the regions of a continuous channel."""
+
 LEVELS = 5
 """A channel with no more values than that is cut by value."""
+
 NOTABLE = 1.3
 """A region is worth a word from this many times the N of all windows on, if its interval is above 1, too."""
+
 FEWEST_BLOCKS = 4
 """Blocks in which a region must occur, so that there is an interval to speak of."""
 

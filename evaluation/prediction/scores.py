@@ -1,4 +1,4 @@
-"""The scores of one model, of several, and of two compared."""
+"""The scores of a model, of several, and of two compared."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from evaluation.prediction.bootstrap import Interval, interval
 from evaluation.prediction.cases import MeasuredCases
-from evaluation.prediction.episodes import EpisodeError
-from evaluation.prediction.metrics import mean_over_channels
 from evaluation.prediction.regions import RegionError
 from evaluation.prediction.residuals import Residuals
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.types import Array
+from sysid_evo.validation.bootstrap import Interval, interval
+from sysid_evo.validation.measures import mean_over_channels
 
 HONEST = 0.05
 """By how much a coverage may miss its aim."""
@@ -187,3 +186,44 @@ class Prediction:
         ranking = self.ranking(horizon)
         compared = [self.compare(model.name, ranking[0].name, horizon) for model in ranking[1:]]
         return tuple(difference for difference in compared if difference is not None)
+
+
+HORIZON = 20
+"""Steps after which the prediction error counts, where it was measured there."""
+
+
+def error_of(found: ModelPrediction | None) -> float | None:
+    """Return N of a model on held-out data, None where it is not known."""
+    if found is None or not found.at:
+        return None
+    return (found.score(HORIZON) or found.at[-1]).n
+
+
+PERSISTENCE = "persistence"
+
+
+@dataclass(frozen=True)
+class ConditionErrors:
+    """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
+
+    ``within``: it also learned from recordings of that condition; ``across``: it learned from the others alone. None
+    where there is nothing to test on or to learn from.
+    """
+
+    condition: str
+    horizon: int
+    within: float | None
+    across: float | None
+
+
+@dataclass(frozen=True)
+class EpisodeError:
+    """N of one episode at each scored horizon (H,), in the scale of the whole test set; nan without a window there.
+
+    ``fit`` (nx,) is 100 (1 - norm(y - yhat) / norm(y - mean(y))) of each channel over the free run from the episode's
+    first samples to its end, every sample of it; nan where there is no free run.
+    """
+
+    name: str
+    n: Array
+    fit: Array

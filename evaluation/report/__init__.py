@@ -1,11 +1,11 @@
 """The report: what was found, as tables for a terminal, strict JSON, and a page that opens offline."""
 
-from evaluation.report.contents import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
-from evaluation.report.document import report_schema, to_json
-from evaluation.report.overview import drive_command
-from evaluation.report.save import save_report
-from evaluation.report.terminal import advice_lines, brief, tables
-from evaluation.report.verdict import Finding, tells_nothing, verdict
+from evaluation.report.elements import Finding
+from evaluation.report.report import brief, report_schema, save_report, tables, to_json
+from evaluation.report.sections.advice import advice_lines
+from evaluation.report.sections.controllers import drive_command
+from evaluation.report.sections.summary import tells_nothing, verdict
+from evaluation.results import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
 
 __all__ = [
     "DataSummary",

@@ -1,39 +1,21 @@
-"""Writes a report into a folder."""
+"""Writes a page in every form; leaves alone what is up to date."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 
-from evaluation.report.contents import Report
-from evaluation.report.document import to_json
+from evaluation.report.elements import Story
+from evaluation.report.render.markdown import story_to_markdown
+from evaluation.results import Report
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import write_atomically
-from sysid_evo.store.manifest import versions
+from sysid_evo.version import versions
 
-DOCUMENT, PAGE = "report.json", "report.html"
 EVALUATION = Path(__file__).parents[1]
 """The package whose sources decide how a page looks."""
-
-
-def save_report(
-    report: Report, folder: str | Path, *, of: str | None = None, afresh: bool = False
-) -> tuple[Path, Path]:
-    """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
-
-    ``of`` is a digest of all results that the report shows. With it a page is not drawn again that is there already,
-    made of the same results by the same program, unless that is wanted ``afresh``.
-    """
-    folder = Path(folder)
-    text = json.dumps(to_json(report), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    document = write_atomically(folder / DOCUMENT, lambda file: file.write_text(text, encoding="utf-8"))
-    mark = "" if of is None else _mark(of, text)
-    if afresh or not mark or _end(folder / PAGE, len(mark)) != mark:
-        from evaluation.report.page import to_html  # brings matplotlib, for which no mistake should wait
-
-        page = to_html(report) + mark
-        write_atomically(folder / PAGE, lambda file: file.write_text(page, encoding="utf-8"))
-    return document, folder / PAGE
 
 
 def _mark(of: str, text: str) -> str:
@@ -53,3 +35,36 @@ def _end(file: Path, length: int) -> str:
             return stream.read().decode(errors="replace")
     except OSError:
         return ""
+
+
+TEXT, FIGURES = "report.md", "figures"
+
+
+def write_format(report: Report, name: str, folder: str | Path) -> tuple[Path, ...]:
+    """Write the form ``name`` of a report into ``folder`` and return the files. Raises `InvalidArgument`."""
+    if name not in FORMATS:
+        raise InvalidArgument(f"format: expected one of {', '.join(FORMATS)}, got {name!r}")
+    return FORMATS[name](Story.of(report), Path(folder))
+
+
+def _markdown(story: Story, folder: Path) -> tuple[Path, ...]:
+    drawn = _figures(story, folder)
+    return (_text(folder / TEXT, story_to_markdown(story, figures=FIGURES)), *drawn)
+
+
+def _figures(story: Story, folder: Path) -> tuple[Path, ...]:
+    pictures = [picture for section in story.sections for picture in section.pictures]
+    drawings = [panel.wide for picture in pictures for panel in picture.panels]
+    return tuple(_text(folder / FIGURES / f"{drawing.key}.svg", drawing.file) for drawing in drawings)
+
+
+def _text(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+FORMATS: dict[str, Callable[[Story, Path], tuple[Path, ...]]] = {
+    "markdown": _markdown,
+    "svg": _figures,
+}
+"""Names of the forms, and what writes them."""

@@ -1,4 +1,4 @@
-"""From a study to one plan: the cells of all its points, each once."""
+"""From a study to one plan of the cells of all its points, each once."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from evaluation.comparison import Comparison, Experiment, GivenData, plan_comparison
+from evaluation.cells.data import GivenData
+from evaluation.experiment import Experiment
+from evaluation.planning import Comparison, plan_comparison
 from evaluation.study.study import Point, Study, name_of
 from sysid_evo.data import Dataset
 from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
-from sysid_evo.plan import Again, Cell, Plan, Store, StoredCell
+from sysid_evo.plan import Again, Cell, Plan, Record, Store, StoredCell
 from sysid_evo.registry import load_plugin, make_robot, robot_spec
 
 AGAIN = "evaluation.study.planning:plan_again"
@@ -117,3 +119,16 @@ def _check_robot(experiment: Experiment) -> None:
             f"{experiment.robot} is a physical robot, which a study does not drive: record it once with "
             "sysid-evo record, and name the recordings as data"
         )
+
+
+def seconds_about(planned: PlannedStudy, records: Mapping[str, Record | None]) -> dict[str, float]:
+    """Return about how long each cell takes, by digest: what it foresees, corrected by what its kind took here."""
+    took: dict[str, float] = {}
+    foreseen: dict[str, float] = {}
+    for cell in planned.plan:
+        record = records[cell.digest]
+        if record is not None and record.status == "done":
+            took[cell.kind] = took.get(cell.kind, 0.0) + record.seconds
+            foreseen[cell.kind] = foreseen.get(cell.kind, 0.0) + cell.seconds()
+    ratio = {kind: took[kind] / expected for kind, expected in foreseen.items() if expected > 0.0}
+    return {cell.digest: cell.seconds() * ratio.get(cell.kind, 1.0) for cell in planned.plan}

@@ -1,12 +1,28 @@
-"""What a study found: rows for points, models and controllers, each a plain record."""
+"""What a study found: rows, read from the store point by point, and their Parquet tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
 
-from evaluation.study.study import Study
+import numpy as np
+
+from evaluation.cells.controllers import ChampionCell, HandWrittenCell
+from evaluation.exploitability.results import ModelExploitability
+from evaluation.planning import Comparison
+from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
+from evaluation.study.planning import PlannedStudy
+from evaluation.study.study import Point, Study
+from evaluation.transfer.forecast import Forecast, forecasts, highest
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.summary import AT_REST, Standing, is_exploited, standings
+from sysid_evo.files import write_atomically
+from sysid_evo.plan import Cell, Record, Store
+from sysid_evo.plan.store import WAITING
+from sysid_evo.registry import Spec, tasks
+from sysid_evo.version import versions
 
 Kind: TypeAlias = Literal["single", "ensemble", "recommended", "robot", "by hand"]
 """What a controller comes from: one model, several at once, the recommended recipe, the robot itself, a person."""
@@ -150,3 +166,317 @@ class StudyResults:
     def point(self, name: str) -> PointRow:
         """Return the point of this name."""
         return next(point for point in self.points if point.name == name)
+
+
+def gather(planned: PlannedStudy, folder: Path) -> StudyResults:
+    """Return all that the store in ``folder`` knows of a study; nothing is computed."""
+    points: list[PointRow] = []
+    models: list[ModelRow] = []
+    controllers: list[ControllerRow] = []
+    failures: dict[str, Failed] = {}
+    times: dict[str, CellTime] = {}
+    for point, comparison in planned.points:
+        one = _Gathered(point, comparison, Store(folder), {})
+        one.records.update({cell.digest: one.store.find(cell.digest) for cell in comparison.plan})
+        for cell in comparison.plan:
+            record = one.records[cell.digest]
+            if record is not None:
+                times[cell.digest] = CellTime(cell.kind, record.seconds, record.status == "failed")
+            if record is not None and record.status == "failed":
+                failures.setdefault(cell.digest, Failed(point.name, cell.title, record.reason or ""))
+        rows = list(one.controllers())
+        points.append(one.row(next((row.controller for row in rows if row.chosen), "")))
+        models += one.models()
+        controllers += rows
+    return StudyResults(
+        study=planned.study,
+        points=tuple(points),
+        models=tuple(models),
+        controllers=with_yardsticks(points, controllers),
+        failures=tuple(failures.values()),
+        times=tuple(times.values()),
+        versions=versions(),
+    )
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """One point, its comparison, and what ``store`` knows of it; ``records`` are by digest."""
+
+    point: Point
+    comparison: Comparison
+    store: Store
+    records: dict[str, Record | None]
+
+    def row(self, chosen: str) -> PointRow:
+        """Return how far the point is."""
+        states = [self._state(cell) for cell in self.comparison.plan]
+        task = self.comparison.experiment.task
+        return PointRow(
+            name=self.point.name,
+            labels=self.point.labels,
+            where=self.point.where,
+            seed=self.point.labels.get("seed", str(self.comparison.experiment.seed)),
+            group=self.point.group,
+            cells=len(states),
+            done=states.count("done"),
+            failed=states.count("failed"),
+            missing=states.count("missing"),
+            task=task,
+            unit=str(getattr(tasks.get(Spec.parse(task).name), "fitness_unit", "")),
+            chosen=chosen,
+        )
+
+    def models(self) -> Iterator[ModelRow]:
+        """Yield a row for each model that was tried, the failed ones with their reason."""
+        found = self._value(self.comparison.exploitability)
+        assessed: dict[str, ModelExploitability] = {one.model: one for one in found or ()}
+        for label, fit in self.comparison.fits.items():
+            record = self.records[fit.digest]
+            if record is None and self._state(fit) == "missing":
+                continue
+            prediction: ModelPrediction | None = self._value(self.comparison.predictions.get(label))
+            one = assessed.get(label)
+            yield ModelRow(
+                point=self.point.name,
+                model=label,
+                family=fit.spec.name,
+                errors=() if prediction is None else tuple(_error(score) for score in prediction.at),
+                exploited=None if one is None else one.exploited,
+                claimed=None if one is None or one.claimed is None else one.claimed.value,
+                achieved=None if one is None or one.achieved is None else one.achieved.value,
+                kept=None if one is None or one.kept is None else one.kept.value,
+                seconds=None if record is None or record.status == "failed" else record.seconds,
+                reason=self._reason(fit),
+            )
+
+    def controllers(self) -> Iterator[ControllerRow]:
+        """Yield a row for each controller that was tried, the failed ones with their reason."""
+        planned = self.comparison.matrix
+        matrix = None if planned is None else planned.of(self.store.outcome)
+        if planned is None:
+            return
+        errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
+        ran = {cell.name for cell in planned.champions if self._all_ran(cell)}
+        found = {} if matrix is None else forecasts(matrix, errors)
+        found = {name: forecast for name, forecast in found.items() if name in ran}
+        resting = None if matrix is None else _at_rest(matrix)
+        standing = {} if matrix is None else standings(matrix, resting)
+        floor = None if matrix is None or resting is None else _achieved(matrix, resting)
+        finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
+        in_models = [
+            cell.name for cell in planned.champions if self._kind(cell) in ("single", "ensemble", "recommended")
+        ]
+        chosen = highest(found, in_models) if finished else None
+        for cell in planned.champions:
+            if self._state(cell) == "missing":
+                continue
+            row = self._controller(cell, standing.get(cell.name), found.get(cell.name), errors)
+            achieved = None if matrix is None else _achieved(matrix, cell.name)
+            yield replace(row, achieved=achieved, floor=floor, chosen=cell.name == chosen)
+
+    def _controller(
+        self,
+        cell: ChampionCell | HandWrittenCell,
+        standing: Standing | None,
+        forecast: Forecast | None,
+        errors: dict[str, float | None],
+    ) -> ControllerRow:
+        members = tuple(member.label for member in cell.members)
+        known = [error for name in members if (error := errors.get(name)) is not None]
+        row = ControllerRow(
+            point=self.point.name,
+            controller=cell.name,
+            kind=self._kind(cell),
+            members=members,
+            aggregate=self.comparison.experiment.aggregate if len(members) > 1 else "",
+            error=float(np.mean(known)) if known else None,
+            file="" if self.records[cell.digest] is None else f"{self._where(cell)}.json",
+            reason=self._reason(cell),
+        )
+        if standing is not None:
+            claimed, worst, achieved = standing.claimed, standing.worst, standing.achieved
+            on_robot = self.comparison.matrix is not None and self.comparison.matrix.robot is not None
+            row = replace(
+                row,
+                claimed=None if claimed is None else claimed.value,
+                achieved_error=achieved.standard_error if achieved is not None and on_robot else None,
+                worst=None if worst is None else worst.value,
+                worst_on=standing.worst_on,
+                exploited=is_exploited(claimed, standing.gap) if row.in_models else None,
+                expected=forecast.holds(achieved) if forecast and achieved and on_robot else None,
+            )
+        if forecast is not None:
+            row = replace(row, forecast=forecast.value, forecast_low=forecast.low, forecast_high=forecast.high)
+        return row
+
+    def _kind(self, cell: ChampionCell | HandWrittenCell) -> Kind:
+        if isinstance(cell, HandWrittenCell):
+            return "by hand"
+        if cell.kind == "polish":
+            return "recommended"
+        if any(member.robot is not None for member in cell.members):
+            return "robot"
+        return "single" if len(cell.members) == 1 else "ensemble"
+
+    def _all_ran(self, cell: ChampionCell | HandWrittenCell) -> bool:
+        """Whether a controller was tried on every system, so that nothing in its forecast is still to come."""
+        matrix = self.comparison.matrix
+        runs = () if matrix is None else matrix.runs
+        return all(self._state(run) != "missing" for run in runs if run.champion is cell)
+
+    def _state(self, cell: Cell) -> str:
+        record = self.records[cell.digest]
+        if record is not None:
+            return record.status
+        return "missing" if self.store.outcome(cell).reason == WAITING else "failed"
+
+    def _reason(self, cell: Cell) -> str:
+        record = self.records[cell.digest]
+        return "" if record is not None and record.status == "done" else self.store.outcome(cell).reason or ""
+
+    def _value(self, cell: Cell | None) -> Any:
+        return None if cell is None else self.store.outcome(cell).value
+
+    def _where(self, cell: Cell) -> str:
+        return self.store.where(cell).relative_to(self.store.path).as_posix()
+
+
+def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
+    """Return ``rows`` with the yardsticks of their robots, and the shares of these that they achieve."""
+    place = {point.name: (point.where, point.task) for point in points}
+    best: dict[tuple[str, str], float] = {}
+    for row in rows:
+        if row.achieved is not None and np.isfinite(row.achieved):
+            key = place[row.point]
+            best[key] = max(best.get(key, -np.inf), row.achieved)
+    return tuple(_with_share(row, best.get(place[row.point])) for row in rows)
+
+
+def _with_share(row: ControllerRow, yardstick: float | None) -> ControllerRow:
+    floor = row.floor or 0.0
+    if row.achieved is None or yardstick is None or yardstick <= floor:
+        return replace(row, yardstick=yardstick)
+    return replace(row, yardstick=yardstick, share=(row.achieved - floor) / (yardstick - floor))
+
+
+def _at_rest(matrix: TransferMatrix) -> str | None:
+    found = (one.name for one in matrix.champions if one.controller.name == AT_REST and not one.against)
+    return next(found, None)
+
+
+def _achieved(matrix: TransferMatrix, controller: str) -> float | None:
+    """Return the mean fitness on the robot, None where it was not run there."""
+    if matrix.robot is None or controller not in matrix.rows:
+        return None
+    cell = matrix.cell(controller, matrix.robot)
+    return None if cell.failed else cell.mean
+
+
+def _error(score: ErrorScore) -> Error:
+    assert score.horizon is not None
+    return Error(score.horizon, score.n, score.interval.low, score.interval.high)
+
+
+POINT_COLUMNS = {
+    "point": "name of the point",
+    "where": "robot, or recordings",
+    "cells": "cells of the point, shared ones included",
+    "done": "cells that are done",
+    "failed": "cells that failed, or could not be computed because one they need failed",
+    "missing": "cells that are not computed yet",
+    "task": "task",
+    "unit": "unit of fitness",
+    "chosen": "controller that the program picks by its forecast; empty for none",
+}
+
+MODEL_COLUMNS = {
+    "point": "name of the point",
+    "model": "label of the model",
+    "family": "registered name of its family",
+    "exploited": "whether the claims made in it exceed what is achieved by a tenth and two standard errors",
+    "claimed": "mean claim of the controllers evolved in it, unit of fitness",
+    "achieved": "mean of what these achieve on the robot, unit of fitness",
+    "kept": "share of the claim that is achieved",
+    "seconds": "duration of the fit, s",
+    "reason": "why there is no model; empty for none",
+}
+
+N_COLUMNS = {
+    "n_{}": "N after {} steps: mean over channels of RMSE / standard deviation, on held-out data",
+    "n_{}_low": "lower end of its 95 % interval (block bootstrap)",
+    "n_{}_high": "upper end of its 95 % interval (block bootstrap)",
+}
+
+CONTROLLER_COLUMNS = {
+    "point": "name of the point",
+    "controller": "name of the controller",
+    "kind": "single, ensemble, recommended, robot (evolved on it) or by hand",
+    "members": "models that it was planned to be evolved against, joined by +",
+    "aggregate": "rule by which several models become one fitness",
+    "claimed": "fitness where it was evolved, unit of fitness",
+    "achieved": "fitness on the robot, unit of fitness",
+    "achieved_error": "standard error of that over trials, unit of fitness",
+    "forecast": "what was expected of it on the robot, unit of fitness",
+    "forecast_low": "lower end of the 90 % interval of the forecast, unit of fitness",
+    "forecast_high": "upper end of the 90 % interval of the forecast, unit of fitness",
+    "expected": "whether what is achieved lies in that interval",
+    "worst": "lowest fitness on a system that it was not evolved against, unit of fitness",
+    "worst_on": "that system",
+    "error": "mean N after 20 steps of its members",
+    "exploited": "whether its claim exceeds what is achieved by a tenth and two standard errors",
+    "floor": "what controls at rest achieve, unit of fitness; missing where fitness begins at 0",
+    "yardstick": "best achieved on this robot in the study, unit of fitness",
+    "share": "(achieved - floor) / (yardstick - floor)",
+    "chosen": "whether the program picks it by its forecast",
+    "file": "its file in the folder of the study",
+    "reason": "why there is none; empty for none",
+}
+
+CELL_COLUMNS = {
+    "kind": "kind of work",
+    "seconds": "how long it took, s",
+    "failed": "whether it failed",
+}
+
+
+AXIS = "axis_{}"
+"""The column of an axis, so that it never has the name of another."""
+
+
+def save_parquet(results: StudyResults, folder: Path) -> tuple[Path, ...]:
+    """Write ``points``, ``models``, ``controllers`` and ``cells.parquet`` into ``folder``; return the files."""
+    axes = {AXIS.format(axis): f"label of the value of {axis}" for axis in results.study.axes}
+    horizons = sorted({error.horizon for row in results.models for error in row.errors})
+    errors = {name.format(h): text.format(h) for h in horizons for name, text in N_COLUMNS.items()}
+    labels = {point.name: {AXIS.format(a): text for a, text in point.labels.items()} for point in results.points}
+    points = [{**asdict(point), **labels[point.name], "point": point.name} for point in results.points]
+    models = [{**asdict(row), **labels[row.point], **_n(row)} for row in results.models]
+    controllers = [
+        {**asdict(row), **labels[row.point], "members": "+".join(row.members)} for row in results.controllers
+    ]
+    return (
+        _write(folder / "points.parquet", points, {**POINT_COLUMNS, **axes}),
+        _write(folder / "models.parquet", models, {**MODEL_COLUMNS, **axes, **errors}),
+        _write(folder / "controllers.parquet", controllers, {**CONTROLLER_COLUMNS, **axes}),
+        _write(folder / "cells.parquet", [asdict(time) for time in results.times], CELL_COLUMNS),
+    )
+
+
+def _n(row: ModelRow) -> dict[str, float]:
+    found = {}
+    for error in row.errors:
+        for name, value in zip(N_COLUMNS, (error.n, error.low, error.high), strict=True):
+            found[name.format(error.horizon)] = value
+    return found
+
+
+def _write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> Path:
+    """Write the ``columns`` of ``rows``; what each means stands in the description of its field."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({name: pa.array([row.get(name) for row in rows]) for name in columns})
+    fields = [table.schema.field(name).with_metadata({"description": text}) for name, text in columns.items()]
+    table = table.cast(pa.schema(fields))
+    return write_atomically(path, lambda file: pq.write_table(table, file))

@@ -1,24 +1,40 @@
 """Which controllers work elsewhere than where they were evolved."""
 
-from evaluation.transfer.cell import NOT_RUN, Cell, Trace, cell_of, kept_traces, run_cell, run_on, transfer_seeds
-from evaluation.transfer.claims import Estimate, fitness_on, is_exploited
-from evaluation.transfer.matrix import TransferMatrix, transfer
-from evaluation.transfer.measured import Measured, load_measured, person, save_measured, with_measured
-from evaluation.transfer.standing import Figures, Standing, standings
-from evaluation.transfer.storage import load_cell, save_cell
+from evaluation.transfer.matrix import (
+    NOT_RUN,
+    Cell,
+    Measured,
+    Trace,
+    TransferMatrix,
+    cell_of,
+    kept_traces,
+    load_measured,
+    person,
+    run_cell,
+    run_on,
+    save_measured,
+    transfer,
+    transfer_seeds,
+    with_measured,
+)
 from evaluation.transfer.summary import (
     AT_REST,
     ControllerSummary,
+    Figures,
     RankCorrelation,
+    Standing,
     TransferSummary,
+    fitness_on,
+    is_exploited,
+    standings,
     summarise,
 )
-from evaluation.transfer.uncertainty import PairedEstimate
+from evaluation.transfer.uncertainty import Estimate, PairedEstimate
 
 __all__ = [
     "AT_REST",
-    "Cell",
     "NOT_RUN",
+    "Cell",
     "ControllerSummary",
     "Estimate",
     "Figures",
@@ -33,12 +49,10 @@ __all__ = [
     "fitness_on",
     "is_exploited",
     "kept_traces",
-    "load_cell",
     "load_measured",
     "person",
     "run_cell",
     "run_on",
-    "save_cell",
     "save_measured",
     "standings",
     "summarise",

@@ -1,32 +1,39 @@
-"""The web server of the page, in a thread of its own."""
+"""The web server of the page: who may open it, what is served, the socket."""
 
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
+import secrets
 import socket
 import threading
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketClose, WebSocketDisconnect
 
-from hardware.driving.access import Guard, new_token
-from hardware.driving.keyboard import Keyboard
-from hardware.driving.panel import Panel
-from hardware.driving.seats import InvalidWord, Seat, Seats
-from hardware.session import Session
+from hardware.connection import Session
+from hardware.driving.keyboard import InvalidWord, Keyboard, Seat, Seats
+from hardware.driving.page_messages import Panel
 from sysid_evo.errors import InvalidArgument, LinkLost
 
+if TYPE_CHECKING:
+    pass
+
+
 PAGE = Path(__file__).parent / "page"
+
 FILES = {
     "": "index.html",
     "drive.css": "drive.css",
@@ -35,6 +42,7 @@ FILES = {
     "traces.js": "traces.js",
 }
 """What is served under which name."""
+
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -42,11 +50,17 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+
 PERIOD = 0.02  # s between two readings that the page is sent
+
 WORD_BYTES = 256  # the longest thing that a page says
+
 MOST_CONNECTIONS = 32
+
 PING = 1.0  # s after which a page that does not answer is gone
+
 START_UP = 5.0  # s
+
 INVALID = 1008  # the web socket's code for a message that breaks the rules
 
 
@@ -91,6 +105,8 @@ class PageServer(Session):
         port: int,
         died: Callable[[str], None],
     ) -> None:
+        import uvicorn
+
         token = new_token()
         self._socket = _listening(host, port)
         named = f"[{host}]" if ":" in host else host
@@ -177,3 +193,68 @@ def _listening(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except (OSError, OverflowError) as error:
         raise InvalidArgument(f"the page cannot be served at {host}, port {port}: {error}") from error
+
+
+TOKEN_BYTES = 16
+
+FORBIDDEN = 403
+
+
+def new_token() -> str:
+    """Return a secret for an address, different each time."""
+    return secrets.token_urlsafe(TOKEN_BYTES)
+
+
+class Guard:
+    """Answers 403 unless the first part of the path is ``token`` and the request comes from our own page.
+
+    Any web page can make a browser send requests to this machine. It does not know the token. A
+    page whose name was pointed at this machine after it was loaded (DNS rebinding) names itself in
+    the Host header, so that must be an address, localhost, this machine's name or ``host``; any
+    other page names itself in the Origin header, which every browser sends with a web socket.
+    """
+
+    def __init__(self, app: ASGIApp, *, token: str, host: str) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan" or self._allows(scope):
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await WebSocketClose()(scope, receive, send)
+        else:
+            await PlainTextResponse("403: open the address that sysid-evo drive printed.\n", FORBIDDEN)(
+                scope, receive, send
+            )
+
+    def _allows(self, scope: Scope) -> bool:
+        headers = [(name, value.decode("latin-1")) for name, value in scope["headers"]]
+        hosts = [value for name, value in headers if name == b"host"]
+        origins = [value for name, value in headers if name == b"origin"]
+        given = scope["path"].split("/")[1] if scope["path"].count("/") > 1 else ""
+        return (
+            secrets.compare_digest(given.encode("utf-8", "surrogateescape"), self._token)
+            and len(hosts) == 1
+            and self._is_ours(hosts[0])
+            and (bool(origins) or scope["type"] == "http")
+            and all(origin == f"http://{hosts[0]}" for origin in origins)
+        )
+
+    def _is_ours(self, host: str) -> bool:
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        if name in self._names:
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+
+PREFLIGHT_PAGE = ("starlette", "uvicorn", "websockets")
+"""Modules that the page for driving by hand is served with."""

@@ -5,24 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hardware.arguments import seed as checked_seed
-from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.parameters import Quantities, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.arrays import Array
+from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array
 
 FINE_DT = 0.005  # s
+
 REPEATS = 10  # fine steps in one sample of 50 ms
+
 GRAVITY = 9.81  # m/s2
+
 FORCE = 5.0  # N, what the motor gives
+
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
@@ -91,8 +93,6 @@ class CartPolePhysics(SensedPhysics):
         return np.stack([x + FINE_DT * v, v, a + FINE_DT * w, w, force], axis=1)
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.kernels import DynamicsKernel, Lifted
-
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
         return DynamicsKernel(Lifted(fine_step, n_carry=5, nu=1, n_noise=1), numbers)

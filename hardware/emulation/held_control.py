@@ -1,17 +1,15 @@
-"""A fine dynamics at a coarser rate: the control is held while the fine one repeats its step."""
+"""A fine dynamics at the control rate: the control is held while the fine step repeats; NumPy and compiled form."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics, PlainDynamics
 from sysid_evo.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
+from sysid_evo.models import Dynamics, PlainDynamics
+from sysid_evo.types import Array
 
 
 @runtime_checkable
@@ -67,6 +65,23 @@ class HeldControl(PlainDynamics):
         fine = self.fine.kernel()
         if fine is None:
             return None
-        from hardware.emulation.kernels.held import held_kernel
-
         return held_kernel(fine, self.repeats, self.fine.n_noise)
+
+
+HEAD = Layout("repeats", "n_noise")
+
+
+def held_kernel(fine: DynamicsKernel, repeats: int, n_noise: int) -> DynamicsKernel:
+    """Return the kernel that repeats ``fine``, which takes ``n_noise`` rows of noise each time."""
+    return DynamicsKernel(
+        KernelSource(held, {"fine": fine.source}),
+        HEAD.pack(fine.parameters, repeats=repeats, n_noise=n_noise),
+        fine.n_scratch,
+    )
+
+
+def held(carry, control, noise, parameters, scratch):
+    """Repeat the fine step, each time with the next rows of noise."""
+    own, rows = view(parameters, HEAD.size), int(parameters[HEAD.n_noise]) * LANES
+    for k in range(int(parameters[HEAD.repeats])):
+        fine(carry, control, view(noise, k * rows), own, scratch)

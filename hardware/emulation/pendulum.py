@@ -5,24 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hardware.arguments import seed as checked_seed
-from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.parameters import Quantities, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.arrays import Array
+from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array
 
 FINE_DT = 0.005  # s
+
 REPEATS = 10  # fine steps in one sample of 50 ms
+
 STICKING = 0.1  # rad/s: dry friction grows up to here
+
 TORQUE = 0.45  # N m, what the motor gives; holding the pendulum level takes 1.2
+
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
@@ -78,8 +80,6 @@ class PendulumPhysics(SensedPhysics):
         return np.stack([angle + FINE_DT * speed, speed, torque], axis=1)
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.kernels import DynamicsKernel, Lifted
-
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
         return DynamicsKernel(Lifted(fine_step, n_carry=3, nu=1, n_noise=1), numbers)

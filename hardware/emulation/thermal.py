@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hardware.arguments import seed as checked_seed
-from hardware.emulation.quantities import Quantities, quantity
+from hardware.emulation.parameters import Quantities, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.arrays import Array
+from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array
 
 FINE_DT = 0.05  # s
+
 REPEATS = 4  # fine steps in one sample of 0.2 s
+
 LATENCY = 8  # fine steps: 0.4 s from the command to the power stage
+
 ROOM = 20.0  # degC
 
 SYSTEM = System(
@@ -83,8 +84,6 @@ class ThermalPhysics(SensedPhysics):
         return np.concatenate([np.stack([block, element, power], axis=1), carry[:, 4:], control], axis=1)
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.kernels import DynamicsKernel, Lifted
-
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.power_lag)])
         return DynamicsKernel(Lifted(fine_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)

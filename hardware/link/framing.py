@@ -7,8 +7,11 @@ from binascii import crc_hqx
 from cobs import cobs
 
 DECODED_MAX = 32
+
 ENCODED_MAX = DECODED_MAX + 1
+
 CRC_SIZE = 2
+
 DELIMITER = 0
 
 

@@ -1,4 +1,4 @@
-"""Vicon and VRPN, read with the package motioncapture.
+"""Optical motion capture: OptiTrack (NatNet), Vicon, VRPN.
 
 The package gives no time stamps, neither of the frame nor of its arrival: frames are stamped when
 they come, and ``latency`` s, if it is known, are taken off.
@@ -7,20 +7,22 @@ they come, and ``latency`` s, if it is known, are taken off.
 from __future__ import annotations
 
 import math
+import queue
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from hardware.arguments import number, text
-from hardware.measurement import Measurement
-from hardware.trackers.axes import Axes
+from hardware.arguments import flag, number, text, whole
+from hardware.connection import Measurement
 from hardware.trackers.process import ProcessTracker
-from sysid_evo.arrays import Array
+from hardware.trackers.tracker import Axes, SourceClock
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import register_tracker
+from sysid_evo.types import Array
 
 
 @dataclass(frozen=True)
@@ -106,3 +108,112 @@ class VrpnTracker(MotionCaptureTracker):
     name = "vrpn"
     kind: ClassVar[str] = "vrpn"
     polls: ClassVar[bool] = True
+
+
+ANSWER = 3.0  # s within which the server and its list of bodies must come
+
+SILENCE = 0.1  # s after which it says that nothing came
+
+
+@register_tracker("natnet")
+@dataclass(frozen=True)
+class NatNetTracker(ProcessTracker):
+    """The rigid body ``body`` as streamed by the server at ``server`` to this host's address ``local``.
+
+    ``multicast`` says which way Motive streams, to ``multicast_address`` if it is true; the ports are
+    ``command_port`` and ``data_port``. Motive's default is y ``up``; ``scale`` is its unit of length in
+    m, ``heading_offset`` rad are added to the heading. Times are the frames' own, mapped by
+    `SourceClock`; they are late by the shortest way of a frame from the exposure to here, and
+    ``latency`` s are taken off for that. Raises `InvalidArgument`.
+    """
+
+    body: str
+    server: str = "127.0.0.1"
+    local: str = "127.0.0.1"
+    multicast: bool = False
+    multicast_address: str = "239.255.42.99"
+    command_port: int = 1510
+    data_port: int = 1511
+    up: Literal["y", "z"] = "y"
+    scale: float = 1.0
+    heading_offset: float = 0.0
+    latency: float = 0.0
+    name = "natnet"
+    requires: ClassVar[tuple[str, ...]] = ("natnet",)
+
+    def __post_init__(self) -> None:
+        for name in ("body", "server", "local", "multicast_address"):
+            text(f"tracker natnet: {name}", getattr(self, name))
+        for name in ("command_port", "data_port"):
+            whole(f"tracker natnet: {name}", getattr(self, name), least=1, most=65535)
+        flag("tracker natnet: multicast", self.multicast)
+        number("tracker natnet: latency", self.latency, least=0.0)
+        self._axes()
+
+    def frames(self) -> Iterator[Measurement | None]:
+        from natnet import NatNetClient, NatNetError
+
+        client = NatNetClient(
+            server_ip_address=self.server,
+            local_ip_address=self.local,
+            multicast_address=self.multicast_address,
+            command_port=self.command_port,
+            data_port=self.data_port,
+            use_multicast=self.multicast,
+        )
+        came: queue.SimpleQueue[tuple[float, Any]] = queue.SimpleQueue()
+        bodies: dict[str, int] = {}
+        described = threading.Event()
+
+        def describe(descriptions: Any) -> None:
+            bodies.clear()
+            bodies.update({one.name: one.id_num for one in descriptions.rigid_bodies})
+            described.set()
+
+        client.on_data_frame_received_event.handlers.append(lambda frame: came.put((time.monotonic(), frame)))
+        client.on_data_description_received_event.handlers.append(describe)
+        broken = threading.Event()
+        threading.excepthook = lambda _: broken.set()  # a packet that the client cannot read ends its thread
+        try:
+            client.connect(timeout=ANSWER)
+        except (TimeoutError, NatNetError, OSError) as error:
+            raise LinkLost(
+                f"no NatNet server answers at {self.server}:{self.command_port} ({type(error).__name__}): is Motive "
+                f"streaming to {self.local}, and is it set to {'multicast' if self.multicast else 'unicast'}?"
+            ) from error
+        client.run_async()
+        client.request_modeldef()
+        if not described.wait(ANSWER):
+            raise LinkLost(f"the NatNet server at {self.server} does not list its rigid bodies")
+        if self.body not in bodies:
+            raise LinkLost(f"no rigid body is called {self.body!r}; the server has: {', '.join(bodies) or 'none'}")
+        yield None
+        clock, axes = SourceClock(), self._axes()
+        while True:
+            if broken.is_set():
+                client.stop_async()
+                broken.clear()
+                client.run_async()
+            try:
+                arrival, frame = came.get(timeout=SILENCE)
+            except queue.Empty:
+                yield None
+                continue
+            if frame.suffix.tracked_models_changed:
+                client.request_modeldef()
+            yield self._measurement(frame, arrival, bodies.get(self.body), clock, axes)
+
+    def _axes(self) -> Axes:
+        return Axes(self.up, self.scale, self.heading_offset)
+
+    def _measurement(
+        self, frame: Any, arrival: float, number: int | None, clock: SourceClock, axes: Axes
+    ) -> Measurement:
+        """Return what ``frame`` says of the rigid body of this number; not valid if it is not in it."""
+        source = clock.map(frame.suffix.timestamp, arrival) - self.latency
+        seen = next(
+            (one for one in frame.rigid_bodies if one.id_num == number and one.tracking_valid is not False), None
+        )
+        pose = np.full(3, math.nan) if seen is None else axes.planar(seen.pos, seen.rot)
+        valid = bool(np.isfinite(pose).all())
+        return Measurement(source, arrival, frame.prefix.frame_number, self.body, valid, pose)

@@ -1,13 +1,19 @@
-"""The contract of a tracker: frames of one body, as they come."""
+"""The contract of a tracker, and what a driver keeps it with: axes to the plane, source clock to host clock."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
-from hardware.measurement import Measurement
-from hardware.session import Session
+import numpy as np
+
+from hardware.arguments import choice, number
+from hardware.connection import Measurement, Session
 from sysid_evo.extras import check_installed
+from sysid_evo.types import Array
 
 
 class TrackerStream(Session):
@@ -47,3 +53,72 @@ class Tracker(ABC):
     @abstractmethod
     def open(self) -> TrackerStream:
         """Start it. Raises `LinkLost` if nothing answers, `MissingExtra` if a package is not installed."""
+
+
+@dataclass(frozen=True)
+class Axes:
+    """How a tracker sees the plane: which of its axes points ``up``, and how many m its unit of length is.
+
+    With z up, x and y are the tracker's; with y up they are its x and -z, so that both are right-handed.
+    The heading is where the x axis of the body's own frame points, plus ``heading_offset`` rad.
+    """
+
+    up: Literal["y", "z"] = "z"
+    scale: float = 1.0
+    heading_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        choice("tracker: up", self.up, ("y", "z"))
+        number("tracker: scale", self.scale, above=0.0)
+        number("tracker: heading_offset", self.heading_offset)
+
+    def planar(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
+        """Return x, y in m and heading in [-pi, pi) of a body at ``position`` turned by ``rotation`` (x, y, z, w)."""
+        qx, qy, qz, qw = (float(value) for value in rotation)
+        forward = (
+            1.0 - 2.0 * (qy * qy + qz * qz),
+            2.0 * (qx * qy + qz * qw),
+            2.0 * (qx * qz - qy * qw),
+        )
+        x, y = self._plane(position)
+        heading = math.atan2(*self._plane(forward)[::-1]) + self.heading_offset
+        turned = math.remainder(heading, 2.0 * math.pi)
+        return np.array([self.scale * x, self.scale * y, -math.pi if turned == math.pi else turned])
+
+    def _plane(self, vector: Sequence[float]) -> tuple[float, float]:
+        return float(vector[0]), float(vector[1]) if self.up == "z" else -float(vector[2])
+
+
+LEAK = 2e-4
+"""Upward drift of the offset that is followed, in s per s: more than two quartz clocks part by."""
+
+RESTART = 1.0  # s that the source's clock may jump back or ahead of the host's before it counts as set anew
+
+
+class SourceClock:
+    """Maps times of a source onto `time.monotonic` by the smallest difference of arrival and source time seen.
+
+    The smallest difference belongs to the frame that travelled fastest, so a mapped time is late by
+    the shortest way from the source to here, and never by a queue in between. The offset leaks
+    upward by `LEAK`, to follow a source that runs slow. A clock that jumps starts anew; ``restarts``
+    counts that.
+    """
+
+    def __init__(self) -> None:
+        self._offset = math.inf
+        self._newest = -math.inf
+        self.restarts = 0
+
+    def map(self, source: float, arrival: float) -> float:
+        """Return when a frame of ``source`` s that came at ``arrival`` s was sent, in s of the host; never later."""
+        if math.isfinite(self._offset):
+            jumped_back = source < self._newest - RESTART
+            jumped_ahead = arrival - source < self._offset - RESTART
+            if jumped_back or jumped_ahead:
+                self._offset, self._newest = math.inf, -math.inf
+                self.restarts += 1
+            else:
+                self._offset += LEAK * max(source - self._newest, 0.0)
+        self._offset = min(self._offset, arrival - source)
+        self._newest = max(self._newest, source)
+        return min(source + self._offset, arrival)

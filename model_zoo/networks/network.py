@@ -1,14 +1,16 @@
-"""Multilayer perceptrons with tanh layers as plain arrays: several members side by side."""
+"""Tanh networks as arrays, and their gradient written by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from sysid_evo.arrays import Array
+from sysid_evo.types import Array
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,116 @@ def random_network(sizes: Sequence[int], members: int, rng: np.random.Generator,
         weights.append(gain / np.sqrt(n_in) * rng.standard_normal((members, n_in, n_out)))
         biases.append(np.zeros((members, n_out)))
     return Network(weights, biases)
+
+
+Single: TypeAlias = npt.NDArray[Any]
+"""Of single precision, in which all training is done."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What is kept of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients by every layer."""
+
+    values: tuple[Single, ...]
+    slopes: tuple[Single, ...]
+    spare: tuple[Single, ...]
+
+    @classmethod
+    def of(cls, sizes: Sequence[int], calls: int, members: int, batch: int) -> Trace:
+        made = [np.empty((calls, members, batch, size), dtype=np.float32) for size in (*sizes[:-1], *sizes[1:])]
+        spare = [np.empty((members, batch, size), dtype=np.float32) for size in sizes]
+        return cls(tuple(made[: len(sizes) - 1]), tuple(made[len(sizes) - 1 :]), tuple(spare))
+
+
+class Layers:
+    """M networks as `Network`, run call after call, then gone through backwards.
+
+    The parameters are rows (M, P): weights (n_in, n_out) and bias (n_out,) of each layer, first to last, of a network
+    of (input - ``centre``) / ``scale`` that gives outputs in units of ``output_scale``. `take` works these into the
+    weights, so that inputs and outputs are raw. `reserve` says how many calls there will be; their inputs stand in what
+    it returns.
+    """
+
+    def __init__(self, sizes: Sequence[int], members: int, *, centre: Array, scale: Array, output_scale: Array) -> None:
+        self.sizes, self.members = tuple(sizes), members
+        self.output_scale: Single = output_scale.astype(np.float32)
+        self.per_scale: Single = (1.0 / scale[:, None]).astype(np.float32)
+        self.offset: Single = (centre / scale).astype(np.float32)
+        self.size = sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
+        self._traces: dict[tuple[int, int], Trace] = {}
+
+    def flat(self, network: Network) -> Single:
+        """Return the parameters (M, P) of a network of this shape."""
+        parts = [
+            part.reshape(self.members, -1)
+            for weight, bias in zip(network.weights, network.biases, strict=True)
+            for part in (weight, bias)
+        ]
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def network(self, parameters: Single) -> Network:
+        """Undo `flat`."""
+        weights, biases = self._cut(parameters.astype(np.float64))
+        return Network(weights, biases)
+
+    def take(self, parameters: Single) -> None:
+        """Run with these ``parameters`` (M, P) from here on."""
+        weights, biases = self._cut(parameters)
+        biases[0] = biases[0] - self.offset @ weights[0]
+        weights[0] = weights[0] * self.per_scale
+        weights[-1], biases[-1] = weights[-1] * self.output_scale, biases[-1] * self.output_scale
+        self.weights, self.biases = weights, [bias[:, None] for bias in biases]
+
+    def reserve(self, calls: int, batch: int) -> Single:
+        """Prepare for so many calls with so many rows; return the inputs (C, M, B, n_in), to be filled."""
+        if (calls, batch) not in self._traces:
+            self._traces[calls, batch] = Trace.of(self.sizes, calls, self.members, batch)
+        self.trace = self._traces[calls, batch]
+        return self.trace.values[0]
+
+    def forward(self, call: int) -> Single:
+        """Return the outputs (M, B, n_out) for the inputs of ``call``."""
+        values, last = self.trace.values, len(self.weights) - 1
+        for layer in range(last):
+            after = values[layer + 1][call]
+            np.matmul(values[layer][call], self.weights[layer], out=after)
+            after += self.biases[layer]
+            np.tanh(after, out=after)
+        found: Single = np.matmul(values[last][call], self.weights[last])
+        found += self.biases[last]
+        return found
+
+    def backward(self, call: int, gradient: Single, inputs: int) -> Single:
+        """Return the gradient (M, B, ``inputs``) by the first inputs, from that by the outputs (M, B, n_out)."""
+        values, slopes, last = self.trace.values, self.trace.slopes, len(self.weights) - 1
+        slopes[last][call] = gradient
+        for layer in range(last, 0, -1):
+            before, spare = slopes[layer - 1][call], self.trace.spare[layer]
+            np.matmul(slopes[layer][call], np.swapaxes(self.weights[layer], 1, 2), out=before)
+            np.multiply(values[layer][call], values[layer][call], out=spare)
+            np.subtract(1.0, spare, out=spare)
+            before *= spare
+        return np.matmul(slopes[0][call], np.swapaxes(self.weights[0][:, :inputs], 1, 2))
+
+    def gradient(self) -> Single:
+        """Return the gradient (M, P) by the parameters, over all calls."""
+        parts, ones = [], np.ones((1, self.trace.spare[0].shape[1]), dtype=np.float32)
+        last = len(self.weights) - 1
+        for layer, (value, slope) in enumerate(zip(self.trace.values, self.trace.slopes, strict=True)):
+            by_weight = np.matmul(np.swapaxes(value, 2, 3), slope).sum(axis=0)
+            by_bias = np.matmul(ones, slope).sum(axis=0)
+            if layer == last:
+                by_weight, by_bias = by_weight * self.output_scale, by_bias * self.output_scale
+            if layer == 0:
+                by_weight = by_weight * self.per_scale - self.offset[:, None] * by_bias
+            parts += [by_weight.reshape(self.members, -1), by_bias[:, 0]]
+        return np.concatenate(parts, axis=1)
+
+    def _cut(self, parameters: Single) -> tuple[list[Single], list[Single]]:
+        weights, biases, at = [], [], 0
+        for n_in, n_out in pairwise(self.sizes):
+            weights.append(parameters[:, at : at + n_in * n_out].reshape(len(parameters), n_in, n_out))
+            at += n_in * n_out
+            biases.append(parameters[:, at : at + n_out])
+            at += n_out
+        return weights, biases

@@ -9,26 +9,10 @@ from typing import Annotated
 
 import typer
 
-from sysid_evo.cli import (
-    adapting,
-    comparing,
-    driving,
-    evolving,
-    exploiting,
-    exporting,
-    models,
-    names,
-    plugins,
-    recordings,
-    reporting,
-    robots,
-    runs,
-    studying,
-    transferring,
-    tuning,
-)
-from sysid_evo.cli.console import complain, err, out, session, tell
-from sysid_evo.cli.exits import EXIT_CODES, code_of
+from sysid_evo.cli import controllers, experiments, models, plugins, recordings, robots, runs
+from sysid_evo.cli.console import EXIT_CODES, code_of, complain, err, out, session, tell
+from sysid_evo.cli.experiments import fit
+from sysid_evo.cli.robots import record
 from sysid_evo.errors import SysidEvoError
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
@@ -44,24 +28,43 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command("compare")(comparing.compare)
-app.command("study")(studying.study)
+
+app.command("compare")(experiments.compare)
+
+app.command("study")(experiments.study)
+
 app.command("import")(recordings.import_)
+
 app.command("inspect")(recordings.inspect)
-app.command("record")(recordings.record)
-app.command("fit")(models.fit)
-app.command("tune")(tuning.tune)
-app.command("adapt")(adapting.adapt)
-app.command("evolve")(evolving.evolve)
-app.command("exploit")(exploiting.exploit)
-app.command("transfer")(transferring.transfer)
-app.command("drive")(driving.drive)
-app.command("export")(exporting.export)
-app.command("report")(reporting.report)
-app.command("names")(names.list_names)
+
+app.command("record")(record)
+
+app.command("fit")(fit)
+
+app.command("tune")(models.tune)
+
+app.command("adapt")(models.adapt)
+
+app.command("evolve")(controllers.evolve)
+
+app.command("exploit")(controllers.exploit)
+
+app.command("transfer")(controllers.transfer)
+
+app.command("drive")(robots.drive)
+
+app.command("export")(controllers.export)
+
+app.command("report")(experiments.report)
+
+app.command("names")(plugins.list_names)
+
 app.add_typer(runs.app, name="runs")
+
 app.add_typer(models.app, name="models")
+
 app.add_typer(plugins.app, name="plugin")
+
 app.add_typer(robots.app, name="robots")
 
 

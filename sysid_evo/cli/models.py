@@ -1,33 +1,29 @@
-"""`sysid-evo fit` and `sysid-evo models`."""
+"""Models list, models show, tune, adapt: families and fitted models."""
 
 from __future__ import annotations
 
+import inspect
 import json
+import json as json_format
+import re
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
-from sysid_evo.cli.console import out
-from sysid_evo.cli.options import (
-    Columns,
-    DryRun,
-    Jobs,
-    Json,
-    Out,
-    Plugins,
-    Preset,
-    Scheduler,
-    Seed,
-    Test,
-    given,
-    listed,
-    load_plugins,
-)
+from sysid_evo.cli.console import INTERRUPTED, out, tell
+from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, existing, listed, load_plugins
+
+if TYPE_CHECKING:
+    from sysid_evo.data.dataset import Dataset
+    from sysid_evo.models.base import DynamicsModel
+    from sysid_evo.tuning import Tuning
+
 
 app = typer.Typer(help="The model families.", no_args_is_help=True)
-DEFAULT = "auto"
-"""What is fitted where no family is named: who knows none yet has a choice made by the data."""
 
 
 @app.command("list")
@@ -36,7 +32,7 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from sysid_evo.registry import models
+    from sysid_evo.registry.registry import models
 
     load_plugins(plugin)
     rows: list[dict[str, str | None]] = []
@@ -76,9 +72,8 @@ def show_model(
     as_json: Json = False,
 ) -> None:
     """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
-    from sysid_evo.cli.cards import card_table, family_card, model_card
-    from sysid_evo.registry import models
-    from sysid_evo.store import is_stored
+    from sysid_evo.artefacts import is_stored
+    from sysid_evo.registry.registry import models
 
     load_plugins(plugin)
     stored = name not in models.names() and is_stored(name, "model")
@@ -90,38 +85,352 @@ def show_model(
         out.print(part)
 
 
-def fit(
-    data: Annotated[list[Path], typer.Argument(help="Logs, folders of logs, or a folder written by import.")],
-    models: Annotated[
-        str,
-        typer.Option(
-            help="Families, LABEL=NAME(parameter=value, ...), separated by commas. 'auto' tries the zoo on recordings "
-            "held out and becomes the mean of what runs free best there."
-        ),
-    ] = DEFAULT,
-    test: Test = None,
-    preset: Preset = "standard",
+SHOWN = 12
+"""Ways to adapt that are printed, the best ones."""
+
+
+def adapt(
+    model: Annotated[Path, typer.Argument(help="File of a fitted model, as RUN/models/NAME.", show_default=False)],
+    data: Annotated[
+        list[Path], typer.Option(help="Recordings of the new condition, 10 to 30 s of driving; repeatable.")
+    ],
+    file: Annotated[Path, typer.Option("--out", help="File for the adapted model.", show_default=False)],
+    train: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recordings that the model learned from: a refit with both is tried as well; repeatable."),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=1.0, help="Learn from the first so many seconds of each episode only.")
+    ] = None,
+    seed: Seed = None,
+    columns: Columns = None,
+    plugin: Plugins = None,
+    json: Json = False,
+) -> None:
+    """Correct a model for another day, floor or battery, if a gate finds that the correction helps.
+
+    Prints what the gate saw and decided: errors of free runs over blocks that were not learned from.
+    """
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.data.dataset import Dataset
+    from sysid_evo.errors import InvalidArgument
+    from sysid_evo.models.storage import load_model, save_model
+
+    load_plugins(plugin)
+    for suffix in (".json", ".safetensors"):
+        if Path(f"{str(file).removesuffix(suffix)}.json").exists():
+            raise InvalidArgument(f"--out: {file} exists already; remove it, or name another file")
+    base = load_model(model)
+    new = Dataset.read(data, columns=columns)
+    if seconds is not None:
+        new = new.with_episodes([episode[: max(1, round(seconds / new.system.dt))] for episode in new])
+    training = None if train is None else Dataset.read(train, columns=columns)
+    with Bars() as bars:
+        bars.begin("adapt")
+        adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
+        bars.end("adapt", None)
+    path = save_model(adapted, file, seed=seed, data=new.fingerprint)
+    rows = seen(adapted)
+    if json:
+        found = {"decision": adapted.verdict_, "tried": rows, "corrected": adapted.corrects, "file": str(path)}
+        out.print_json(json_format.dumps(found))
+        return
+    print_gate(new, rows, adapted.verdict_)
+    out.print(f"stored as {path}", highlight=False, markup=False, soft_wrap=True)
+    if not adapted.corrects and adapted.chosen_ == "none":
+        tell("the stored model predicts what its base predicts", label="note: ", style="dim")
+
+
+def seen(adapted: Any) -> list[dict[str, Any]]:
+    """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
+
+    They are fewer blocks where it was given up after one that showed it to be no good.
+    """
+    return [
+        {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
+        for name, shares in zip(adapted.tried_, adapted.gate_, strict=True)
+    ]
+
+
+def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
+    """Print the table of what was tried, the best first, and the decision."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("way", no_wrap=True)
+    table.add_column("all", justify="right")
+    table.add_column("in each block", justify="right")
+    count = max((len(row["blocks"]) for row in rows), default=0)
+    for row in sorted(rows, key=lambda row: float(row["error"]))[:SHOWN]:
+        shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))
+        table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(shares))
+    if rows:
+        out.print(
+            f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
+            "errors as a share of that of the model as it was (-: given up before):",
+            highlight=False,
+        )
+        out.print(table)
+        if len(rows) > SHOWN:
+            out.print(f"and {len(rows) - SHOWN} that were worse (--json has them)", highlight=False, style="dim")
+    out.print(decision, highlight=False, markup=False)
+
+
+SPEED_ROLLOUTS = 640
+
+SPEED_STEPS = 100
+
+
+def family_card(name: str) -> dict[str, Any]:
+    """Return what there is to say of a family: what it assumes, its hyper-parameters and their presets."""
+    from sysid_evo.registry.registry import models
+
+    family: Any = models.get(name)
+    signature = inspect.signature(family.__init__)
+    hyper_parameters = [
+        {
+            "name": parameter.name,
+            "default": parameter.default,
+            **{preset: values[parameter.name] for preset, values in family.presets.items() if parameter.name in values},
+        }
+        for parameter in list(signature.parameters.values())[1:]
+    ]
+    return {
+        "family": name,
+        "knowledge": family.knowledge,
+        "envelope_multiple": family.envelope_multiple,
+        "module": family.__module__,
+        "description": inspect.getdoc(family) or "",
+        "hyper_parameters": hyper_parameters,
+    }
+
+
+def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
+    """Return the card of a stored model: its family, size, lags, training, and, if ``measured``, its speed.
+
+    Measuring compiles the model, and with it every member of one that is a mean of others.
+    """
+    from sysid_evo.artefacts import read_artefact
+    from sysid_evo.models.storage import load_model
+
+    manifest, tensors = read_artefact(path, "model")
+    model = load_model(path)
+    state_lags, control_lags = model.lags
+    return {
+        "family": manifest.name,
+        "knowledge": model.knowledge,
+        "hyper_parameters": manifest.parameters,
+        "numbers": int(sum(tensor.size for name, tensor in tensors.items() if name != "pairs_")),
+        "state_lags": state_lags,
+        "control_lags": control_lags,
+        "states": [f"{c.name} ({c.unit})" for c in model.system.states],
+        "controls": [f"{c.name} ({c.unit})" if c.unit else c.name for c in model.system.controls],
+        "dt": model.system.dt,
+        "seed": manifest.seed,
+        "data": manifest.data,
+        **({"note": model.fit_note} if model.fit_note else {}),
+        "versions": manifest.versions,
+        "equations": list(model.equations()) if hasattr(model, "equations") else [],
+        "candidates": model.standing() if hasattr(model, "standing") else [],
+        **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
+        "timings": {**manifest.timings, **(speed(model) if measured else {})},
+        **({} if measured else {"speed": "not measured, --speed does"}),
+    }
+
+
+def speed(model: DynamicsModel) -> dict[str, Any]:
+    """Return million steps a second under random controllers, and the form of the engine that ran them."""
+    import numpy as np
+
+    from sysid_evo.controllers.networks import RecurrentNetwork
+    from sysid_evo.engine.rollout import rollout
+    from sysid_evo.errors import IncompatibleTask
+    from sysid_evo.randomness import trial_seeds
+    from sysid_evo.tasks.point_to_point import PointToPoint
+
+    task, controller = PointToPoint(horizon=SPEED_STEPS), RecurrentNetwork()
+    try:
+        bound = task.bind(model.system)
+    except IncompatibleTask:
+        return {}
+    n = controller.bind_to(bound).n_parameters
+    candidates, seeds = np.random.default_rng(0).standard_normal((SPEED_ROLLOUTS // 10, n)), trial_seeds(0, 10)
+    rollout(model, controller, candidates, task, seeds, threads=1)
+    began = time.perf_counter()
+    run = rollout(model, controller, candidates, task, seeds, threads=1)
+    rate = SPEED_ROLLOUTS * SPEED_STEPS / (time.perf_counter() - began) / 1e6
+    return {"million_steps_per_second": round(rate, 2), "engine": run.engine}
+
+
+def card_table(card: dict[str, Any]) -> list[Any]:
+    """Return a card as rich renderables that fit 80 columns."""
+    parts: list[Any] = []
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column()
+    for key, value in card.items():
+        if key in ("description", "hyper_parameters", "equations", "candidates", "parameters"):
+            continue
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items())
+        elif isinstance(value, list):
+            value = ", ".join(map(str, value))
+        elif key == "dt":
+            value = f"{value:g} s"
+        table.add_row(key, Text(str(value)))
+    parts.append(table)
+    if card.get("description"):
+        parts += [Text(""), Text(_reflowed(card["description"]))]
+    parts += [Text(""), _hyper_parameters(card["hyper_parameters"])]
+    if card.get("candidates"):
+        parts += [Text(""), _candidates(card["candidates"])]
+    if card.get("equations"):
+        parts += [Text(""), *map(Text, card["equations"])]
+    if card.get("parameters"):
+        parts += [Text(""), _parameters(card["parameters"])]
+    return parts
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _candidates(rows: list[dict[str, str]]) -> Table:
+    """Return what a model was chosen from, a row for each candidate."""
+    table = Table(box=None, pad_edge=False)
+    for column in rows[0]:
+        table.add_column(column, overflow="fold", no_wrap=column in ("error", "weight"))
+    for row in rows:
+        table.add_row(*map(Text, row.values()))
+    return table
+
+
+def _parameters(rows: list[dict[str, Any]]) -> Table:
+    """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("parameter", "value", "standard error", "unit", ""):
+        table.add_column(column, justify="right" if column in ("value", "standard error") else "left")
+    for row in rows:
+        remark = "" if row["determined"] else "not determined"
+        table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
+    return table
+
+
+def _reflowed(description: str) -> str:
+    """Join the lines of every paragraph, so that the terminal can wrap it; indented ones are equations."""
+    paragraphs = description.split("\n\n")
+    return "\n\n".join(text if text.startswith(" ") else " ".join(text.split()) for text in paragraphs)
+
+
+def _hyper_parameters(values: Any) -> Table:
+    rows = values if isinstance(values, list) else [{"name": name, "value": value} for name, value in values.items()]
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    table = Table(box=None, pad_edge=False)
+    for column in columns:
+        table.add_column("hyper-parameter" if column == "name" else column, no_wrap=column == "name")
+    for row in rows:
+        table.add_row(*[Text(str(row.get(column, ""))) for column in columns])
+    return table
+
+
+FILE = "tune.journal"
+
+TUNING_SHOWN = 8
+
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def tune(
+    family: Annotated[str, typer.Argument(help="NAME(parameter=value, ...); what stands there is kept as it is.")],
+    data: Annotated[list[Path], typer.Option(help="Logs, folders of logs, or a folder written by import; repeatable.")],
+    budget: Annotated[str, typer.Option(help="How long to search, such as 90s, 5m or 1h.")] = "5m",
+    trials: Annotated[int | None, typer.Option(min=1, help="How many to try, instead of a budget of time.")] = None,
+    horizon: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="Steps of a free run after which it counts (one second); repeatable."),
+    ] = None,
+    only: Annotated[str | None, typer.Option(help="The parameters to search, separated by commas.")] = None,
     seed: Seed = None,
     folder: Out = None,
     columns: Columns = None,
     plugin: Plugins = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
     as_json: Json = False,
 ) -> None:
-    """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
-    from evaluation.comparison import Experiment
-    from sysid_evo.cli.comparing import existing, run_experiment
+    """Search for the parameters with which a family runs free best on recordings held out.
 
-    settings = given(
-        data=tuple(str(path.resolve()) for path in data),
-        test=None if test is None else tuple(test),
-        models=listed("--models", models),
-        preset=preset,
-        seed=seed,
-        columns=None if columns is None else existing(columns),
-        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
-    )
-    experiment = Experiment.of({**settings, "only": "fit"})
-    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=as_json, verbose=False)
+    Every trial is kept in the run folder; the same command with the same --out goes on.
+    """
+    from evaluation.run_folder import check_run_folder
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.data.dataset import Dataset
+    from sysid_evo.tuning import Tuning
+
+    load_plugins(plugin)
+    seconds = None if trials is not None else seconds_of(budget)
+    dataset = Dataset.read(data, columns=None if columns is None else existing(columns))
+    path = folder if folder is not None and (folder / FILE).is_file() else check_run_folder(folder)
+    search = Tuning(family, dataset, horizons=horizon, only=listed("--only", only), seed=seed or 0, file=path / FILE)
+    interrupted = False
+    with Bars() as bars:
+        bars.begin(f"tune {search.spec.name}")
+        try:
+            for _ in search.run(seconds=seconds, trials=trials, progress=bars.advance):
+                pass
+        except KeyboardInterrupt:
+            interrupted = True
+    if interrupted:
+        tell(f"interrupted: the trials that had ended are kept; go on with --out {path}")
+    if as_json:
+        out.print_json(json.dumps(document(search)))
+    else:
+        print_search(search)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def seconds_of(text: str) -> float:
+    """Return a time such as ``5m`` in seconds. Raises `InvalidArgument`."""
+    from sysid_evo.errors import InvalidArgument
+
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh]?)", text.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise InvalidArgument(f"--budget: expected a time such as 90s, 5m or 1h, got {text!r}")
+    return float(found[1]) * UNITS[found[2]]
+
+
+def document(search: Tuning) -> dict[str, Any]:
+    """Return what was found as strict JSON."""
+    return {
+        "best": search.best.spec.text,
+        "error": search.best.error,
+        "horizons": list(search.horizons),
+        "importance": search.importance,
+        "trials": [
+            {"spec": one.spec.text, "error": one.error, "seconds": one.seconds, "reason": one.reason}
+            for one in search.tried
+        ],
+    }
+
+
+def print_search(search: Tuning) -> None:
+    """Print the best trials, what decides, and the line to use."""
+    from rich.table import Table
+    from rich.text import Text
+
+    best, tried = search.best, search.tried
+    table = Table(box=None, pad_edge=False)
+    for heading in ("error", "seconds", "parameters"):
+        table.add_column(heading, justify="left" if heading == "parameters" else "right", overflow="fold")
+    for one in tried[:TUNING_SHOWN]:
+        if one.error is not None:
+            settings = ", ".join(f"{key}={value}" for key, value in one.spec.parameters.items())
+            table.add_row(f"{one.error:.4f}", f"{one.seconds:.1f}", Text(settings))
+    out.print(table)
+    steps = ", ".join(map(str, search.horizons))
+    out.print(Text(f"{len(tried)} trials; error of free runs after {steps} steps on what was held out"))
+    if search.importance:
+        shares = ", ".join(f"{key} {100.0 * share:.0f} %" for key, share in search.importance.items())
+        out.print(Text(f"What decides: {shares}"))
+    for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "broken off"):
+        tell(f"a trial failed: {reason}", label="note: ", style="dim")
+    out.print(best.spec.text, highlight=False, markup=False, soft_wrap=True)

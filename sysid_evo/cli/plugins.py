@@ -1,7 +1,8 @@
-"""`sysid-evo plugin`: write a new thing of a kind, and check one against the contract of its kind."""
+"""Names, plugin new, plugin check: the twelve registries and their contracts."""
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sysid_evo.cli.console import err, out
-from sysid_evo.cli.options import Plugins, load_plugins
+from sysid_evo.cli.options import Json, Plugins, load_plugins
 
 if TYPE_CHECKING:
-    from sysid_evo.registry import Spec
-    from sysid_evo.testing import CheckResult
+    from sysid_evo.registry.grammar import Spec
+    from sysid_evo.testing.contract import CheckResult
+
 
 app = typer.Typer(
     help="Models, tasks, controllers, strategies, robots and readers of your own.",
@@ -32,7 +34,7 @@ def new(
     folder: Annotated[Path | None, typer.Option("--out", help="Folder (default: one of that name).")] = None,
 ) -> None:
     """Write a working package: one file, one entry-point line, one test."""
-    from sysid_evo.plugin_template import PLUGINS, write_plugin
+    from sysid_evo.testing.template import PLUGINS, write_plugin
 
     where = folder or Path(name)
     for path in write_plugin(name, where, kind):
@@ -58,7 +60,7 @@ def check(
     """Run the contract of a thing's kind and print every sentence with its verdict."""
     from rich.text import Text
 
-    from sysid_evo.registry import Spec
+    from sysid_evo.registry.grammar import Spec
 
     load_plugins(plugin)
     spec = Spec.parse(name)
@@ -78,8 +80,8 @@ def check(
 def _kind_of(name: str) -> str:
     """Return the kind of which one is called ``name``. Raises `UnknownName`, or `InvalidArgument` if several are."""
     from sysid_evo.errors import InvalidArgument, UnknownName
-    from sysid_evo.plugin_template import PLUGINS
-    from sysid_evo.registry import KINDS
+    from sysid_evo.registry.registry import KINDS
+    from sysid_evo.testing.template import PLUGINS
 
     found = [kind for kind in PLUGINS if name in KINDS[kind].names()]
     if not found:
@@ -105,7 +107,7 @@ def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
 
 def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
     from sysid_evo.errors import InvalidArgument
-    from sysid_evo.plugin_template import PLUGINS
+    from sysid_evo.testing.template import PLUGINS
 
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
@@ -126,7 +128,7 @@ def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
 
 
 def _dataset(path: Path) -> Any:
-    from sysid_evo.data import Dataset
+    from sysid_evo.data.dataset import Dataset
 
     return Dataset.read(path)
 
@@ -137,3 +139,47 @@ FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
     "reader": lambda path: path,
 }
 """What a kit takes besides the name, made of the path that was given."""
+
+
+def list_names(
+    kind: Annotated[str | None, typer.Argument(help="model, task, controller, ... (default: all).")] = None,
+    plugin: Plugins = None,
+    as_json: Json = False,
+) -> None:
+    """List what can be named, NAME(parameter=value, ...), with its parameters and their defaults."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from sysid_evo.errors import UnknownName
+    from sysid_evo.registry.registry import KINDS
+
+    load_plugins(plugin)
+    if kind is not None and kind not in KINDS:
+        raise UnknownName(f"no kind of thing is called {kind!r}; there are {', '.join(KINDS)}")
+    rows = [row for name, registry in KINDS.items() if kind in (None, name) for row in names_of(registry)]
+    if as_json:
+        out.print_json(json.dumps(rows))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("kind", "name", "what it is"):
+        table.add_column(heading, no_wrap=heading != "what it is")
+    for row in rows:
+        table.add_row(row["kind"], row["name"], Text(row["summary"]))
+        if row["parameters"]:
+            table.add_row("", "", Text(f"({row['parameters']})", style="dim"))
+    out.print(table)
+
+
+def names_of(registry: Any) -> list[dict[str, str]]:
+    """Return a row for each name of a registry that can be loaded."""
+    rows = []
+    for name, factory in registry.load_all():
+        summary = (factory.__doc__ or "").strip().splitlines() or [""]
+        known = registry.parameters(name)
+        parameters = ", ".join(
+            f"{key}={value!r}" if isinstance(value, (bool, int, float, str, tuple, type(None))) else f"{key}"
+            for key, value in known.items()
+            if key is not None and key not in registry.given
+        )
+        rows.append({"kind": registry.kind, "name": name, "summary": summary[0], "parameters": parameters})
+    return rows

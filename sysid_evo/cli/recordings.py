@@ -1,21 +1,31 @@
-"""`sysid-evo import`, `inspect` and `record`: recordings become data sets, and are looked at."""
+"""Import, inspect: log files become data sets; tables of their quality."""
 
 from __future__ import annotations
 
-from functools import partial
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
+from rich import box
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
 
-from sysid_evo.cli.console import err, out, tell
-from sysid_evo.cli.exits import code_of_loop
-from sysid_evo.cli.options import Columns, Json, Plugins, Seed, check_new_folder, load_plugins
+from sysid_evo.cli.console import out, tell
+from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins, parsed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from sysid_evo.data import Dataset, RawLog
+    from evaluation.exploitability import Region
+    from sysid_evo.data.advice import Advice
+    from sysid_evo.data.dataset import Dataset
+    from sysid_evo.data.preparation import RawLog
+
 
 Logs: TypeAlias = Annotated[list[Path], typer.Argument(help="Log files, or folders of them.", show_default=False)]
 
@@ -39,9 +49,7 @@ def import_(
     Logs of poses, three times as fast as the control rate or faster, are differentiated and filtered;
     logs that carry velocities at the control rate are taken row by row.
     """
-    from sysid_evo.cli.advice_tables import episode_table
-    from sysid_evo.data import read_recording
-    from sysid_evo.data.conditions import parsed
+    from sysid_evo.data.reading import read_recording
 
     load_plugins(plugin)
     patterns = parsed("--condition", condition or [])
@@ -66,9 +74,8 @@ def inspect(
     plugin: Plugins = None,
 ) -> None:
     """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
-    from sysid_evo.cli.advice_tables import advice_as_json, advice_tables
-    from sysid_evo.cli.unrecorded import inspected, print_regions
-    from sysid_evo.data import advise
+    from evaluation.run_evolution import inspected
+    from sysid_evo.data.advice import advise
     from sysid_evo.data.support import Support, recorded_pairs, split_pairs
 
     load_plugins(plugin)
@@ -84,68 +91,10 @@ def inspect(
         print_regions(*inspected(controller, support))
 
 
-def record(
-    folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
-    robot: Annotated[
-        str, typer.Option(help="Registered robot, NAME(parameter=value, ...), or a TOML file.")
-    ] = "emulated_car",
-    seed: Seed = None,
-    minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
-    manoeuvre: Annotated[
-        str | None, typer.Option(help="Instead, one that measures: step, coast_down or circle.")
-    ] = None,
-    plugin: Plugins = None,
-) -> None:
-    """Drive a robot through manoeuvres; store the journals of the runs (`journal/`), what the tracker saw
-    (`raw/`) and the data set made of it.
-
-    Every frame and command is in the journal as soon as it happens; Ctrl-C, a lost tracker or a lost
-    link end the recording in neutral, and what was recorded until then is kept and prepared.
-    """
-    from hardware.loop.stops import Stops
-    from hardware.preflight import check_recording
-    from hardware.recording.measuring import measuring
-    from hardware.recording.scripted import save_raw
-    from hardware.robot import find_robot
-    from sysid_evo.cli.advice_tables import episode_table
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.data.measured import measured
-
-    load_plugins(plugin)
-    check_new_folder(folder)
-    machine = find_robot(robot)
-    journal = folder / "journal"
-    check_recording(machine, journal, duration=60.0 * minutes)
-    manoeuvres = None if manoeuvre is None else measuring(machine.system, manoeuvre)
-    title = f"record {robot}"
-    with Bars() as bars, Stops() as stops:
-        bars.begin(title)
-        drive = (
-            partial(machine.record, duration=60.0 * minutes)
-            if manoeuvres is None
-            else partial(machine.record_manoeuvres, manoeuvres)
-        )
-        recorded = drive(seed=seed or 0, folder=journal, stops=stops, progress=bars.advance)
-        ended = recorded.report.sentence if recorded.report.reason.is_fault else None
-        bars.end(title, ended)
-    dataset = recorded.dataset
-    for log in recorded.logs:
-        save_raw(log, dataset.system, folder / "raw" / f"{log.name}.csv")
-    dataset.save(folder)
-    _tell(dataset.notes, ())
-    out.print(episode_table(dataset))
-    for one in measured(dataset):
-        out.print(str(one), highlight=False, markup=False, soft_wrap=True)
-    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
-    if ended is not None:
-        err.print(f"the recording was cut short: {ended}", highlight=False, markup=False, soft_wrap=True)
-        raise typer.Exit(code_of_loop(recorded.report.reason))
-
-
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:
     """Return a data set, the logs it was made of (none if it was stored), and what looks wrong in them."""
-    from sysid_evo.data import Dataset, read_recording
-    from sysid_evo.data.reading import is_stored
+    from sysid_evo.data.dataset import Dataset
+    from sysid_evo.data.reading import is_stored, read_recording
 
     if len(paths) == 1 and is_stored(paths[0]):
         return Dataset.read(paths[0], columns=columns), (), ()
@@ -159,3 +108,124 @@ def _tell(notes: Iterable[str], doubts: Iterable[str]) -> None:
     for note in notes:
         label, style = ("warning: ", "yellow") if note in doubtful else ("note: ", "dim")
         tell(note, label=label, style=style)
+
+
+MOST_ROWS = 24
+
+
+def episode_table(dataset: Dataset) -> RenderableType:
+    """Return one row for each episode (of very many: the first), and the sum."""
+    rows = [
+        (episode.name, f"{len(episode) + 1}", f"{episode.duration:.1f}", f"{moving.mean():.0%}")
+        for episode, moving in zip(dataset, dataset.moving, strict=True)
+    ]
+    total = f"{len(dataset)} episodes", f"{dataset.n_steps + len(dataset)}", f"{dataset.duration:.1f}", ""
+    head = "episode", "samples", "s", "in motion"
+    shown = len(head) if dataset.system.motion is not None else len(head) - 1
+    return _table(_title(dataset), head[:shown], _cut([row[:shown] for row in (*rows, total)]), names=1)
+
+
+def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
+    """Return the tables and the suggestions."""
+    controls = [
+        (
+            _unit(use.name, use.unit),
+            "  ".join(f"{level:.3g}: {share:.0%}" for level, share in zip(use.levels, use.shares, strict=True)),
+            f"{60.0 / use.per_minute:.3g}" if use.switches else "-",
+        )
+        for use in advice.controls
+    ]
+    states = [
+        (_unit(use.name, use.unit), f"{use.rms:.3g}", f"{use.low:.3g}", f"{use.high:.3g}", f"{use.bandwidth:.2g}")
+        for use in advice.states
+    ]
+    commands = [
+        (*(f"{level:.3g}" for level in use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}")
+        for use in advice.commands
+    ]
+    delays = [
+        (
+            f"{delay.control} x speed" if delay.at_speed else delay.control,
+            delay.state,
+            *((f"{delay.steps}", f"{round(1e3 * delay.seconds)}") if delay.clear else ("-", "-")),
+            f"{delay.strength:+.2f}",
+        )
+        for delay in advice.delays
+    ]
+    sampling = [
+        (log.name, f"{log.rows}", *(f"{1e3 * step:.1f}" for step in (log.shortest, log.median, log.longest)))
+        for log in advice.sampling
+    ]
+    names = tuple(use.name for use in advice.controls)
+    parts: list[RenderableType] = [
+        Text(
+            _title(dataset) + (f", {advice.moving:.0%} in motion" if dataset.system.motion is not None else ""),
+            style="bold",
+        ),
+        _table("Excitation", ("control", "share of time near each level", "s per switch"), controls, names=2),
+        _table("States", ("state", "RMS", "lowest", "highest", "95 % below Hz"), states, names=1),
+        _table(
+            f"Coverage: {advice.cells} of {advice.grid} state cells visited",
+            (*names, "time", "of the visited cells"),
+            _cut(commands),
+            names=0,
+        ),
+        _table("Delay of a control on a state", ("control", "state", "steps", "ms", "strength"), delays, names=2),
+    ]
+    if sampling:
+        head = ("log", "rows", "shortest", "median", "longest")
+        parts.append(_table("Time between rows in ms", head, _cut(sampling), names=1))
+    parts.append(Text("Suggestions", style="bold"))
+    bullets = Table.grid(padding=(0, 1))
+    for sentence in advice.suggestions or ("none",):
+        bullets.add_row(Text(" -"), Text(sentence))
+    return Group(*parts, bullets)
+
+
+def advice_as_json(dataset: Dataset, advice: Advice) -> str:
+    """Return the advice, the system, the episodes and the notes as JSON."""
+    episodes = [{"name": episode.name, "steps": len(episode)} for episode in dataset]
+    value = {
+        "system": dataset.system.to_dict(),
+        "fingerprint": dataset.fingerprint,
+        "notes": list(dataset.notes),
+        **asdict(advice),
+        "episodes": episodes,
+    }
+    return json.dumps(value, allow_nan=False)
+
+
+def _title(dataset: Dataset) -> str:
+    name = dataset.system.name or "data set"
+    episodes = "1 episode" if len(dataset) == 1 else f"{len(dataset)} episodes"
+    return f"{name}: {episodes}, {dataset.duration:.0f} s at {1 / dataset.system.dt:g} Hz"
+
+
+def _unit(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
+def _cut(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the rows, of more than `MOST_ROWS` the first ones and the last."""
+    if len(rows) <= MOST_ROWS:
+        return list(rows)
+    return [*rows[: MOST_ROWS - 2], (f"... {len(rows) - MOST_ROWS + 1} more", *[""] * (len(rows[0]) - 1)), rows[-1]]
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, names: int) -> Table:
+    """Return a table whose first ``names`` columns are text and whose others are numbers."""
+    table = Table(title=Text(title, style="bold"), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, name in enumerate(head):
+        table.add_column(Text(name), justify="left" if i < names else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def print_regions(name: str, regions: tuple[Region, ...]) -> None:
+    """Print them, one a line; nothing if there are none."""
+    if not regions:
+        return
+    out.print(f"what to record next: {name} drives most where there are no data", style="bold", highlight=False)
+    for region in regions:
+        out.print(Padding(Text(region.sentence), (0, 0, 0, 2)))

@@ -5,15 +5,12 @@ from __future__ import annotations
 import json as json_format
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from sysid_evo.cli.console import out, tell
 from sysid_evo.cli.options import Json
-
-if TYPE_CHECKING:
-    from sysid_evo.plan import Store
 
 app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
 
@@ -26,6 +23,8 @@ def list_runs(
 ) -> None:
     """List the runs in a folder, the oldest first."""
     from rich.table import Table
+
+    from evaluation.run_folder import _runs_in, _summary
 
     rows = [_summary(run) for run in _runs_in(folder)]
     if as_json:
@@ -48,6 +47,8 @@ def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json
     """Show the cells of a run: how each ended, how long it took, where its result is."""
     from rich.table import Table
     from rich.text import Text
+
+    from evaluation.run_folder import _store
 
     store = _store(run)
     records = store.records()
@@ -73,6 +74,8 @@ def diff(
 ) -> None:
     """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
     from rich.table import Table
+
+    from evaluation.run_folder import _settings
 
     settings, cells, figures = zip(
         *((_settings(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
@@ -107,6 +110,7 @@ def clean(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
 ) -> None:
     """Remove what no finished cell needs: failed cells, damaged records, files that nobody names any more."""
+    from evaluation.run_folder import _is_litter, _store
     from sysid_evo.errors import InvalidArgument
 
     store = _store(run)
@@ -129,58 +133,9 @@ def clean(
     out.print(f"{len(unneeded)} files {verb}, {size / 2**20:.1f} MiB", highlight=False)
 
 
-def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
-    from sysid_evo.plan import CHECKPOINT
-
-    name = file.relative_to(run)
-    if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
-        return False
-    if file.suffix == CHECKPOINT:
-        owner = store.find(file.stem)
-        return owner is not None and owner.status == "done"
-    if name.parts[0] != "cells":
-        return name.as_posix() not in kept
-    record = store.find(file.stem) if file.suffix == ".json" else None
-    return record is None or record.status == "failed"
-
-
-def _runs_in(folder: Path) -> list[Path]:
-    from evaluation.comparison import is_run
-
-    found = [path for path in folder.glob("*") if path.is_dir() and is_run(path)]
-    return sorted(found, key=lambda path: path.stat().st_mtime)
-
-
-def _summary(run: Path) -> dict[str, Any]:
-    records = _store(run).records()
-    return {
-        "run": str(run),
-        "done": sum(record.status == "done" for record in records),
-        "failed": sum(record.status == "failed" for record in records),
-        "seconds": round(sum(record.seconds for record in records), 1),
-        "models": sorted({record.name for record in records if record.kind == "fit"}),
-        "report": (run / "report.html").is_file(),
-    }
-
-
-def _store(run: Path) -> Store:
-    from evaluation.comparison import is_run
-    from sysid_evo.errors import InvalidArgument
-    from sysid_evo.plan import Store
-
-    if not is_run(run):
-        raise InvalidArgument(f"expected a run folder, found none at {run}")
-    return Store(run)
-
-
-def _settings(run: Path) -> dict[str, Any]:
-    from evaluation.comparison import FILE, Experiment
-
-    _store(run)
-    return Experiment.read(run) if (run / FILE).is_file() else {}
-
-
 def _cells(run: Path) -> dict[str, str]:
+    from evaluation.run_folder import _store
+
     return {record.digest: record.title for record in _store(run).records()}
 
 

@@ -1,33 +1,33 @@
-"""LQR, computed from a model: the linear feedback that is best for it near the targets of a task."""
+"""LQR, and the linear model that it is computed from."""
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Self, cast
+from dataclasses import dataclass
+from typing import ClassVar, Self, cast
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
-from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.controllers.inner_models import inner_model
-from sysid_evo.controllers.linear_model import LinearModel, linear_model
-from sysid_evo.controllers.named import size_of
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.controllers.controller import Controller, View, size_of
+from sysid_evo.controllers.program import Program, Statement, constant, dot, limited, observation
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.predictive_control import inner_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import register_controller
-from sysid_evo.tasks.following import SHOWN, Following, FollowingState
+from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
-
-if TYPE_CHECKING:
-    from sysid_evo.export.program import Program
-    from sysid_evo.kernels import ControllerKernel
+from sysid_evo.tasks.tracking import SHOWN, Following, FollowingState
+from sysid_evo.types import Array, check_shape
 
 SAMPLES = 200
+
 NEAR = 0.01
 """How far around targets the feedback is said in observations, in sizes of the states."""
+
 MISFIT = 0.05
 """The largest share of the feedback that observations may fail to say."""
 
@@ -122,13 +122,9 @@ class Lqr(Controller):
         return np.clip(shown @ self.rest + strength * (shown @ self.feedback), -1.0, 1.0), memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        from sysid_evo.engine.kernels.lqr import lqr_kernel
-
         return lqr_kernel(self.rest, self.feedback)
 
     def program(self, parameters: Array) -> Program:
-        from sysid_evo.export.program import Program, Statement, constant, dot, limited, observation
-
         law = self.rest + np.exp(np.clip(parameters[0], -5.0, 5.0)) * self.feedback
         pushed = dot("W", law[:-1].T, observation(len(law) - 1)) + constant("B", law[-1])
         raw = Statement("raw", limited(pushed), "outputs in [-1, 1]")
@@ -155,3 +151,73 @@ def _in_observations(
         if misfit > MISFIT * max(np.abs(outputs).max(), 1e-9) and misfit > 1e-3:
             raise IncompatibleTask(f"lqr: what {type(task).__name__} shows does not tell all {what} that it needs")
     return cast("Array", tables[0]), cast("Array", tables[1])
+
+
+STEP = 1e-4
+"""Of a difference quotient, in sizes of the channel."""
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """``a`` (nx, nx), ``b`` (nx, nu) and ``c`` (nx,), from one sample to the next."""
+
+    a: Array
+    b: Array
+    c: Array
+
+    def at_rest(self, target: Array, led: Sequence[int]) -> tuple[Array, Array]:
+        """Return the state (nx,) and control (nu,) that stay as they are with the ``led`` states at ``target``.
+
+        Where there are several the smallest, where there is none the nearest to one.
+        """
+        nx = len(self.a)
+        wanted = np.zeros((len(led), nx + self.b.shape[1]))
+        wanted[np.arange(len(led)), led] = 1.0
+        still = np.concatenate([np.eye(nx) - self.a, -self.b], axis=1)
+        found = np.linalg.lstsq(np.concatenate([still, wanted]), np.concatenate([self.c, target]), rcond=None)[0]
+        return found[:nx], found[nx:]
+
+
+def linear_model(dynamics: Dynamics, state: Array) -> LinearModel:
+    """Return ``dynamics`` linearised around ``state`` (nx,) and the neutral control, by central differences.
+
+    What it remembers beside the state is that of a system that has long been in this state, without noise.
+    """
+    system = dynamics.system
+    neutral = system.neutral_control
+    steps = STEP * np.array([size_of(channel) for channel in (*system.states, *system.controls)])
+    moves = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, len(steps)))])
+    states, controls = state + moves[:, : system.nx], neutral + moves[:, system.nx :]
+    past = np.tile(neutral, (len(moves), dynamics.n_lags, 1))
+    history = np.repeat(states[:, None], dynamics.n_lags + 1, axis=1)
+    carry = dynamics.start(history, past, np.zeros((len(moves), dynamics.n_draws)))
+    after = system.near(dynamics.step(carry, controls)[:, : system.nx], states)
+    n = len(steps)
+    slopes = ((after[:n] - after[n : 2 * n]) / (2.0 * steps[:, None])).T
+    a, b = slopes[:, : system.nx], slopes[:, system.nx :]
+    return LinearModel(a, b, after[-1] - a @ state - b @ neutral)
+
+
+HEAD = Layout("n_inputs", "n_outputs")
+
+
+def lqr_kernel(rest: Array, feedback: Array) -> ControllerKernel:
+    """Return the compiled form of `Lqr` with its tables (n_inputs + 1, n_outputs)."""
+    n_inputs, n_outputs = len(rest) - 1, rest.shape[1]
+    return ControllerKernel(KernelSource(lqr), HEAD.pack(rest, feedback, n_inputs=n_inputs, n_outputs=n_outputs))
+
+
+def lqr(theta, memory, observation, raw, parameters, scratch):
+    """Outputs at rest plus so much of the feedback, see `Lqr`."""
+    n_inputs, n_outputs = int(parameters[HEAD.n_inputs]), int(parameters[HEAD.n_outputs])
+    size = (n_inputs + 1) * n_outputs
+    for j in range(n_outputs):
+        for lane in range(LANES):
+            at = HEAD.size + n_inputs * n_outputs + j
+            rest, feedback = parameters[at], parameters[at + size]
+            for i in range(n_inputs):
+                at = HEAD.size + i * n_outputs + j
+                rest += parameters[at] * observation[i * LANES + lane]
+                feedback += parameters[at + size] * observation[i * LANES + lane]
+            strength = math.exp(min(max(theta[lane], -5.0), 5.0))
+            raw[j * LANES + lane] = min(max(rest + strength * feedback, -1.0), 1.0)

@@ -1,24 +1,32 @@
-"""PID loops on named channels, with anti-windup; the gains are evolved."""
+"""PID loops with anti-windup, one scalar law."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
-from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.controllers.named import controlled, observed, period_of, size_of
+from sysid_evo.controllers.controller import Controller, View, controlled, observed, period_of, size_of
+from sysid_evo.controllers.program import (
+    Program,
+    Statement,
+    apply,
+    choose,
+    constant,
+    dot,
+    limited,
+    observation,
+    remembered,
+    take,
+)
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import register_controller
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, nearest, view
+from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
-
-if TYPE_CHECKING:
-    from sysid_evo.export.program import Program
-    from sysid_evo.kernels import ControllerKernel
+from sysid_evo.types import Array, check_shape
 
 
 @dataclass(frozen=True)
@@ -80,10 +88,10 @@ class Pid(Controller):
         observations = observed("pid", [name for _, name in pairs], task)
         controls = controlled("pid", [control for control, _ in pairs], task)
         made = []
-        for observation, control in zip(observations, controls, strict=True):
-            channel = task.observations[observation]
+        for seen, control in zip(observations, controls, strict=True):
+            channel = task.observations[seen]
             scale = (self.scales or {}).get(channel.name, size_of(channel))
-            made.append(Loop(observation, control, scale, (period_of(channel) or 0.0) / scale))
+            made.append(Loop(seen, control, scale, (period_of(channel) or 0.0) / scale))
         bound.made = tuple(made)
         bound.n_observations = len(task.observations)
         bound.dt, bound.n_outputs = task.system.dt, task.system.nu
@@ -124,13 +132,9 @@ class Pid(Controller):
         return raw, np.concatenate([kept, error, np.ones_like(begun)], axis=-1)
 
     def kernel(self) -> ControllerKernel:
-        from sysid_evo.engine.kernels.pid import pid_kernel
-
         return pid_kernel(self.made, self.n_outputs, self.dt, self.time)
 
     def program(self, parameters: Array) -> Program:
-        from sysid_evo.controllers.pid_program import pid_program
-
         return pid_program(self, parameters)
 
 
@@ -140,3 +144,112 @@ def _all_loops(task: Task) -> dict[str, list[str]]:
     if not names:
         raise InvalidArgument("pid: the task shows nothing that a loop could bring to zero")
     return dict.fromkeys(task.system.control_names, errors or names)
+
+
+def pid_program(pid: Pid, parameters: Array) -> Program:
+    """Return a bound `Pid` with these parameters (n_parameters,) as a program."""
+    n = len(pid.made)
+    gains = parameters[: 3 * n].reshape(n, 3).T
+    kp, ki, kd = (constant(name, row) for name, row in zip(("K_P", "K_I", "K_D"), gains, strict=True))
+    bias, adds_to = constant("BIAS", parameters[3 * n :]), pid.adds_to.T
+    integral, last, begun = remembered("integral", n), remembered("last", n), remembered("begun", 1)
+    scale, period = (np.array([getattr(loop, name) for loop in pid.made]) for name in ("scale", "period"))
+    places = [loop.observation for loop in pid.made]
+    seen = take("ERROR_AT", observation(pid.n_observations), *places)
+    error = Statement("error", seen / constant("SCALE", scale), "what each loop brings to zero")
+    change = error.value - last
+    if period.any():
+        difference = Statement("difference", change)
+        turns = apply("round", difference.value / constant("TURN", np.where(period > 0.0, period, 1.0)))
+        shortest = Statement("change", difference.value - constant("PERIOD", period) * turns, "the shortest way round")
+        before: tuple[Statement, ...] = (error, difference, shortest)
+    else:
+        shortest = Statement("change", change, "since the last sample")
+        before = (error, shortest)
+    rate = kd * begun * shortest.value * (pid.time / pid.dt)
+    immediate = Statement("immediate", kp * error.value + rate, "proportional and derivative terms")
+    grown = Statement("grown", integral + error.value * (pid.dt / pid.time), "integrals, if they all grow")
+    pushed = Statement("pushed", immediate.value + ki * grown.value)
+    output = Statement("output", bias + dot("ADDS_TO", adds_to, pushed.value), "before the limits")
+    beyond = Statement("beyond", choose(apply("abs", output.value), ">", 1.0, output.value, 0.0))
+    out = Statement("out", take("MOVES", beyond.value, *(loop.control for loop in pid.made)))
+    kept = Statement(
+        "kept",
+        choose(out.value * ki * error.value, ">", 0.0, integral, grown.value),
+        "an integral that would drive its output further beyond stands still",
+    )
+    final = Statement("final", immediate.value + ki * kept.value)
+    raw = Statement("raw", limited(bias + dot("ADDS_TO", adds_to, final.value)), "outputs in [-1, 1]")
+    one = Statement("one", apply("abs", begun * 0.0 + 1.0))
+    return Program(
+        (*before, immediate, grown, pushed, output, beyond, out, kept, final, raw, one),
+        raw.value,
+        {"integral": kept.value, "last": error.value, "begun": one.value},
+    )
+
+
+HEAD = Layout("n_loops", "n_outputs", "dt", "time")
+
+LOOP = Layout("observation", "control", "per_scale", "period", "per_period")
+
+
+def pid_kernel(loops: tuple[Loop, ...], n_outputs: int, dt: float, time: float) -> ControllerKernel:
+    """Return the compiled form of `Pid`."""
+    rows = [
+        LOOP.pack(
+            observation=loop.observation,
+            control=loop.control,
+            per_scale=1.0 / loop.scale,
+            period=loop.period,
+            per_period=1.0 / loop.period if loop.period else 0.0,
+        )
+        for loop in loops
+    ]
+    parameters = HEAD.pack(*rows, n_loops=len(loops), n_outputs=n_outputs, dt=dt, time=time)
+    return ControllerKernel(KernelSource(pid), parameters, len(loops) + n_outputs)
+
+
+def pid(theta, memory, observation, raw, parameters, scratch):
+    """Proportional, integral and derivative terms, then the outputs with integrals that do not wind up; see `Pid`."""
+    n_loops, n_outputs = int(parameters[HEAD.n_loops]), int(parameters[HEAD.n_outputs])
+    fraction = parameters[HEAD.dt] / parameters[HEAD.time]
+    per_step = parameters[HEAD.time] / parameters[HEAD.dt]
+    output, begun = view(scratch, n_loops * LANES), view(memory, 2 * n_loops * LANES)
+    for i in range(n_outputs * LANES):
+        raw[i] = theta[3 * n_loops * LANES + i]
+        output[i] = raw[i]
+    for loop in range(n_loops):
+        p = view(parameters, HEAD.size + loop * LOOP.size)
+        seen, error = view(observation, int(p[LOOP.observation]) * LANES), view(scratch, loop * LANES)
+        total, final = view(output, int(p[LOOP.control]) * LANES), view(raw, int(p[LOOP.control]) * LANES)
+        integral, last = view(memory, loop * LANES), view(memory, (n_loops + loop) * LANES)
+        kp, ki, kd = (
+            view(theta, 3 * loop * LANES),
+            view(theta, (3 * loop + 1) * LANES),
+            view(theta, (3 * loop + 2) * LANES),
+        )
+        for lane in range(LANES):
+            error[lane] = seen[lane] * p[LOOP.per_scale]
+            change = error[lane] - last[lane]
+            change = change - p[LOOP.period] * nearest(change * p[LOOP.per_period])
+            immediate = kp[lane] * error[lane] + kd[lane] * begun[lane] * change * per_step
+            total[lane] += immediate + ki[lane] * (integral[lane] + error[lane] * fraction)
+            final[lane] += immediate
+            last[lane] = error[lane]
+    for loop in range(n_loops):
+        p = view(parameters, HEAD.size + loop * LOOP.size)
+        total, final = view(output, int(p[LOOP.control]) * LANES), view(raw, int(p[LOOP.control]) * LANES)
+        integral, error, ki = (
+            view(memory, loop * LANES),
+            view(scratch, loop * LANES),
+            view(theta, (3 * loop + 1) * LANES),
+        )
+        for lane in range(LANES):
+            beyond = total[lane] if abs(total[lane]) > 1.0 else 0.0
+            held = beyond * ki[lane] * error[lane] > 0.0
+            integral[lane] += 0.0 if held else error[lane] * fraction
+            final[lane] += ki[lane] * integral[lane]
+    for i in range(n_outputs * LANES):
+        raw[i] = min(max(raw[i], -1.0), 1.0)
+    for lane in range(LANES):
+        begun[lane] = 1.0

@@ -1,29 +1,42 @@
-"""Pursuit, written by hand: drive a planar body along the arc that leads to the waypoint."""
+"""Pure pursuit of a waypoint, one scalar law."""
 
 from __future__ import annotations
 
 import copy
 import math
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
-from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.controllers.named import controlled, observed
+from sysid_evo.controllers.controller import Controller, View, controlled, observed
+from sysid_evo.controllers.program import (
+    Binary,
+    Expression,
+    Program,
+    Statement,
+    apply,
+    choose,
+    constant,
+    dot,
+    limited,
+    number,
+    observation,
+    take,
+)
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import register_controller
+from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, view
+from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
-
-if TYPE_CHECKING:
-    from sysid_evo.export.program import Program
-    from sysid_evo.kernels import ControllerKernel
+from sysid_evo.types import Array, check_shape
 
 SHOWN = ("forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
+
 DAMPING = 0.1
 """What a damping parameter of 1 means, in s."""
+
 CLOSEST = 0.05
 """A waypoint nearer than this (m) is steered for as if it were this far."""
+
 STRAIGHTEST = 1e-3
 """Arcs straighter than this (1/m) count as this."""
 
@@ -100,11 +113,89 @@ class Pursuit(Controller):
         return raw, memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        from sysid_evo.engine.kernels.pursuit import pursuit_kernel
-
         return pursuit_kernel(self)
 
     def program(self, parameters: Array) -> Program:
-        from sysid_evo.controllers.pursuit_program import pursuit_program
-
         return pursuit_program(self, parameters)
+
+
+def pursuit_program(pursuit: Pursuit, parameters: Array) -> Program:
+    """Return a bound `Pursuit` with these parameters (n_parameters,) as a program."""
+    look, acceleration, gain, damping = map(float, pursuit.settings(parameters[None])[:, 0])
+    shown = observation(pursuit.n_observations)
+    seen = [
+        Statement(name, take(name.upper(), shown, place)) for name, place in zip(SHOWN, pursuit.places, strict=True)
+    ]
+    speed, yaw_rate, angle, distance = (statement.value for statement in seen)
+    ahead = -1.0 if pursuit.backward else 1.0
+    tail = choose(angle, ">", 0.0, angle - math.pi, angle + math.pi)
+    bearing = Statement("bearing", tail if pursuit.backward else angle + 0.0, "rad, from where it drives to")
+    side = choose(bearing.value, ">", 0.0, 1.0, -1.0)
+    sine = choose(apply("abs", bearing.value), ">", math.pi / 2.0, side, apply("sin", bearing.value))
+    curvature = Statement("curvature", number(2.0) * sine / _max(distance, CLOSEST), "1/m, of the arc to the waypoint")
+    bend = _max(apply("abs", curvature.value), STRAIGHTEST)
+    wanted = Statement("wanted", apply("sqrt", number(acceleration) / bend), "m/s, how fast the arc can be driven")
+    drive = Statement("push", limited((wanted.value - speed * ahead) * (ahead * gain)), "forward")
+    steer = Statement("turn", limited(curvature.value * (ahead * look) - yaw_rate * damping), "to the left")
+    unit = np.eye(len(pursuit.rest))
+    rest = np.where(unit[list(pursuit.outputs)].any(axis=0), 0.0, pursuit.rest)
+    pushed, turned = (unit[:, [place]] for place in pursuit.outputs)
+    both = dot("PUSHES", pushed, drive.value) + dot("TURNS", turned, steer.value)
+    raw = Statement("raw", constant("REST", rest) + both, "outputs in [-1, 1]")
+    return Program((*seen, bearing, curvature, wanted, drive, steer, raw), raw.value)
+
+
+def _max(of: Expression, least: float) -> Binary:
+    return Binary(of.size, "max", of, number(least))
+
+
+HEAD = Layout(
+    "look", "acceleration", "gain", "ahead", "n_outputs", "drive", "steer", "speed", "yaw_rate", "angle", "distance"
+)
+
+HALF = math.pi / 2.0
+
+
+def pursuit_kernel(pursuit: Pursuit) -> ControllerKernel:
+    """Return the compiled form of a bound `Pursuit`."""
+    speed, yaw_rate, angle, distance = pursuit.places
+    drive, steer = pursuit.outputs
+    parameters = HEAD.pack(
+        pursuit.rest,
+        look=pursuit.look,
+        acceleration=pursuit.acceleration,
+        gain=pursuit.gain,
+        ahead=-1.0 if pursuit.backward else 1.0,
+        n_outputs=len(pursuit.rest),
+        drive=drive,
+        steer=steer,
+        speed=speed,
+        yaw_rate=yaw_rate,
+        angle=angle,
+        distance=distance,
+    )
+    return ControllerKernel(KernelSource(pursue), parameters)
+
+
+def pursue(theta, memory, observation, raw, parameters, scratch):
+    """Steer along the arc to the waypoint, as fast as it allows, see `Pursuit`."""
+    p, ahead = parameters, parameters[HEAD.ahead]
+    speed, yaw_rate = view(observation, int(p[HEAD.speed]) * LANES), view(observation, int(p[HEAD.yaw_rate]) * LANES)
+    angle, distance = view(observation, int(p[HEAD.angle]) * LANES), view(observation, int(p[HEAD.distance]) * LANES)
+    for row in range(int(p[HEAD.n_outputs])):
+        for lane in range(LANES):
+            raw[row * LANES + lane] = p[HEAD.size + row]
+    drive, steer = view(raw, int(p[HEAD.drive]) * LANES), view(raw, int(p[HEAD.steer]) * LANES)
+    for lane in range(LANES):
+        look = p[HEAD.look] * math.exp(min(max(theta[lane], -10.0), 10.0))
+        acceleration = p[HEAD.acceleration] * math.exp(min(max(theta[LANES + lane], -10.0), 10.0))
+        gain = p[HEAD.gain] * math.exp(min(max(theta[2 * LANES + lane], -10.0), 10.0))
+        damping = DAMPING * theta[3 * LANES + lane]
+        around = angle[lane] - math.pi if angle[lane] > 0.0 else angle[lane] + math.pi
+        bearing = angle[lane] if ahead > 0.0 else around
+        side = 1.0 if bearing > 0.0 else -1.0
+        sine = side if abs(bearing) > HALF else math.sin(bearing)
+        curvature = 2.0 * sine / max(distance[lane], CLOSEST)
+        wanted = math.sqrt(acceleration / max(abs(curvature), STRAIGHTEST))
+        drive[lane] = min(max(ahead * gain * (wanted - ahead * speed[lane]), -1.0), 1.0)
+        steer[lane] = min(max(ahead * look * curvature - damping * yaw_rate[lane], -1.0), 1.0)

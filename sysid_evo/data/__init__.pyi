@@ -1,17 +1,11 @@
-"""Recordings: episodes, data sets, readers, preparation."""
-
 from .advice import Advice, advise
 from .columns import ColumnMap, load_columns
-from .dataset import Dataset, Transitions
-from .delays import Delay, find_delays
-from .preparation import Prepared, prepare
-from .raw import RawLog
+from .dataset import Dataset, Transitions, check_usable
+from .preparation import Prepared, RawLog, prepare, take_rows
+from .readers import Reader, Table
 from .reading import Recording, read_recording
-from .sampled import take_rows
-from .tables import Reader, Table
-from .trajectory import Trajectory
-from .usable import check_usable
-from .windows import Windows
+from .response import Delay, find_delays
+from .trajectory import Trajectory, Windows
 
 __all__ = [
     "Advice",

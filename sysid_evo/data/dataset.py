@@ -1,4 +1,4 @@
-"""Several episodes of one system: made from arrays or tables, split, windowed, stored."""
+"""Several episodes of one system: made, read, split, thinned, cut into windows, stored."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array, BoolArray, check_shape
-from sysid_evo.data.moving import moving_rows
-from sysid_evo.data.trajectory import Trajectory, as_columns
-from sysid_evo.data.windows import WindowPlaces, Windows
-from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
-from sysid_evo.lags import CarryLayout
-from sysid_evo.system import System
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data.frames import from_frame, load_dataset, save_dataset, to_frame, to_labelled
+from sysid_evo.data.reading import read_dataset
+from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array, BoolArray, check_shape
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,8 +143,6 @@ class Dataset:
         ``dt`` apart (5 %), `InvalidArgument` if there is no table.
         """
         _expect_system(system, "Dataset.from_pandas(system, frame)")
-        from sysid_evo.data.frames import from_frame
-
         return from_frame(system, frame, episode=episode)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -153,8 +152,6 @@ class Dataset:
         ``Dataset.from_pandas(system, frame, episode="episode")`` makes the data set again. Raises `InvalidData` if a
         channel has the name of another column.
         """
-        from sysid_evo.data.frames import to_frame
-
         return to_frame(self)
 
     def to_xarray(self) -> xr.Dataset:
@@ -164,8 +161,6 @@ class Dataset:
         where it was recorded. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
         coordinate.
         """
-        from sysid_evo.data.frames import to_labelled
-
         return to_labelled(self)
 
     @classmethod
@@ -177,8 +172,6 @@ class Dataset:
         condition_column: str | None = None,
     ) -> Dataset:
         """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`."""
-        from sysid_evo.data.reading import read_dataset
-
         return read_dataset(paths, columns=columns, condition_column=condition_column)
 
     def __len__(self) -> int:
@@ -229,8 +222,6 @@ class Dataset:
         ``{"wet": "*rain*", "dry": "2024-05-*"}``; a piece such as ``log[0:400]`` goes by the name of its log. Raises
         `InvalidArgument` if a pattern fits nothing, or two fit one episode.
         """
-        from sysid_evo.data.conditions import labelled
-
         return labelled(self, patterns)
 
     @cached_property
@@ -319,15 +310,11 @@ class Dataset:
 
     def save(self, path: str | Path) -> Path:
         """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
-        from sysid_evo.data.storage import save_dataset
-
         return save_dataset(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> Dataset:
         """Read what `save` wrote. Raises `ArtefactError`."""
-        from sysid_evo.data.storage import load_dataset
-
         return load_dataset(Path(path))
 
 
@@ -350,3 +337,165 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> 
 def _owners(episode: str) -> list[str]:
     """Return the names by which an episode goes: its own, and those of which it is a piece."""
     return [episode, *(episode[:place] for place, letter in enumerate(episode) if letter == "[")]
+
+
+def labelled(dataset: Dataset, patterns: Mapping[str, str]) -> Dataset:
+    """Do what `Dataset.labelled` says."""
+    found: dict[str, str] = {}
+    for name, pattern in patterns.items():
+        fitting = [e.name for e in dataset if fnmatchcase(e.name.split("[")[0], pattern)]
+        if not fitting:
+            raise InvalidArgument(
+                f"condition {name!r}: no episode fits {pattern!r}; there are {', '.join(dataset.names)}"
+            )
+        twice = [episode for episode in fitting if found.get(episode, name) != name]
+        if twice:
+            raise InvalidArgument(f"condition {name!r}: {twice[0]!r} fits the pattern of {found[twice[0]]!r} as well")
+        found.update(dict.fromkeys(fitting, name))
+    return dataset.with_episodes([replace(e, condition=found.get(e.name, e.condition)) for e in dataset])
+
+
+SHORTEST, LONGEST = 100, 1000
+"""Steps in a row: enough that few windows are lost at their ends."""
+
+BLOCKS = 20
+"""Fewest blocks from different times, if they are not too short."""
+
+
+def thinned(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
+    """Return ``dataset`` if it has at most ``most`` steps, else so many of it or a little fewer.
+
+    What is kept are blocks of up to 1000 consecutive steps (of a twentieth of ``most``, but 100, if that is less),
+    drawn without replacement and joined where they touch, in the order of the recording. ``rng`` is used only if
+    something is left out.
+    """
+    if dataset.n_steps <= most:
+        return dataset
+    block = min(LONGEST, max(SHORTEST, most // BLOCKS), most)
+    owner, begin, end = [], [], []
+    for number, episode in enumerate(dataset):
+        edges = np.linspace(0, len(episode), -(-len(episode) // block) + 1).astype(np.int64)
+        owner.append(np.full(len(edges) - 1, number))
+        begin.append(edges[:-1])
+        end.append(edges[1:])
+    owners, begins, ends = (np.concatenate(part) for part in (owner, begin, end))
+    order = rng.permutation(len(owners))
+    kept = np.sort(order[np.cumsum((ends - begins)[order]) <= most])
+    first = np.concatenate([[True], np.diff(kept) > 1]) | np.concatenate([[True], np.diff(owners[kept]) > 0])
+    runs = np.split(kept, np.flatnonzero(first)[1:])
+    pieces = [dataset.episodes[owners[run[0]]][int(begins[run[0]]) : int(ends[run[-1]])] for run in runs]
+    return dataset.with_episodes(pieces)
+
+
+EVEN = 1e-3
+"""Times are equally spaced if no step differs from the mean step by more than this share of it."""
+
+
+def from_samples(
+    x: npt.ArrayLike | Sequence[npt.ArrayLike],
+    t: float | npt.ArrayLike | Sequence[npt.ArrayLike],
+    u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+) -> Dataset:
+    """Make a data set of the states x0, x1, ... and the controls u0, u1, ... of arrays, as pysindy takes them.
+
+    ``x`` is (T + 1, nx), or a list with one for each trajectory; one state may be flat. ``t`` is the time step in
+    seconds, or the times (T + 1,), a list of them for a list. ``u`` is (T + 1, nu) or (T, nu), held from one
+    sample to the next. Raises `InvalidData` if the times are not equally spaced or do not belong to the samples,
+    `ShapeError`, `InvalidArgument`.
+    """
+    if isinstance(x, Dataset) or (isinstance(x, (list, tuple)) and any(isinstance(part, Dataset) for part in x)):
+        raise InvalidArgument("fit: expected a Dataset alone, as it has times and controls of its own, got t or u too")
+    runs = [np.asarray(as_columns(part)) for part in _listed(x)]
+    pushes = None if u is None else [np.asarray(as_columns(part)) for part in _listed(u)]
+    for what, arrays in (("x", runs), ("u", pushes or [])):
+        if any(array.ndim != 2 for array in arrays):
+            shapes = ", ".join(str(array.shape) for array in arrays)
+            raise ShapeError(f"{what}: expected (samples, columns), or a list of such arrays, got {shapes}")
+    n_controls = 0 if pushes is None else pushes[0].shape[1]
+    system = System(_numbered("x", runs[0].shape[1]), _numbered("u", n_controls), _step(t, runs))
+    return Dataset.from_arrays(system, list(runs), None if pushes is None else list(pushes))
+
+
+def _listed(given: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[npt.ArrayLike]:
+    """Return one entry for each trajectory; an array, or a list of numbers or rows of them, is one."""
+    if isinstance(given, (list, tuple)) and any(isinstance(part, np.ndarray) for part in given):
+        return list(given)
+    return [np.asarray(given)]
+
+
+def _numbered(letter: str, n: int) -> tuple[Channel, ...]:
+    """Return ``n`` channels without units: x0, x1, ..."""
+    return tuple(Channel(f"{letter}{i}") for i in range(n))
+
+
+def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Array]) -> float:
+    """Return the one time step of all runs, in seconds."""
+    if isinstance(t, (int, float, np.integer, np.floating)):
+        return float(t)
+    times = [np.asarray(part, dtype=np.float64).ravel() for part in _listed(t)]
+    if [len(part) for part in times] != [len(run) for run in runs]:
+        raise InvalidData(
+            f"t: expected one time for each sample ({', '.join(str(len(run)) for run in runs)}), or the time step, got "
+            f"{', '.join(str(len(part)) for part in times)}"
+        )
+    steps = np.concatenate([np.diff(part) for part in times])
+    if not len(steps):
+        raise InvalidData("t: expected at least two samples, got one")
+    dt = float(steps.mean())
+    worst = float(steps[np.argmax(np.abs(steps - dt))])
+    if not abs(worst - dt) <= EVEN * abs(dt):
+        raise InvalidData(
+            f"t: expected equally spaced times, got steps of {dt:g} s in the mean and one of {worst:g} s; write "
+            "the log to a file and `sysid-evo import` resamples it"
+        )
+    return dt
+
+
+STEPS_PER_CHANNEL = 10
+"""Fewest steps for each state, each control and one more: with less, a linear model is not determined well."""
+
+
+def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: str = "data set") -> None:
+    """Raise `InvalidData` if ``dataset`` is too short to fit a model to, or to test one on.
+
+    It needs one episode of ``first + horizon`` steps, those of a prediction over ``horizon`` steps after
+    ``first`` samples of history, ten steps in all for each channel and one more, and something that
+    moves. ``name`` stands at the head of the sentence.
+    """
+    system = dataset.system
+    longest = max(dataset, key=len)
+    wanted = STEPS_PER_CHANNEL * (system.nx + system.nu + 1)
+    if len(longest) < first + horizon or dataset.n_steps < wanted:
+        raise InvalidData(
+            f"{name}: expected an episode of {first + horizon} steps or more, to predict {horizon} steps after {first} "
+            f"of history, and {wanted} steps in all for {system.nx + system.nu} states and controls; got "
+            f"{dataset.n_steps} steps of {system.dt:g} s, the longest episode {longest.name!r} with {len(longest)}. "
+            "Record for longer, or see in the notes of the import why so little was left"
+        )
+    if not any(rows.any() for rows in dataset.moving):
+        raise InvalidData(f"{name}: the robot stands still throughout; record it in motion")
+
+
+def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dataset:
+    """Return the data set that was given, several joined to one. Raises `InvalidData` that names the right call.
+
+    With ``of`` it must have that system's channels, else `IncompatibleSystem`.
+    """
+    if isinstance(given, Dataset):
+        here = given.system
+        if of is not None and (here.state_names, here.control_names) != (of.state_names, of.control_names):
+            names = [", ".join((*one.state_names, *one.control_names)) for one in (of, here)]
+            raise IncompatibleSystem(f"{asked_by}: the model has the channels {names[0]}, the data have {names[1]}")
+        return given
+    parts = list(given) if isinstance(given, (list, tuple)) else []
+    if parts and all(isinstance(part, Dataset) for part in parts):
+        if any(part.system != parts[0].system for part in parts):
+            raise InvalidData(f"{asked_by}: expected data sets of one system, got several systems")
+        return parts[0].with_episodes([episode for part in parts for episode in part])
+    if isinstance(given, Trajectory) or any(isinstance(part, Trajectory) for part in parts):
+        hint = "make a data set of episodes with Dataset(system, episodes)"
+    elif type(given).__module__.split(".")[0] in ("pandas", "polars"):
+        hint = "make one of a table with Dataset.from_pandas(system, table)"
+    else:
+        hint = "make one of arrays with Dataset.from_arrays(system, states, controls), or say fit(x, t=dt, u=u)"
+    raise InvalidData(f"{asked_by}: expected a Dataset, got a {type(given).__name__}: {hint}")

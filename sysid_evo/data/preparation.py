@@ -1,4 +1,4 @@
-"""A fast log of poses becomes episodes: differentiated, turned into the body frame, filtered, decimated.
+"""A raw log becomes episodes: clock, differentiation, filter, decimation, or row by row.
 
 The order matters. Turning before filtering keeps every steady turn exact, whatever the cut-off,
 because its velocities are constant only in the body frame; a filter in the world frame would slow
@@ -8,17 +8,17 @@ down a turning body. Source: paper, section 3 (200 Hz, FIR with its delay taken 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
-from sysid_evo.arrays import Array, IntArray
-from sysid_evo.data.clock import Clock, fit_clock, pieces
-from sysid_evo.data.raw import RawLog
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 CUTOFF = 0.3
 """Default cut-off (half amplitude), in units of the control rate: 6 Hz at 20 Hz.
@@ -28,6 +28,7 @@ the amplitude is right to 0.5 % up to 2 Hz, 4 % low at 3 Hz, 13 % low at 4 Hz an
 10 Hz on. A toy car (motor and steering lags of 60-80 ms) moves below 3 Hz; above 5 Hz a
 differentiated marker position is mostly noise.
 """
+
 ATTENUATION = 50.0
 """Of all that lies above half the control rate, in dB."""
 
@@ -37,11 +38,13 @@ MAX_GAP = 0.025
 A line over a hole g under an acceleration a is off by at most a g^2 / 8: 0.4 mm at 5 m/s2. In a
 log slower than 100 Hz, 2.5 periods are bridged, so that it may miss one row.
 """
+
 MIN_RATIO = 3
 """Rows that a log needs for each control period, so that there is something to filter."""
 
 STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 """Five-point central difference, to convolve with: amplitude error (omega h)^4 / 30, no delay."""
+
 REACH = len(STENCIL) // 2
 
 LISTED = 4
@@ -221,3 +224,179 @@ def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice
                 f"({', '.join(log.extra) or 'none'})"
             )
     return np.stack(columns, axis=1)
+
+
+UNIFORM = 0.01
+"""Stamps off by less than this share of a period need no interpolation worth mentioning."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Sample s of the uniform clock is at ``times[0] + s * step`` (s); ``times`` (N,) are the log's rows.
+
+    ``note`` says how the times came about if they are not simply the stamps of a uniform log.
+    """
+
+    times: Array
+    step: float
+    note: str = ""
+
+    def samples(self, rows: slice) -> IntArray:
+        """Return the samples that lie within these rows."""
+        place = (self.times[rows] - self.times[0]) / self.step
+        return np.arange(np.ceil(place[0] - UNIFORM), np.floor(place[-1] + UNIFORM) + 1, dtype=np.int64)
+
+    def interpolate(self, values: Array, rows: slice, samples: IntArray) -> Array:
+        """Return ``values`` (N, c) at the samples, on straight lines between these rows."""
+        at = self.times[0] + samples * self.step
+        columns = [np.interp(at, self.times[rows], column) for column in values[rows].T]
+        return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
+
+    def hold(self, values: Array, rows: slice, samples: IntArray) -> Array:
+        """Return ``values`` (N, c) as they are held at the samples: of the last row up to half a step after each."""
+        at = self.times[0] + (samples + 0.5) * self.step
+        return values[rows][np.searchsorted(self.times[rows], at, side="right") - 1]
+
+
+def fit_clock(stamps: Array, positions: Array, step: float) -> Clock:
+    """Return the clock of a log: its stamps as they are, or a steady clock through them.
+
+    A tracker takes its frames at a steady rate, but many loggers stamp them when they arrive. A late
+    stamp then looks like a wrong position. The ``positions`` (N, any) tell which clock is right: on it
+    they move more smoothly. ``stamps`` (N,) and ``step`` are in s.
+    """
+    since = (stamps - stamps[0]) / step
+    if np.abs(since - np.round(since)).max() < UNIFORM:
+        return Clock(stamps, step)
+    period = float(np.median(np.diff(stamps)))
+    frames = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.round(np.diff(stamps) / period)))])
+    rate, start = np.polyfit(frames, stamps, 1)
+    steady = start + rate * frames
+    scatter = stamps - steady
+    told = f"time stamps scatter by {1e3 * scatter.std():.2g} ms around a steady {1.0 / rate:.1f} Hz"
+    if np.abs(scatter).max() < 0.5 * period and _roughness(positions, steady) < _roughness(positions, stamps):
+        return Clock(steady, step, f"{told} and the pose moves more smoothly on the steady clock, which is used")
+    return Clock(stamps, step, f"{told}; the pose is interpolated linearly onto a uniform clock")
+
+
+def pieces(breaks: BoolArray) -> list[slice]:
+    """Return the runs of rows between ``breaks`` (N - 1,), which are true where row k + 1 begins a new run."""
+    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
+    return [slice(first, last) for first, last in pairwise(edges)]
+
+
+def _roughness(positions: Array, times: Array) -> float:
+    velocities = np.diff(positions, axis=0) / np.diff(times)[:, None]
+    return float(np.sum(np.diff(velocities, axis=0) ** 2))
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """N rows of one recording, before preparation.
+
+    ``time`` (N,) in s; ``pose`` (N, n_pose) in the units of the system's motion; ``controls``
+    (N, nu): the command in force from this row on; ``extra``: other columns (N,), by name; ``condition``: the name of
+    the condition in which each row was recorded (N,), or None.
+    """
+
+    name: str
+    time: Array
+    pose: Array
+    controls: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    condition: npt.NDArray[np.str_] | None = None
+
+    def __post_init__(self) -> None:
+        time = check_shape(f"time of {self.name!r}", self.time, (None,))
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "pose", check_shape(f"pose of {self.name!r}", self.pose, (len(time), None)))
+        object.__setattr__(
+            self, "controls", check_shape(f"controls of {self.name!r}", self.controls, (len(time), None))
+        )
+        for name, column in self.extra.items():
+            check_shape(f"{name} of {self.name!r}", column, (len(time),))
+        if self.condition is not None and self.condition.shape != time.shape:
+            raise ShapeError(f"condition of {self.name!r}: expected shape {time.shape}, got {self.condition.shape}")
+
+    @property
+    def changes(self) -> BoolArray:
+        """Where the next row is of another condition, (N - 1,)."""
+        if self.condition is None:
+            return np.zeros(len(self.time) - 1, dtype=bool)
+        found: BoolArray = self.condition[1:] != self.condition[:-1]
+        return found
+
+    def condition_at(self, row: int) -> str:
+        """Return the condition of a row, "" if none is known."""
+        return "" if self.condition is None else str(self.condition[row])
+
+
+RATE_TOLERANCE = 0.2
+"""How far the rows of a log may be from ``dt``, as a share of it, to be taken one by one."""
+
+SHORTEST, LONGEST = 0.5, 1.5
+"""Steps that may stand for one ``dt``, in units of it. A lost row makes 2: taken as one step it would
+teach two steps as one."""
+
+TOLD = 1e-3
+"""Steps off by less than this share of ``dt`` are not worth a word."""
+
+
+def at_control_rate(log: RawLog, system: System) -> bool:
+    """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
+    has_states = all(name in log.extra for name in system.state_names)
+    return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
+
+
+def episodes_of(log: RawLog, system: System) -> Prepared:
+    """Return the episodes of ``log``: row by row if it is at the control rate, else filtered, see `prepare`."""
+    return take_rows(log, system) if at_control_rate(log, system) else prepare(log, system)
+
+
+def take_rows(log: RawLog, system: System) -> Prepared:
+    """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
+
+    ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
+    log into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
+    `InvalidData`.
+    """
+    missing = [name for name in system.state_names if name not in log.extra]
+    if missing:
+        raise InvalidData(f"{log.name}: states {', '.join(missing)} are not among the columns of the log")
+    pose = checked_pose(log, system)
+    states = np.stack([log.extra[name] for name in system.state_names], axis=1)
+    steps = np.diff(log.time)
+    broken = (steps < SHORTEST * system.dt) | (steps > LONGEST * system.dt)
+    runs = pieces(broken | log.changes)
+    episodes = [
+        Trajectory(
+            states=states[rows],
+            controls=log.controls[rows][:-1],
+            dt=system.dt,
+            pose=pose[rows] if pose.size else None,
+            name=log.name if len(runs) == 1 else f"{log.name}[{rows.start}:{rows.stop - 1}]",
+            condition=log.condition_at(rows.start),
+        )
+        for rows in runs
+        if rows.stop - rows.start > 1
+    ]
+    if not episodes:
+        raise InvalidData(
+            f"{log.name}: expected rows {system.dt:g} s apart, but no two of them are within 0.5 to 1.5 of that; "
+            f"the steps are {steps.min():.3g} to {steps.max():.3g} s"
+        )
+    kept = 1e3 * steps[~broken]
+    measured = (
+        f"; their stamps are {kept.min():.1f} to {kept.max():.1f} ms apart (mean {kept.mean():.2f} ms)"
+        if np.abs(kept - 1e3 * system.dt).max() > TOLD * 1e3 * system.dt
+        else ""
+    )
+    notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
+    if len(runs) > 1:
+        changes = f" and {int(log.changes.sum())} changes of condition" if log.changes.any() else ""
+        notes.append(
+            f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
+            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
+            f"{len(runs) - len(episodes)} single rows left out"
+        )
+    return Prepared(log.name, tuple(episodes), tuple(notes))

@@ -7,22 +7,22 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array
-from sysid_evo.data.checks import check_control, check_time, constant_controls, findings
+from sysid_evo.data.checks import check_control, check_rate, check_time, constant_controls, findings
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
-from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.preparation import said_once
-from sysid_evo.data.rates import check_rate
-from sysid_evo.data.raw import RawLog
-from sysid_evo.data.sampled import episodes_of
-from sysid_evo.data.storage import HEADER
-from sysid_evo.data.tables import Table, log_suffixes, reader_for, such_rows
+from sysid_evo.data.frames import HEADER
+from sysid_evo.data.preparation import RawLog, episodes_of, said_once
+from sysid_evo.data.readers import Table, log_suffixes, reader_for, such_rows
 from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
 from sysid_evo.system import System
+from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    from sysid_evo.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Recording:
 
         The notes of the data set hold the doubts too. Raises `InvalidData`.
         """
+        from sysid_evo.data.dataset import Dataset
+
         prepared = [episodes_of(log, self.system) for log in self.logs]
         notes = [*self.notes, *said_once(prepared), *self.doubts]
         episodes = [episode for one in prepared for episode in one.episodes]
@@ -96,6 +98,8 @@ def read_dataset(
 
     Each doubt about a log is also one `DataWarning`.
     """
+    from sysid_evo.data.dataset import Dataset
+
     stored = _stored(paths)
     if stored is not None:
         if columns is not None:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, BoolArray, check_shape
+from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import InvalidData
-
-if TYPE_CHECKING:
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.system import System
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, check_shape
 
 QUANTILE = 0.99
+
 KEPT_PAIRS = 2048
 """Pairs of state and control that a fitted model keeps of its training data, evenly spread over them."""
 

@@ -1,14 +1,17 @@
-"""One episode of a system: states, the controls held between them, and where the body was."""
+"""One episode: states, controls, pose; which samples move; windows cut out of episodes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.arrays import Array, check_shape
 from sysid_evo.errors import InvalidData
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 
 @dataclass(frozen=True)
@@ -70,3 +73,166 @@ class Trajectory:
 def as_columns(values: npt.ArrayLike) -> npt.ArrayLike:
     """Return 1-D ``values``, those of a single channel, as one column; anything else as it is."""
     return np.asarray(values)[:, None] if np.ndim(values) == 1 else values
+
+
+STANDSTILL_SPEED = 0.05  # m/s
+
+STANDSTILL_YAW_RATE = 0.1  # rad/s
+
+STANDSTILL_TIME = 0.5  # s
+
+MARGIN_TIME = 0.25  # s, kept on either side, so that launches and stops stay in
+
+
+def moving_rows(states: Array, system: System) -> BoolArray:
+    """Return a mask (T + 1,) that is false where a planar body stands still.
+
+    A standstill is at least 0.5 s below 0.05 m/s and 0.1 rad/s; its first and last 0.25 s count as
+    moving. A system without a planar motion always moves.
+    """
+    if not isinstance(system.motion, PlanarBody):
+        return np.ones(len(states), dtype=bool)
+    forward, lateral, yaw_rate = system.motion.indices(system.state_names)
+    speed = np.abs(states[:, forward]) if lateral is None else np.hypot(states[:, forward], states[:, lateral])
+    slow = (speed < STANDSTILL_SPEED) & (np.abs(states[:, yaw_rate]) < STANDSTILL_YAW_RATE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
+    moving = np.ones(len(states), dtype=bool)
+    margin = round(MARGIN_TIME / system.dt)
+    begin, end = edges.reshape(-1, 2).T
+    long = end - begin >= round(STANDSTILL_TIME / system.dt)
+    for first, last in zip(begin[long].tolist(), end[long].tolist(), strict=True):
+        first = first + margin if first > 0 else first
+        last = last - margin if last < len(states) else last
+        moving[first : max(first, last)] = False
+    return moving
+
+
+INDICES = 2**16
+"""Samples that are cut at a time."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """N windows of H steps, each with L samples of history; none crosses an episode.
+
+    ``past_states`` (N, L + 1, nx) ends at the start of the window, ``past_controls`` (N, L, nu) at
+    the sample before it; ``controls`` (N, H, nu) lead to ``states`` (N, H, nx). ``episode`` and
+    ``start`` (N,) say where each window begins.
+    """
+
+    past_states: Array
+    past_controls: Array
+    controls: Array
+    states: Array
+    episode: IntArray
+    start: IntArray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def start_states(self) -> Array:
+        """The measured state at the start of each window, (N, nx)."""
+        return self.past_states[:, -1]
+
+    def __getitem__(self, rows: IntArray | slice) -> Windows:
+        return Windows(
+            self.past_states[rows],
+            self.past_controls[rows],
+            self.controls[rows],
+            self.states[rows],
+            self.episode[rows],
+            self.start[rows],
+        )
+
+
+@dataclass(frozen=True)
+class WindowPlaces:
+    """Where N windows of ``horizon`` steps and ``history`` earlier samples lie; ``places[rows]`` cuts some of them.
+
+    ``states`` (M + E, nx) and ``controls`` (M, nu) are those of all E episodes in a row; a window begins at sample
+    ``start`` (N,) of ``episode`` (N,), which is row ``place`` (N,) of ``states``.
+    """
+
+    states: Array
+    controls: Array
+    episode: IntArray
+    start: IntArray
+    place: IntArray
+    horizon: int
+    history: int
+
+    @classmethod
+    def of(
+        cls,
+        episodes: Sequence[Trajectory],
+        horizon: int,
+        *,
+        stride: int = 1,
+        history: int = 0,
+        first: int | None = None,
+        rows: Sequence[BoolArray] | None = None,
+    ) -> WindowPlaces:
+        """Find windows of ``horizon`` steps with ``history`` samples before them, every ``stride`` samples.
+
+        The first window starts at sample ``first``, or at ``history`` if that is later, so that all its
+        history is measured and none made up. ``rows`` are masks (T + 1,), one for each episode: a window
+        whose start is false in its mask is left out.
+        """
+        first = history if first is None else max(first, history)
+        starts = []
+        for number, episode in enumerate(episodes):
+            start = np.arange(first, len(episode) - horizon + 1, stride, dtype=np.int64)
+            starts.append(start if rows is None else start[rows[number][start]])
+        counts = [len(start) for start in starts]
+        begins = np.cumsum([0, *(len(episode) + 1 for episode in episodes)])[:-1]
+        start = np.concatenate(starts)
+        return cls(
+            _joined([episode.states for episode in episodes]),
+            _joined([episode.controls for episode in episodes]),
+            np.repeat(np.arange(len(episodes), dtype=np.int64), counts),
+            start,
+            start + np.repeat(begins, counts),
+            horizon,
+            history,
+        )
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def last_states(self) -> Array:
+        """The state after the last step of each window, (N, nx)."""
+        return self.states[self.place + self.horizon]
+
+    def __getitem__(self, rows: IntArray | slice) -> Windows:
+        """Return these windows."""
+        episode, start, place = self.episode[rows], self.start[rows], self.place[rows]
+        before, ahead = np.arange(-self.history, 1), np.arange(self.horizon)
+        return Windows(
+            _cut(self.states, place, before),
+            _cut(self.controls, place - episode, before[:-1]),
+            _cut(self.controls, place - episode, ahead),
+            _cut(self.states, place, ahead + 1),
+            episode,
+            start,
+        )
+
+
+def _joined(arrays: Sequence[Array]) -> Array:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _cut(samples: Array, place: IntArray, around: IntArray) -> Array:
+    """Return the samples (N, H, c) ``around`` (H,) each ``place`` (N,), without index arrays of that size."""
+    found = np.empty((len(place), len(around), samples.shape[1]))
+    at_once = max(1, INDICES // max(1, len(around)))
+    for begin in range(0, len(place), at_once):
+        part = slice(begin, begin + at_once)
+        np.take(samples, place[part, None] + around, axis=0, out=found[part], mode="clip")
+    return found
+
+
+def recording(name: str) -> str:
+    """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
+    return name.split("[")[0]

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
+from sysid_evo.carry import clip_state
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics import Dynamics, clip_state
-from sysid_evo.engine import behaviour
+from sysid_evo.engine import results
+from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
 from sysid_evo.tasks.task import Task, TaskState
+from sysid_evo.types import Array, Seeds
 
 ENGINE = "reference"
 
@@ -35,7 +36,7 @@ def run(
     memory = np.zeros((*grid, controller.n_memory))
     survived, clipped = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.int64)
     diverged = np.zeros(batch, dtype=bool)
-    counts, centre = np.zeros((batch, 2 * (system.nx + system.nu))), behaviour.neutral(system)
+    counts, centre = np.zeros((batch, 2 * (system.nx + system.nu))), results.neutral(system)
     tape = _Tape(batch, task.horizon, system.nx, system.nu, task_state.pose) if record else None
 
     with np.errstate(all="ignore"):
@@ -50,8 +51,8 @@ def run(
             view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state, drawn)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
-            if k % behaviour.EVERY == 0:
-                counts += behaviour.sides(state, control, centre) & alive[:, None]
+            if k % results.EVERY == 0:
+                counts += results.sides(state, control, centre) & alive[:, None]
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, control, draw)
             going = alive
@@ -80,7 +81,7 @@ def run(
         "fitness": fitness.reshape(grid),
         "survived": survived.reshape(grid),
         "clipped": clipped.reshape(grid),
-        "behaviour": behaviour.shares(counts, survived, diverged).reshape(*grid, -1),
+        "behaviour": results.shares(counts, survived, diverged).reshape(*grid, -1),
         "doubt": doubt.reshape(grid),
         "task_state": task_state,
         "engine": ENGINE,

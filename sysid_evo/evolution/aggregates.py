@@ -1,4 +1,4 @@
-"""Aggregates: how the fitnesses on several models and in several trials become one (paper, section 4.5).
+"""How fitness on several models and trials becomes one.
 
 An aggregate is a function of the fitness (models, candidates, trials) that returns one number for each candidate, in
 the same unit: where a candidate scores the same everywhere, that is its fitness. Further arguments are the parameters
@@ -12,9 +12,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import register_aggregate
+from sysid_evo.registry.registry import aggregates, register_aggregate
+from sysid_evo.types import Array
 
 Aggregate: TypeAlias = Callable[[Array], Array]
 
@@ -51,3 +51,6 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
     counted = max(1.0, share * models * trials)
     weights = np.clip(counted - np.arange(models * trials), 0.0, 1.0)
     return worst_first @ weights / counted
+
+
+make_aggregate = aggregates.make

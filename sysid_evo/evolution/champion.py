@@ -1,17 +1,21 @@
-"""The controller that an evolutionary run ends with, and how it came about."""
+"""The result of an evolution: Champion, Finalist, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.registry import Spec, make_controller, make_task
+from sysid_evo.artefacts import read_artefact, stored_file, write_artefact
+from sysid_evo.controllers.controller import make_controller
+from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument, ShapeError
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.system import System
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Array, check_shape
 
 
 @dataclass(frozen=True)
@@ -153,3 +157,31 @@ class Champion:
             ),
             population=population,
         )
+
+
+def save_champion(champion: Champion, path: str | Path, *, data: str | None = None) -> Path:
+    """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest."""
+    learned = champion.to_dict()
+    fields = {
+        "kind": "controller",
+        "name": champion.controller.name,
+        "module": Champion.__module__,
+        "parameters": dict(champion.controller.parameters),
+        "system": learned.pop("system"),
+        "learned": learned,
+        "seed": champion.seed,
+        "data": data,
+    }
+    return write_artefact(Path(path), champion.tensors, fields)
+
+
+def load_champion(path: str | Path) -> Champion:
+    """Read what `save_champion` wrote, see `stored_file`. Raises `ArtefactError`."""
+    path = stored_file(path, "controller")
+    manifest, tensors = read_artefact(path, "controller")
+    try:
+        found = {**manifest.learned, "system": manifest.system}
+        return Champion.from_dict(found, tensors)
+    except (KeyError, TypeError, ValueError, ShapeError, InvalidArgument) as error:
+        older = "; another version of this library wrote it: evolve again" if isinstance(error, KeyError) else ""
+        raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}{older}") from error

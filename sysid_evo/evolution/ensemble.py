@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds, check_shape
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import Runner
+from sysid_evo.engine.rollout import Runner
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.loop import Scores
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import aggregates, make_aggregate
+from sysid_evo.registry.registry import aggregates
 from sysid_evo.tasks.task import Task
+from sysid_evo.types import Array, Seeds, check_shape
 
 
 @dataclass(frozen=True)

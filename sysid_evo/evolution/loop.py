@@ -1,15 +1,18 @@
-"""The generation loop, as a generator that belongs to the caller."""
+"""The ask-tell loop, and stages that come before the task."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.evolution.strategy import EvolutionStrategy
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.registry.grammar import Spec, split
+from sysid_evo.registry.registry import tasks
+from sysid_evo.types import Array, check_shape
 
 
 @dataclass(frozen=True)
@@ -56,3 +59,120 @@ def evolve(
         scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))
         strategy.tell(population, scores.fitness, scores.behaviour)
         yield Generation(index, population, scores.fitness, scores.by_model)
+
+
+MANY, LONG = 0.5, 20
+"""Share of the candidates that must have all there is, and for how many generations, until a search is over."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What comes before that which is asked for, and until when.
+
+    The ``task`` of the stage, a spec or its text, and the ``models`` that it is met on, a list of labels or
+    ``a+b``; each is by default what is asked for. The stage ends when the median fitness of the better half has reached
+    ``until``, the median over the last ``over`` generations, or after ``at_most`` generations.
+    """
+
+    task: Spec | None = None
+    models: tuple[str, ...] = ()
+    until: float | None = None
+    at_most: int | None = None
+    over: int = 5
+
+    def __post_init__(self) -> None:
+        given: object = self.models
+        models = given.split("+") if isinstance(given, str) else self.models
+        object.__setattr__(self, "models", tuple(model.strip() for model in models))
+        if self.task is not None:
+            object.__setattr__(self, "task", tasks.check(self.task))
+        if self.until is None and self.at_most is None:
+            raise InvalidArgument("stage: expected until=FITNESS, at_most=GENERATIONS or both, so that it ends")
+        if self.over < 1 or (self.at_most is not None and self.at_most < 1):
+            raise InvalidArgument(f"stage: expected over and at_most >= 1, got {self.over} and {self.at_most}")
+        if self.until is not None and not np.isfinite(self.until):
+            raise InvalidArgument(f"stage: expected a finite fitness, got until={self.until}")
+
+    @classmethod
+    def parse_many(cls, text: str) -> tuple[Stage, ...]:
+        """Read ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
+        return tuple(cls._of(Spec.parse(piece)) for piece in split(text))
+
+    @classmethod
+    def _of(cls, spec: Spec) -> Stage:
+        unknown = [name for name in spec.parameters if name not in cls.__dataclass_fields__]
+        if spec.name != "stage" or unknown:
+            raise InvalidArgument(
+                f"schedule: expected stage({', '.join(f'{name}=...' for name in cls.__dataclass_fields__)}), got {spec}"
+            )
+        try:
+            return cls(**spec.parameters)
+        except (TypeError, AttributeError) as error:
+            raise InvalidArgument(f"schedule: {spec} cannot be read: {error}") from error
+
+    def reached(self, levels: Sequence[float]) -> bool:
+        """Whether the stage has ended, after generations of these levels."""
+        enough = self.until is not None and len(levels) >= self.over and np.median(levels[-self.over :]) >= self.until
+        return bool(enough) or (self.at_most is not None and len(levels) >= self.at_most)
+
+
+class Schedule:
+    """An objective that becomes harder: that of each stage in turn, at last what is ``asked`` for.
+
+    Whoever evolves hands every generation to `tell`, and makes the strategy forget old fitness when that
+    says that the next stage has begun::
+
+        for generation in evolve(strategy, schedule, 300):
+            if schedule.tell(generation):
+                strategy.forget_fitness()
+
+    ``most`` is the most that a candidate can score at what is asked for: where many reach that for long, the schedule
+    is `exhausted`, for nothing is left to choose by.
+    """
+
+    def __init__(self, stages: Sequence[tuple[Stage, Objective]], asked: Objective, *, most: float = np.inf) -> None:
+        self.stages = tuple(stage for stage, _ in stages)
+        self.objectives = (*(objective for _, objective in stages), asked)
+        self.stage, self.most = 0, most
+        self._levels: list[float] = []
+        self._full = 0
+
+    def __call__(self, population: Array, generation: int) -> Scores | Array:
+        """Return what ``population`` (P, n) scores in the present stage."""
+        return self.objectives[self.stage](population, generation)
+
+    def tell(self, generation: Generation) -> bool:
+        """Take in a generation; return whether the next stage begins after it."""
+        if self.stage == len(self.stages):
+            reached = np.mean(generation.fitness >= self.most)
+            self._full = self._full + 1 if reached >= MANY else 0
+            return False
+        self._levels.append(float(np.median(np.sort(generation.fitness)[len(generation.fitness) // 2 :])))
+        if not self.stages[self.stage].reached(self._levels):
+            return False
+        self.stage += 1
+        self._levels = []
+        return True
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether half of the candidates have had all there is in each of the last 20 generations."""
+        return self._full >= LONG
+
+    @property
+    def status(self) -> str:
+        """Which stage of how many it is, the last being what is asked for; empty without stages."""
+        return f"stage {self.stage + 1} of {len(self.objectives)}" if self.stages else ""
+
+    @property
+    def state(self) -> StrategyState:
+        """All that `tell` has changed."""
+        return {"stage": self.stage, "levels": np.array(self._levels), "full": self._full}
+
+    def restore(self, state: StrategyState) -> None:
+        """Go on from a ``state`` of a schedule of the same stages. Raises `InvalidArgument` or `ShapeError`."""
+        stage = state["stage"]
+        if not isinstance(stage, int) or not 0 <= stage <= len(self.stages):
+            raise InvalidArgument(f"schedule: expected the number of a stage up to {len(self.stages)}, got {stage!r}")
+        self.stage, self._levels = stage, check_shape("levels", state["levels"], (None,)).tolist()
+        self._full = int(state["full"])

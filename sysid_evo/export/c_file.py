@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
-
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.export.law import Law
-from sysid_evo.export.program import (
+from sysid_evo.controllers.program import (
     OBSERVATION,
     Binary,
     Choice,
@@ -22,8 +18,8 @@ from sysid_evo.export.program import (
     Variable,
     parts_of,
 )
-
-Real: TypeAlias = Literal["float", "double"]
+from sysid_evo.export.exported_controller import Law, Real
+from sysid_evo.types import Array
 
 FUNCTIONS = {"tanh": "tanh", "abs": "fabs", "round": "rint", "sqrt": "sqrt", "sin": "sin", "min": "fmin", "max": "fmax"}
 
@@ -99,6 +95,7 @@ int main(void)
 }}
 #endif
 """
+
 DOT = """\
 /* The sum of products of a row of weights and a vector. */
 static {name}_real dot(const {name}_real *weights, const {name}_real *vector, size_t n)

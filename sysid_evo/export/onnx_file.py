@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.export.c_file import Real
-from sysid_evo.export.law import Law
-from sysid_evo.export.program import (
+from sysid_evo.controllers.program import (
     OBSERVATION,
     Binary,
     Choice,
@@ -22,13 +19,17 @@ from sysid_evo.export.program import (
     Unary,
     Variable,
 )
+from sysid_evo.export.exported_controller import Law, Real
 from sysid_evo.extras import missing_extra
+from sysid_evo.types import Array
 
 if TYPE_CHECKING:
     import onnx
 
+
 OPSET, IR_VERSION = 17, 8
 """Versions that runtimes have understood since 2022."""
+
 OPERATORS = {
     "+": "Add", "-": "Sub", "*": "Mul", "/": "Div", "min": "Min", "max": "Max", ">": "Greater",
     ">=": "GreaterOrEqual", "tanh": "Tanh", "abs": "Abs", "round": "Round", "sqrt": "Sqrt", "sin": "Sin",

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from sysid_evo.arrays import Array
-from sysid_evo.export.law import Law
-from sysid_evo.export.program import Binary, Choice, Constant, Dot, Expression, Number, Take, Unary, Variable, parts_of
+from sysid_evo.controllers.program import (
+    Binary,
+    Choice,
+    Constant,
+    Dot,
+    Expression,
+    Number,
+    Take,
+    Unary,
+    Variable,
+    parts_of,
+)
+from sysid_evo.export.exported_controller import Law
+from sysid_evo.types import Array
 
 SUM, PRODUCT, ATOM = 1, 2, 3
 """How tightly an expression binds."""

@@ -1,3 +1,5 @@
-from .control import to_control
+from .python_control import to_control
 
-__all__ = ["to_control"]
+__all__ = [
+    "to_control",
+]

@@ -1,12 +1,17 @@
-"""A plan: cells in an order in which each comes after those it needs, made without doing any work."""
+"""A plan: cells in order of their needs, the recipe by which another process rebuilds it, seeds, critical path."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import importlib
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan.again import Again
 from sysid_evo.plan.cell import Cell
 
 
@@ -52,3 +57,65 @@ class Plan:
     def of_kind(self, kind: str) -> tuple[Cell, ...]:
         """Return the cells of one kind."""
         return tuple(cell for cell in self.cells if cell.kind == kind)
+
+
+@dataclass(frozen=True)
+class Again:
+    """The ``function``, ``module:name``, that makes a plan of ``settings``, strict JSON, and the folder of the run.
+
+    Whatever else it reads is named here, so that it can be sent to a machine that does not see the folder: ``after``
+    are the digests of cells whose results must stand in the run before that, ``inside`` the folders of the run whose
+    files it reads. ``files`` are texts in the settings that name files elsewhere, and the files that belong to each.
+    """
+
+    function: str
+    settings: Mapping[str, Any]
+    after: tuple[str, ...] = ()
+    inside: tuple[str, ...] = ()
+    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def prepare(self) -> None:
+        """Import what the plan is made with."""
+        importlib.import_module(self.function.partition(":")[0])
+
+    def plan(self, folder: Path) -> Plan:
+        """Return the plan, made again. Raises what the function does."""
+        module, _, name = self.function.partition(":")
+        made: Plan = getattr(importlib.import_module(module), name)(self.settings, folder)
+        return made
+
+    def with_files_at(self, places: Mapping[str, str]) -> Again:
+        """Return the same with other names of files in the settings: ``places`` has one for each that it had."""
+        return replace(self, settings=_renamed(self.settings, places), files={})
+
+
+def _renamed(value: Any, places: Mapping[str, str]) -> Any:
+    if isinstance(value, str):
+        return places.get(value, value)
+    if isinstance(value, Mapping):
+        return {key: _renamed(item, places) for key, item in value.items()}
+    return [_renamed(item, places) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def cell_seed(seed: int, work: str) -> int:
+    """Return the seed of ``work``: it depends on the experiment's seed and the text, not on its place in a plan."""
+    key = zlib.crc32(work.encode())
+    return int(np.random.SeedSequence(seed, spawn_key=(key,)).generate_state(1, np.uint32)[0])
+
+
+def at_home(plan: Plan) -> set[str]:
+    """Return the digests of the cells that must be computed where the run is, and of those that need them."""
+    found: set[str] = set()
+    for cell in plan:
+        if cell.at_home or any(needed.digest in found for needed in cell.needs):
+            found.add(cell.digest)
+    return found
+
+
+def work_ahead(plan: Plan) -> dict[str, float]:
+    """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
+    ahead = {cell.digest: cell.seconds() for cell in plan}
+    for cell in reversed(plan.cells):
+        for needed in cell.needs:
+            ahead[needed.digest] = max(ahead[needed.digest], needed.seconds() + ahead[cell.digest])
+    return ahead

@@ -1,16 +1,18 @@
-"""A run folder as a store: results are found by the digest of everything that they depend on."""
+"""A run folder: records, results found by digest, claims, and bundles sent between run folders."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -18,16 +20,21 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from sysid_evo.errors import ArtefactError, SysidEvoError
 from sysid_evo.files import write_atomically
 from sysid_evo.plan.cell import Cell, Work
-from sysid_evo.plan.parcels import Parcel, is_inside, packed, unpack
-from sysid_evo.store.manifest import versions
+from sysid_evo.version import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
+
 CHECKPOINT = ".checkpoint"
+
 SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
+
 MAX_BYTES = 2**22
+
 NAME_LENGTH = 60
+
 IN_MEMORY = 512
 """Values that a store keeps in memory; those not used for longest go first."""
+
 WAITING = "not computed yet"
 
 
@@ -355,3 +362,39 @@ def _digest(file: Path) -> str | None:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError:
         return None
+
+
+Parcel: TypeAlias = tuple[tuple[str, int, bytes], ...]
+"""Files by their path below a folder: path, time of the last change in ns (what is older comes first), content."""
+
+
+def packed(folder: Path, names: Iterable[str]) -> Parcel:
+    """Return the files called ``names`` below ``folder``. Raises OSError if one is not there."""
+    files = ((name, folder / name) for name in names)
+    return tuple((name, file.stat().st_mtime_ns, file.read_bytes()) for name, file in files)
+
+
+def unpack(parcel: Parcel, folder: Path) -> list[Path]:
+    """Write the files of ``parcel`` below ``folder``, and return them. Raises `ArtefactError` for one outside it."""
+    written = []
+    for name, changed, content in parcel:
+        if not is_inside(name):
+            raise ArtefactError(f"{name} lies outside the folder that it is sent to")
+        file = write_atomically(folder / name, partial(Path.write_bytes, data=content))
+        os.utime(file, ns=(changed, changed))
+        written.append(file)
+    return written
+
+
+def is_inside(name: str) -> bool:
+    """Whether a relative path stays below the folder that it is relative to."""
+    path = Path(name)
+    return not path.is_absolute() and ".." not in path.parts
+
+
+def digest_of(parcel: Parcel) -> str:
+    """Return the SHA-256 of all that a parcel holds."""
+    digest = hashlib.sha256()
+    for name, changed, content in parcel:
+        digest.update(f"{name}\0{changed}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()

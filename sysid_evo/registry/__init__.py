@@ -1,14 +1,13 @@
 """Everything that has a name: registries, the grammar of names, plugin files."""
 
-from sysid_evo.registry.kinds import (
+from sysid_evo.registry.grammar import Spec, distinct, split
+from sysid_evo.registry.plugins import load_plugin, source_digest
+from sysid_evo.registry.registry import (
     KINDS,
+    Registry,
     aggregates,
     controllers,
-    make_aggregate,
-    make_controller,
-    make_model,
-    make_strategy,
-    make_task,
+    make_robot,
     models,
     motions,
     probes,
@@ -23,15 +22,12 @@ from sysid_evo.registry.kinds import (
     register_strategy,
     register_task,
     register_tracker,
+    robot_spec,
     robots,
     strategies,
     tasks,
     trackers,
 )
-from sysid_evo.registry.plugin_files import load_plugin, source_digest
-from sysid_evo.registry.registry import Registry
-from sysid_evo.registry.robot_files import make_robot, robot_spec
-from sysid_evo.registry.spec import Spec, distinct, split
 
 __all__ = [
     "KINDS",
@@ -41,12 +37,7 @@ __all__ = [
     "controllers",
     "distinct",
     "load_plugin",
-    "make_aggregate",
-    "make_controller",
-    "make_model",
     "make_robot",
-    "make_strategy",
-    "make_task",
     "models",
     "motions",
     "probes",

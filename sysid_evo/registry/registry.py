@@ -1,4 +1,4 @@
-"""One small class that finds things by name, whether this repository or a plugin brings them."""
+"""Finding things by name: the class, the twelve registries, robots by name or file."""
 
 from __future__ import annotations
 
@@ -6,19 +6,33 @@ import difflib
 import importlib.util
 import inspect
 import math
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import Distribution, EntryPoint, entry_points
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
-from sysid_evo.registry.plugin_files import source_digest
-from sysid_evo.registry.spec import Spec
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.plugins import source_digest
+
+if TYPE_CHECKING:
+    from sysid_evo.controllers.controller import Controller
+    from sysid_evo.evolution.aggregates import Aggregate
+    from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
+    from sysid_evo.models.base import DynamicsModel
+    from sysid_evo.models.disturbances import RadicalEnvelope
+    from sysid_evo.models.penalty import Doubt
+    from sysid_evo.motion import Motion
+    from sysid_evo.tasks.task import Task
+
 
 T = TypeVar("T")
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -252,3 +266,123 @@ def _load(point: EntryPoint, kind: str) -> None:
 
 def _distribution(point: EntryPoint) -> str | Distribution:
     return DISTRIBUTION if point.dist is None else point.dist
+
+
+class AggregateRegistry(Registry[Any]):
+    """Functions of the fitness (models, candidates, trials); their further arguments are the parameters of a spec."""
+
+    def make(self, spec: str | Spec, /, **parameters: Any) -> Aggregate:
+        """Return the function that ``spec`` names, with its parameters. Raises what it does with their values."""
+        import numpy as np
+
+        found = self.check(spec, **parameters)
+        aggregate = partial(self.get(found.name), **found.parameters)
+        aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
+        return aggregate
+
+
+models: Registry[DynamicsModel] = Registry("model", "sysid_evo.models")
+
+tasks: Registry[Task] = Registry("task", "sysid_evo.tasks")
+
+controllers: Registry[Controller] = Registry("controller", "sysid_evo.controllers")
+
+strategies: Registry[EvolutionStrategy] = Registry(
+    "strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"})
+)
+
+aggregates = AggregateRegistry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
+
+robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
+
+trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
+
+readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
+
+probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
+
+motions: Registry[Motion] = Registry("motion", "sysid_evo.motions")
+
+KINDS: dict[str, Registry[Any]] = {
+    registry.kind: registry
+    for registry in (
+        models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions,
+    )
+}  # fmt: skip
+
+register_model = models.register
+
+register_task = tasks.register
+
+register_controller = controllers.register
+
+register_strategy = strategies.register
+
+register_aggregate = aggregates.register
+
+register_robot = robots.register
+
+register_tracker = trackers.register
+
+register_reader = readers.register
+
+register_probe = probes.register
+
+register_motion = motions.register
+
+SUFFIX = ".toml"
+
+
+def robot_spec(text: str) -> Spec:
+    """Return the spec of ``NAME(parameter=value, ...)``, ``NAME:SEED``, or of a TOML file.
+
+    The file names the registered robot as ``driver``; its other keys are that robot's parameters, and
+    the robot is called as the file is. Raises `InvalidArgument`.
+    """
+    if text.endswith(SUFFIX):
+        return _of_file(Path(text))
+    return Spec.parse(text)
+
+
+def make_robot(spec: str | Spec) -> Any:
+    """Return the robot that ``spec`` names, see `robot_spec`; it is not connected yet.
+
+    Raises `InvalidArgument`, also where somebody registered dynamics instead of a robot that has them.
+    """
+    from sysid_evo.models.dynamics import Dynamics
+
+    found = robot_spec(spec) if isinstance(spec, str) else spec
+    try:
+        made = robots.make(found)
+    except InvalidArgument as error:
+        if isinstance(spec, str) and spec.endswith(SUFFIX):
+            raise InvalidArgument(f"robot file {spec}: {error}") from error
+        raise
+    if isinstance(made, Dynamics):
+        kind = type(made).__name__
+        raise InvalidArgument(
+            f"robot {found.name!r}: expected a robot, got the dynamics {kind}. Register a function that returns "
+            f"SensedRobot({found.name!r}, {kind}()) of hardware.emulation.sensed_robot, or with a pose "
+            f"ModelledRobot({found.name!r}, {kind}()) of hardware.emulation.tracked_robots"
+        )
+    return made
+
+
+def _of_file(path: Path) -> Spec:
+    try:
+        arguments = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InvalidArgument(f"robot file {path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidArgument(f"robot file {path} is not TOML: {error}") from error
+    driver = arguments.pop("driver", None)
+    if not isinstance(driver, str):
+        raise InvalidArgument(f'robot file {path}: expected driver = "NAME", one of {", ".join(robots.names())}')
+    return Spec(driver, arguments, path.stem)
+
+
+cautions: Registry[Doubt] = Registry("caution", "sysid_evo.cautions")
+"""What ``--caution`` may name."""
+
+noises: Registry[RadicalEnvelope] = Registry("noise", "sysid_evo.noises")
+"""What ``--noise`` may name."""

@@ -1,28 +1,29 @@
-"""Point-to-point racing: pass as many random waypoints as possible (paper, section 5.2)."""
+"""Random waypoints, one after the other (the paper's task)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from sysid_evo import angles
 from sysid_evo.angles import wrap
-from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.kernels import KernelSource, TaskKernel
 from sysid_evo.randomness import TASK_STREAM, drawn
-from sysid_evo.registry import register_task
+from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.scene import Scene
-from sysid_evo.tasks.task import Task, TaskState
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import TaskKernel
+from sysid_evo.tasks.kernels import WAYPOINTS_HEAD, WAYPOINTS_ROWS, waypoints_advance, waypoints_observe
+from sysid_evo.tasks.task import Scene, Task, TaskState
+from sysid_evo.types import Array, IntArray, Seeds
 
 POSE = ("x", "y", "heading")
+
 APART = 128.0 / (45.0 * np.pi)
 """Mean distance of two random points of a disc, in its radii."""
+
 FEW, ENOUGH = 3.0, 10.0
 """So few waypoints at full speed are told, and so many are what is proposed."""
 
@@ -183,8 +184,6 @@ class PointToPoint(Task):
         return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
 
     def kernel(self) -> TaskKernel[Any] | None:
-        from sysid_evo.engine.kernels.waypoints import waypoints_kernel
-
         return waypoints_kernel(self.system, self.waypoint_radius, self.horizon + 1)
 
     @property
@@ -206,3 +205,52 @@ def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
     found[..., 0], found[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
     found.flags.writeable = False
     return found
+
+
+def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -> TaskKernel[Any] | None:
+    """Return the compiled form of `PointToPoint` on ``system``; None if its motion has none."""
+    motion = system.motion_kernel()
+    if motion is None or system.motion is None:
+        return None
+    roles = system.motion.roles()
+    parameters = WAYPOINTS_HEAD.pack(
+        motion.parameters,
+        forward=system.state_names.index(roles["forward"]),
+        yaw_rate=system.state_names.index(roles["yaw_rate"]),
+        dt=system.dt,
+        radius_squared=waypoint_radius**2,
+        n_data=2 * n_waypoints,
+    )
+    return TaskKernel(
+        observe=KernelSource(waypoints_observe),
+        advance=KernelSource(waypoints_advance, {"move": motion.move}),
+        n_rows=WAYPOINTS_ROWS.size,
+        rows=_rows,
+        trial_data=_data,
+        state=_state,
+        parameters=parameters,
+        pose_row=WAYPOINTS_ROWS.x,
+        n_pose=system.n_pose,
+    )
+
+
+def _data(task_state: TaskState) -> Array:
+    waypoints = cast("PointToPointState", task_state).waypoints
+    return waypoints.reshape(len(waypoints), -1)
+
+
+def _rows(task_state: TaskState) -> Array:
+    here = cast("PointToPointState", task_state)
+    x, y, heading = here.pose.T
+    rows = [here.passed, here.alive, x, y, angles.wrap(heading), *here.waypoint.T]  # wrapped while still exact
+    return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
+
+
+def _state(task_state: TaskState, rows: Array) -> TaskState:
+    passed = rows[WAYPOINTS_ROWS.passed].astype(np.int64)
+    return replace(
+        cast("PointToPointState", task_state),
+        passed=passed,
+        alive=rows[WAYPOINTS_ROWS.alive] > 0,
+        pose=rows[WAYPOINTS_ROWS.x : WAYPOINTS_ROWS.heading + 1].T.copy(),
+    )

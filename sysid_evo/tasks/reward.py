@@ -1,22 +1,25 @@
-"""A task of one function: what each state and control are worth."""
+"""A task of one function of states and controls; register_reward."""
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
+from typing import Any, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
 
-from sysid_evo.arrays import Array, BoolArray, Seeds, check_shape
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.kernels import LANES, KernelSource, Picked, Source, TaskKernel
 from sysid_evo.randomness import TASK_STREAM, generator
+from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.following import formulas_of_states, observations, shown_states
+from sysid_evo.tasks.kernels import FOLLOWING_HEAD as OBSERVED
+from sysid_evo.tasks.kernels import OWN, REWARD_ROWS, never, reward_advance
 from sysid_evo.tasks.task import Task, TaskState
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import TaskKernel
+from sysid_evo.tasks.tracking import formulas_of_states, observations, observe, shown_states, state_numbers
+from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
 Worth: TypeAlias = Callable[[Array, Array], Array]
 """From states (B, nx) and the controls given in them (B, nu) to rewards (B,)."""
@@ -114,6 +117,208 @@ class Reward(Task):
     def kernel(self) -> TaskKernel[Any] | None:
         if self.scalar is None or self.ended is not None:
             return None
-        from sysid_evo.engine.kernels.reward import reward_kernel
-
         return reward_kernel(self.system, self.scalar, self.lowest, self.horizon)
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+RESERVED = "horizon"
+
+
+class NamedReward(Reward):
+    """The mean over the horizon of a ``function`` of states and controls, whose arguments are called as these are.
+
+    Arguments that ``constants`` names get those numbers. ``ended`` is a function of the same kind of the state that is
+    reached, and of the control that led there. ``start`` holds, by the names of states, between which two values a
+    trial begins; other states begin at rest. With ``compiled`` both functions are compiled: they must be written in
+    plain numbers and `math`, as kernels are. See `Reward` for ``lowest``. `bind` raises `IncompatibleTask` for
+    an argument that is no state, control or constant.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        *,
+        lowest: float,
+        constants: Mapping[str, float],
+        ended: Callable[..., Any] | None = None,
+        start: Mapping[str, tuple[float, float]] | None = None,
+        horizon: int = 300,
+        compiled: bool = True,
+        unit: str = "reward a step",
+    ) -> None:
+        super().__init__(self._worth, lowest=lowest, horizon=horizon, unit=unit)
+        self.name, self.function, self.over, self.compiled = name, function, ended, compiled
+        self.constants, self.begins = dict(constants), dict(start or {})
+        for constant, value in self.constants.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise InvalidArgument(f"{name}: {constant}: expected a finite number, got {value!r}")
+
+    def check_system(self, system: System) -> None:
+        known = (*system.state_names, *system.control_names, *self.constants)
+        wanted = [name for function in (self.function, self.over) if function for name in arguments_of(function)]
+        for name in (*wanted, *self.begins):
+            if name not in known or (name in self.begins and name not in system.state_names):
+                what = "a state" if name in self.begins else "a state, a control or an argument with a default"
+                raise IncompatibleTask(
+                    f"{self.name} needs {name!r} as {what}; states: {', '.join(system.state_names)}, controls: "
+                    f"{', '.join(system.control_names) or 'none'}"
+                )
+
+    def bind(self, system: System) -> Self:
+        bound = super().bind(system)
+        bound.worth = bound._worth
+        bound.ended = None
+        bound.start = bound._drawn if self.begins else None
+        return bound
+
+    def over_after(self, control: Array, after: Array) -> BoolArray:
+        if self.over is None:
+            return np.zeros(len(after), dtype=bool)
+        return np.array([bool(self._value(self.over, *row)) for row in zip(after, control, strict=True)])
+
+    def kernel(self) -> TaskKernel[Any] | None:
+        if not self.compiled:
+            return None
+        over = None if self.over is None else self._picked(self.over)
+        return reward_kernel(self.system, self._picked(self.function), self.lowest, self.horizon, over)
+
+    def _worth(self, states: Array, controls: Array) -> Array:
+        return np.array([self._value(self.function, *row) for row in zip(states, controls, strict=True)])
+
+    def _value(self, function: Callable[..., Any], state: Array, control: Array) -> float:
+        """Return what ``function`` gives for one state and control; nan where it divides by 0 and the like."""
+        known = dict(zip(self.system.state_names, state.tolist(), strict=True))
+        known |= dict(zip(self.system.control_names, control.tolist(), strict=True)) | self.constants
+        try:
+            return float(function(*(known[name] for name in arguments_of(function))))
+        except (ArithmeticError, ValueError):
+            return math.nan
+
+    def _picked(self, function: Callable[..., Any]) -> Picked:
+        places = {name: f"x[{i}]" for i, name in enumerate(self.system.state_names)}
+        places |= {name: f"u[{i}]" for i, name in enumerate(self.system.control_names)}
+        places |= {name: f"_real({float(value)!r})" for name, value in self.constants.items()}
+        return Picked(function, tuple(places[name] for name in arguments_of(function)))
+
+    def _drawn(self, rng: np.random.Generator) -> Array:
+        state = self.system.neutral_state.copy()
+        for name, (low, high) in self.begins.items():
+            state[self.system.state_names.index(name)] = rng.uniform(low, high)
+        return state
+
+
+def arguments_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of the arguments of ``function``, in order."""
+    return tuple(inspect.signature(function).parameters)
+
+
+def register_reward(
+    name: str,
+    *,
+    lowest: float,
+    horizon: int = 300,
+    ended: Callable[..., Any] | None = None,
+    start: Mapping[str, tuple[float, float]] | None = None,
+    compiled: bool = True,
+    unit: str = "reward a step",
+) -> Callable[[F], F]:
+    """Return a decorator that registers a function as the task ``name``, see `NamedReward`.
+
+    The function's arguments are states and controls by name; those with a default are parameters of the task, as
+    ``horizon`` is: ``NAME(horizon=200, weight=0.5)``. Raises `InvalidArgument` for other kinds of arguments.
+    """
+
+    def decorate(function: F) -> F:
+        found = inspect.signature(function).parameters
+        odd = [p.name for p in found.values() if p.kind is not p.POSITIONAL_OR_KEYWORD or p.name == RESERVED]
+        if odd:
+            raise InvalidArgument(
+                f"reward {name!r}: expected arguments called as states and controls are, each by its name, and none "
+                f"called {RESERVED}; got {', '.join(odd)}"
+            )
+        defaults = {p.name: p.default for p in found.values() if p.default is not p.empty}
+
+        def make(*, horizon: int = horizon, **constants: float) -> NamedReward:
+            return NamedReward(
+                name,
+                function,
+                lowest=lowest,
+                constants={**defaults, **constants},
+                ended=ended,
+                start=start,
+                horizon=horizon,
+                compiled=compiled,
+                unit=unit,
+            )
+
+        only = inspect.Parameter.KEYWORD_ONLY
+        settable = {RESERVED: horizon, **defaults}
+        signature = inspect.Signature([inspect.Parameter(key, only, default=value) for key, value in settable.items()])
+        make.__dict__["__signature__"] = signature
+        make.__module__, make.__qualname__, make.__doc__ = function.__module__, function.__qualname__, function.__doc__
+        register_task(name)(make)
+        return function
+
+    return decorate
+
+
+def reward_kernel(
+    system: System,
+    scalar: Callable[..., Any] | Source,
+    lowest: float,
+    horizon: int,
+    over: Source | None = None,
+) -> TaskKernel[Any] | None:
+    """Return the compiled form; None if the motion has none, or state and control fill more than a row.
+
+    ``scalar`` and ``over`` are functions of one state and control; a trial is over where the latter is not 0.
+    """
+    motion = system.motion_kernel()
+    if motion is None or system.nx + system.nu > LANES:
+        return None
+    worth = KernelSource(scalar) if callable(scalar) else scalar
+    states = state_numbers(system)
+    own = OBSERVED.size + states.size
+    parameters = OBSERVED.pack(
+        states,
+        OWN.pack(lowest=lowest, share=1.0 / horizon),
+        motion.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        goals=0,
+        dt=system.dt,
+        n_pose=system.n_pose,
+        gain=0.0,
+        effort=0.0,
+        stride=0,
+        n_data=0,
+        of_goals=own,
+        of_nu=own,
+        of_motion=own + OWN.size,
+    )
+    return TaskKernel(
+        observe=KernelSource(observe),
+        advance=KernelSource(
+            reward_advance, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}
+        ),
+        n_rows=REWARD_ROWS.pose + system.n_pose + 1,
+        rows=_rows,
+        trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
+        state=_state,
+        parameters=parameters,
+        pose_row=REWARD_ROWS.pose,
+        n_pose=system.n_pose,
+    )
+
+
+def _rows(task_state: TaskState) -> Array:
+    here = cast("RewardState", task_state)
+    return np.stack([here.score, here.alive.astype(np.float64), *here.pose.T, np.zeros(len(here.alive))])
+
+
+def _state(task_state: TaskState, rows: Array) -> TaskState:
+    here = cast("RewardState", task_state)
+    pose = rows[REWARD_ROWS.pose : REWARD_ROWS.pose + here.pose.shape[1]].T.copy()
+    return replace(here, score=rows[REWARD_ROWS.score], alive=rows[REWARD_ROWS.alive] > 0, pose=pose)

@@ -1,21 +1,19 @@
-"""The contract of a task: what to achieve, how to observe it, when it is over."""
+"""The contract: Task, TaskState, and what can be drawn of a trial (Scene, Target); make_task."""
 
 from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array, BoolArray, Seeds
+from sysid_evo.kernels import TaskKernel
+from sysid_evo.registry.registry import tasks
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.scene import Scene
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import TaskKernel
+from sysid_evo.types import Array, BoolArray, Seeds
 
 
 @dataclass(frozen=True)
@@ -153,3 +151,41 @@ class Task(ABC):
     def kernel(self) -> TaskKernel[Any] | None:
         """Return the compiled form of a bound task, if it has one."""
         return None
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a state was wanted: its ``channel``, its ``place`` among the states, and what it was to be.
+
+    ``values`` (K,) holds one for each sample, or one for all of them; an error below ``tolerance`` counts as met.
+    """
+
+    channel: Channel
+    place: int
+    values: Array
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Places in a trial, in m from the task's origin, and targets of states; a task without any has an empty scene.
+
+    ``markers`` (k, 2) are places to be reached, in order: the first ``reached`` of them were, the others
+    lie ahead. ``radius`` is that of each marker, 0 for a point. What happens stays within ``extent`` of
+    the origin, None where that is not known. ``walls`` are lines (k, 2); ``targets`` what states were to be.
+    """
+
+    markers: Array = field(default_factory=lambda: np.empty((0, 2)))
+    reached: int = 0
+    radius: float = 0.0
+    extent: float | None = None
+    walls: tuple[Array, ...] = ()
+    targets: tuple[Target, ...] = ()
+
+    @property
+    def next_marker(self) -> Array | None:
+        """The first marker that lies ahead, (2,) m; None if there is none."""
+        return self.markers[self.reached] if self.reached < len(self.markers) else None
+
+
+make_task = tasks.make

@@ -1,32 +1,29 @@
-"""Racing on a random track between walls, seen by distance sensors alone."""
+"""Walled_track and duel: racing between walls, seen by distance sensors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from sysid_evo import angles
 from sysid_evo.angles import TURN
-from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.registry import register_task
+from sysid_evo.kernels import KernelSource, TaskKernel
+from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.scene import Scene
-from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.tasks.track import at_offset, distance_to_wall, place_of, tracks_of, wall
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import TaskKernel
+from sysid_evo.tasks.kernels import HEAD, KEPT, PRESSED, ROWS, advance, observe
+from sysid_evo.tasks.task import Scene, Task, TaskState
+from sysid_evo.tasks.track_geometry import NUMBERS, at_offset, distance_to_wall, place_of, tracks_of, wall
+from sysid_evo.types import Array, IntArray, Seeds
 
 POSE = ("x", "y", "heading")
+
 COLLISIONS = ("slow", "end")
-KEPT = 0.5
-"""Share of its speed that a body keeps in each step at a wall."""
-PRESSED = 1e-6
-"""How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
+
 AHEAD = 0.1
 """What a body that stands well promises, in m."""
 
@@ -203,8 +200,6 @@ class WalledTrack(Task):
         return Scene(walls=walls, extent=float(np.abs(walls[1]).max()))
 
     def kernel(self) -> TaskKernel[Any] | None:
-        from sysid_evo.engine.kernels.walled_track import walled_track_kernel
-
         return walled_track_kernel(self)
 
     @property
@@ -219,3 +214,57 @@ class WalledTrack(Task):
         """Where the yaw rate stands among the states."""
         assert self.system.motion is not None
         return self.system.state_names.index(self.system.motion.roles()["yaw_rate"])
+
+
+def walled_track_kernel(task: WalledTrack) -> TaskKernel[Any] | None:
+    """Return the compiled form of a bound task; None if its motion has none."""
+    motion = task.system.motion_kernel()
+    if motion is None:
+        return None
+    forward, *lateral = task.speeds
+    parameters = HEAD.pack(
+        task.directions,
+        motion.parameters,
+        forward=forward,
+        lateral=lateral[0] if lateral else -1,
+        yaw_rate=task.yaw_rate,
+        dt=task.system.dt,
+        half=0.5 * task.width,
+        room=0.5 * task.width - task.body,
+        ends=task.collision == "end",
+        reach=task.reach,
+        rays=task.rays,
+    )
+    return TaskKernel(
+        observe=KernelSource(observe),
+        advance=KernelSource(advance, {"move": motion.move}),
+        n_rows=ROWS.track + NUMBERS,
+        rows=_rows,
+        trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
+        state=_state,
+        parameters=parameters,
+        pose_row=ROWS.x,
+        n_pose=task.system.n_pose,
+    )
+
+
+def _rows(task_state: TaskState) -> Array:
+    here = cast("WalledTrackState", task_state)
+    x, y, heading = here.pose.T
+    rows = [here.furthest, here.alive, x, y, angles.wrap(heading), here.progress, here.turned, here.touches]
+    room = np.zeros((ROWS.track - len(rows), len(x)))
+    track = here.track.T.copy()
+    track[3:-2] *= track[2]  # a_k and b_k in m
+    return np.stack([np.asarray(row, dtype=np.float64) for row in (*rows, *room, *track)])
+
+
+def _state(task_state: TaskState, rows: Array) -> TaskState:
+    return replace(
+        cast("WalledTrackState", task_state),
+        furthest=rows[ROWS.furthest],
+        alive=rows[ROWS.alive] > 0,
+        pose=rows[ROWS.x : ROWS.heading + 1].T.copy(),
+        progress=rows[ROWS.progress],
+        turned=rows[ROWS.turned],
+        touches=rows[ROWS.touches].astype(np.int64),
+    )

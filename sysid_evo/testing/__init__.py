@@ -5,13 +5,12 @@ yields each sentence with its verdict (for models it is called `run_checks`). Th
 what it checks: `hardware.testing`.
 """
 
-from sysid_evo.testing.controllers import check_controller, run_controller_checks
+from sysid_evo.testing.closed_loop import check_controller, check_task, run_controller_checks, run_task_checks
+from sysid_evo.testing.contract import CheckResult
+from sysid_evo.testing.evolution import check_strategy, run_strategy_checks
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
 from sysid_evo.testing.models import CHECKS, check_model, run_checks
 from sysid_evo.testing.readers import check_reader, run_reader_checks
-from sysid_evo.testing.strategies import check_strategy, run_strategy_checks
-from sysid_evo.testing.tasks import check_task, run_task_checks
-from sysid_evo.testing.verdicts import CheckResult
 
 __all__ = [
     "CHECKS",

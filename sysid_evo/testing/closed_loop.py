@@ -1,16 +1,36 @@
-"""Whole rollouts as the kits of controllers and tasks compare them."""
+"""Contracts of a task and a controller, tried in closed loop."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
-from sysid_evo.controllers.controller import Controller
-from sysid_evo.dynamics import Dynamics
-from sysid_evo.engine import rollout
+from sysid_evo.controllers.controller import Controller, View, make_controller
+from sysid_evo.controllers.networks import RecurrentNetwork
+from sysid_evo.engine.results import Rollouts
+from sysid_evo.engine.rollout import rollout
+from sysid_evo.errors import ContractViolation, IncompatibleTask
+from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.tasks.task import Task
-from sysid_evo.testing.verdicts import expect
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.point_to_point import PointToPoint
+from sysid_evo.tasks.task import Task, TaskState, make_task
+from sysid_evo.testing.contract import (
+    Check,
+    CheckResult,
+    DoesNotApply,
+    expect,
+    expect_numbers,
+    raise_broken,
+    same,
+    twice,
+    verdicts,
+)
+from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
+from sysid_evo.types import Array, Seeds
 
 TOLERANCE = 1e-6
 
@@ -37,3 +57,380 @@ def expect_engines_agree(
             size = np.abs(expected).max(initial=1.0)
             off = np.abs(found - expected).max(axis=1) > TOLERANCE * size
             expect(not off.any(), f"{name} differ from sample {int(off.argmax())} of {a.name} on")
+
+
+CANDIDATES, TRIALS = 3, 4
+
+
+@dataclass(frozen=True)
+class Given:
+    """A controller as it is made, the same bound to ``task``, and parameters (P, n_parameters) for it."""
+
+    made: Controller
+    bound: Controller
+    parameters: Array
+    task: Task
+
+    def view(self, moment: int, candidates: slice = slice(None), trials: slice = slice(None)) -> View:
+        """Return what some candidates see in some trials at a ``moment``, an arbitrary number."""
+        system = self.task.system
+        p, e = len(range(CANDIDATES)[candidates]), len(range(TRIALS)[trials])
+        rng = np.random.default_rng(moment)
+        state = rng.standard_normal((CANDIDATES, TRIALS, system.nx))[candidates, trials]
+        task_state = self.task.begin(trial_seeds(moment, TRIALS)[trials]).tile(p)
+        observation = self.task.observe(task_state, state.reshape(p * e, system.nx))
+        noise = None
+        if self.bound.n_noise:
+            of_trials = rng.standard_normal((TRIALS, self.bound.n_noise))[trials]
+            noise = np.broadcast_to(of_trials, (p, e, self.bound.n_noise)).copy()
+        return View(observation.reshape(p, e, -1), state, task_state, noise)
+
+    def memory(self, moment: int) -> Array:
+        """Return some memory (P, E, n_memory): zeros at moment 0, else what an action has left."""
+        memory = np.zeros((CANDIDATES, TRIALS, self.bound.n_memory))
+        for earlier in range(moment):
+            _, memory = self.bound.act(self.parameters, memory, self.view(earlier))
+        return memory
+
+
+def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks.
+
+    ``at`` is the task that it is tried at, see `run_controller_checks`.
+    """
+    raise_broken("controller", name, run_controller_checks(name, at=at, **parameters))
+
+
+def run_controller_checks(name: str, *, at: Task | None = None, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered controller ``name``.
+
+    It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
+    """
+
+    def make() -> Given:
+        task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
+        made = make_controller(name, **parameters)
+        bound = made.bind_to(task)
+        weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
+        return Given(made, bound, weights, task)
+
+    return verdicts(make, CHECKS)
+
+
+def binding_gives_a_controller_of_that_size(given: Given) -> None:
+    """bind gives a controller of that many inputs and outputs, and leaves the others as they are"""
+    before = dict(vars(given.bound))
+    system = given.task.system
+    wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
+    try:
+        other = given.made.bind_to(given.task.bind(wider))
+    except IncompatibleTask as error:  # it was made for this one system
+        raise DoesNotApply from error
+    raw, _ = other.act(
+        np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
+    )
+    expect(raw.shape == (1, 1, 3), f"bound to three outputs it gives {raw.shape[-1:]}")
+    expect(vars(given.bound) == before, "a controller changes when another is bound")
+
+
+def it_has_parameters_to_evolve(given: Given) -> None:
+    """It has at least one parameter, and parameters decide what it does"""
+    count = given.bound.n_parameters
+    expect(isinstance(count, int) and count >= 1, f"expected n_parameters >= 1, got {count!r}")
+    raw, _ = given.bound.act(given.parameters, given.memory(2), given.view(2))
+    alike = np.repeat(given.parameters[:1], CANDIDATES, axis=0)
+    other, _ = given.bound.act(alike, given.memory(2), given.view(2))
+    expect(not same(raw, other), "all parameter vectors act alike")
+
+
+def an_action_has_the_right_shape_and_type(given: Given) -> None:
+    """act gives outputs (P, E, n_outputs) and memory (P, E, n_memory), finite and in float64"""
+    for moment in (0, 3):
+        raw, memory = given.bound.act(given.parameters, given.memory(moment), given.view(moment))
+        expect_numbers("outputs", raw, (CANDIDATES, TRIALS, given.task.system.nu))
+        expect_numbers("memory", memory, (CANDIDATES, TRIALS, given.bound.n_memory))
+
+
+def outputs_stay_within_their_limits(given: Given) -> None:
+    """Outputs stay within [-1, 1], whatever the parameters"""
+    raw, _ = given.bound.act(30.0 * given.parameters, given.memory(2), given.view(2))
+    expect(np.abs(raw).max() <= 1.0, f"an output is {raw.ravel()[np.abs(raw).argmax()]:.3g}")
+
+
+def an_action_is_pure(given: Given) -> None:
+    """act changes neither its arguments nor its own later results: what it remembers stands in its memory"""
+    view, memory = given.view(2), given.memory(2)
+    first = twice("action", given.bound.act, given.parameters, memory, view)
+    for moment in range(3):
+        given.bound.act(given.parameters, given.memory(moment), given.view(moment))
+    again = given.bound.act(given.parameters, memory, view)
+    expect(same(first, again), "what it did in between changes what it does")
+
+
+def candidates_and_trials_are_independent(given: Given) -> None:
+    """Every candidate acts for itself in every trial"""
+    memory = given.memory(2)
+    together = given.bound.act(given.parameters, memory.copy(), given.view(2))
+    for p in range(CANDIDATES):
+        for e in range(TRIALS):
+            one, trial = slice(p, p + 1), slice(e, e + 1)
+            alone = given.bound.act(given.parameters[one], memory[one, trial], given.view(2, one, trial))
+            for found, expected in zip(alone, together, strict=True):
+                if not np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12):
+                    raise ContractViolation(f"candidate {p} in trial {e} acts otherwise when it is alone")
+
+
+def the_compiled_form_acts_as_act_does(given: Given) -> None:
+    """The compiled form acts as act does"""
+    if given.bound.kernel() is None:
+        raise DoesNotApply
+    expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
+
+
+def the_form_for_other_languages_acts_as_act_does(given: Given) -> None:
+    """The form for other languages acts as act does"""
+    for p in range(CANDIDATES):
+        program = given.bound.program(given.parameters[p])
+        if program is None:
+            raise DoesNotApply
+        remembered, memory = program.begin(), given.memory(0)
+        for moment in range(4):
+            view = given.view(moment)
+            raw, memory = given.bound.act(given.parameters, memory, view)
+            found, remembered = program.run(view.observation[p, 0], remembered)
+            expect(
+                np.allclose(found, raw[p, 0], rtol=1e-9, atol=1e-12),
+                f"outputs are {found} in sample {moment}, those of act {raw[p, 0]}",
+            )
+
+
+CHECKS: tuple[Check[Given], ...] = (
+    binding_gives_a_controller_of_that_size,
+    it_has_parameters_to_evolve,
+    an_action_has_the_right_shape_and_type,
+    outputs_stay_within_their_limits,
+    an_action_is_pure,
+    candidates_and_trials_are_independent,
+    the_compiled_form_acts_as_act_does,
+    the_form_for_other_languages_acts_as_act_does,
+)
+
+TASKS_CANDIDATES, TASKS_TRIALS = 6, 4
+
+SEEDS = trial_seeds(3, TASKS_TRIALS)
+
+
+@dataclass(frozen=True)
+class TasksGiven:
+    """A task as it is made, and the same bound to a system that has its roles."""
+
+    made: Task
+    task: Task
+
+    @property
+    def system(self) -> System:
+        """The system of the bound task."""
+        return self.task.system
+
+    def moment(self) -> tuple[TaskState, Array, Array, Array]:
+        """Return trials that have gone on for some steps, the states (B, nx) before and after the next, its control."""
+        dynamics, rng = ExampleDynamics(self.system), np.random.default_rng(7)
+        task_state = self.task.begin(SEEDS)
+        before = task_state.state.copy()
+        controls = self.system.actuate(rng.uniform(-1.0, 1.0, (4, TASKS_TRIALS, self.system.nu)))
+        for control in controls[:3]:
+            task_state, reached = self.advance(task_state, before, dynamics.step(before, control), control)
+            before = np.array(reached, dtype=np.float64)
+        return task_state, before, dynamics.step(before, controls[3]), controls[3]
+
+    def advance(self, task_state: TaskState, before: Array, after: Array, control: Array) -> tuple[TaskState, Array]:
+        """Advance the task, the control as the last argument."""
+        return self.task.advance(task_state, before, after, control=control)
+
+    def drive(self, parameters: Array, seeds: Any = SEEDS) -> Rollouts:
+        """Return rollouts of networks with these parameters in the reference form."""
+        return rollout(
+            ExampleDynamics(self.system), RecurrentNetwork(hidden=3), parameters, self.task, seeds, engine="reference"
+        )
+
+    @property
+    def networks(self) -> Array:
+        """Parameters (P, n) of random networks, small enough that none is chaotic: rounding stays rounding."""
+        bound = RecurrentNetwork(hidden=3).bind_to(self.task)
+        return 0.5 * np.random.default_rng(8).standard_normal((TASKS_CANDIDATES, bound.n_parameters))
+
+
+def check_task(name: str, system: System | None = None, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered task ``name`` breaks.
+
+    ``system`` is one that has the roles of the task; without it, the first of `example_systems` that has.
+    """
+    raise_broken("task", name, run_task_checks(name, system, **parameters))
+
+
+def run_task_checks(name: str, system: System | None = None, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered task ``name``, see `check_task`."""
+
+    def make() -> TasksGiven:
+        made = make_task(name, **parameters)
+        return TasksGiven(made, _bound(made, example_systems() if system is None else (system,)))
+
+    return verdicts(make, TASKS_CHECKS)
+
+
+def binding_leaves_the_task_as_it_is(given: TasksGiven) -> None:
+    """bind gives a task on that system and leaves the task itself as it is"""
+    before = dict(vars(given.made))
+    bound = given.made.bind(given.system)
+    expect(bound is not given.made and vars(given.made) == before, "bind changes the task itself")
+    expect(bound.system == given.system, "the bound task has another system")
+
+
+def a_missing_role_is_named(given: TasksGiven) -> None:
+    """bind refuses a system that lacks a role with IncompatibleTask, and names the role"""
+    try:
+        given.made.bind(bare_system())
+    except IncompatibleTask as error:
+        motion = given.system.motion
+        roles = [*given.system.state_names, *given.system.control_names, *(motion.roles() if motion else ())]
+        expect(any(role in str(error) for role in roles), f"expected one of {', '.join(roles)} in: {error}")
+
+
+def it_says_what_it_is(given: TasksGiven) -> None:
+    """It has a horizon of at least one step, and every observation a name of its own"""
+    task = given.task
+    expect(isinstance(task.horizon, int) and task.horizon >= 1, f"expected horizon >= 1 steps, got {task.horizon!r}")
+    expect(
+        task.observations and all(isinstance(channel, Channel) for channel in task.observations),
+        f"expected observations to be channels, got {task.observations!r}",
+    )
+    names = [channel.name for channel in task.observations]
+    expect(len(set(names)) == len(names), f"two observations have one name: {', '.join(names)}")
+
+
+def a_trial_begins_within_the_system(given: TasksGiven) -> None:
+    """begin gives one living trial for each seed, with a state (E, nx) and a pose (E, n_pose)"""
+    began = given.task.begin(SEEDS)
+    expect_numbers("state", began.state, (TASKS_TRIALS, given.system.nx))
+    expect_numbers("pose", began.pose, (TASKS_TRIALS, given.system.n_pose))
+    alive = np.asarray(began.alive)
+    expect(alive.shape == (TASKS_TRIALS,) and alive.dtype == bool and alive.all(), f"alive is {alive} after begin")
+
+
+def a_trial_depends_on_its_seed_alone(given: TasksGiven) -> None:
+    """A trial depends on its seed alone: not on the other trials, and not on chance"""
+    expect(same(given.task.begin(SEEDS), given.task.begin(SEEDS)), "the same seeds begin other trials")
+    together = given.drive(given.networks).fitness
+    alone = np.concatenate([given.drive(given.networks, SEEDS[e : e + 1]).fitness for e in range(TASKS_TRIALS)], axis=1)
+    expect(np.allclose(together, alone, rtol=1e-9), "a trial ends otherwise when it is run alone")
+
+
+def candidates_meet_the_same_trials(given: TasksGiven) -> None:
+    """All candidates meet the same trials"""
+    alike = np.repeat(given.networks[:1], 3, axis=0)
+    found = given.drive(alike).fitness
+    expect(np.allclose(found, found[0], rtol=1e-9), "the same controller scores otherwise as another candidate")
+
+
+def an_observation_has_the_right_shape_and_type(given: TasksGiven) -> None:
+    """observe gives one finite float64 number for each observation of each trial"""
+    task_state, before, *_ = given.moment()
+    expect_numbers("observation", given.task.observe(task_state, before), (TASKS_TRIALS, len(given.task.observations)))
+
+
+def observing_is_pure(given: TasksGiven) -> None:
+    """observe changes neither its arguments nor its own later results"""
+    task_state, before, *_ = given.moment()
+    twice("observation", given.task.observe, task_state, before)
+
+
+def advancing_is_pure(given: TasksGiven) -> None:
+    """advance changes neither its arguments nor its own later results"""
+    twice("advance", given.advance, *given.moment())
+
+
+def advancing_keeps_shapes(given: TasksGiven) -> None:
+    """advance gives trials and a state (B, nx) of the same shapes, finite and in float64"""
+    task_state, *step = given.moment()
+    advanced, reached = given.advance(task_state, *step)
+    expect(type(advanced) is type(task_state), f"the trials become a {type(advanced).__name__}")
+    expect_numbers("state", reached, (TASKS_TRIALS, given.system.nx))
+    expect_numbers("pose", advanced.pose, (TASKS_TRIALS, given.system.n_pose))
+    expect(np.shape(advanced.alive) == (TASKS_TRIALS,), f"alive has the shape {np.shape(advanced.alive)}")
+
+
+def a_tracked_pose_is_believed(given: TasksGiven) -> None:
+    """advance takes the pose that a tracker saw, if it is given one"""
+    if given.system.n_pose == 0:
+        raise DoesNotApply
+    task_state, before, after, control = given.moment()
+    seen = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
+    advanced, _ = given.task.advance(task_state, before, after, control=control, pose=seen)
+    expect(same(advanced.pose, seen), "the pose after the step is another one")
+
+
+def fitness_is_a_number_and_never_below_the_worst(given: TasksGiven) -> None:
+    """fitness is one number for each trial, never nan and never below worst"""
+    task_state, *_ = given.moment()
+    expect_numbers("fitness", given.task.fitness(task_state), (TASKS_TRIALS,))
+    driven = given.drive(given.networks).fitness
+    expect(not np.isnan(driven).any(), "the fitness of a random controller is nan")
+    lowest = min(driven.min(), given.task.fitness(task_state).min())
+    expect(lowest >= given.task.worst, f"a fitness of {lowest:g} is below worst, which is {given.task.worst:g}")
+
+
+def a_trial_that_is_over_keeps_its_fitness(given: TasksGiven) -> None:
+    """A trial that is over can be held while others go on"""
+    task_state, *step = given.moment()
+    going = np.arange(TASKS_TRIALS) % 2 == 0
+    advanced, _ = given.advance(task_state, *step)
+    kept = given.task.fitness(task_state.keep(advanced, going))
+    expected = np.where(going, given.task.fitness(advanced), given.task.fitness(task_state))
+    expect(same(kept, expected), "the fitness of a trial that is held changes with the others")
+
+
+def a_scene_can_be_drawn(given: TasksGiven) -> None:
+    """scene gives what can be drawn of a trial: places (k, 2) in m, those reached among them"""
+    task_state, *_ = given.moment()
+    for trial in range(TASKS_TRIALS):
+        scene = given.task.scene(task_state, trial)
+        expect_numbers("markers", scene.markers, (len(scene.markers), 2))
+        expect(0 <= scene.reached <= len(scene.markers), f"{scene.reached} of {len(scene.markers)} are reached")
+        expect(scene.radius >= 0.0, f"a radius is {scene.radius} m")
+
+
+def the_compiled_form_is_the_reference(given: TasksGiven) -> None:
+    """The compiled form scores as the reference form does"""
+    if given.task.kernel() is None:
+        raise DoesNotApply
+    expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
+
+
+TASKS_CHECKS: tuple[Check[TasksGiven], ...] = (
+    binding_leaves_the_task_as_it_is,
+    a_missing_role_is_named,
+    it_says_what_it_is,
+    a_trial_begins_within_the_system,
+    a_trial_depends_on_its_seed_alone,
+    candidates_meet_the_same_trials,
+    an_observation_has_the_right_shape_and_type,
+    observing_is_pure,
+    advancing_is_pure,
+    advancing_keeps_shapes,
+    a_tracked_pose_is_believed,
+    fitness_is_a_number_and_never_below_the_worst,
+    a_trial_that_is_over_keeps_its_fitness,
+    a_scene_can_be_drawn,
+    the_compiled_form_is_the_reference,
+)
+
+
+def _bound(task: Task, systems: tuple[System, ...]) -> Task:
+    """Return ``task`` on the first system that it takes. Raises `ContractViolation`."""
+    reasons = []
+    for system in systems:
+        try:
+            return task.bind(system)
+        except IncompatibleTask as error:
+            reasons.append(f"{system.name or 'the system'}: {error}")
+    raise ContractViolation(f"bind refuses every system; give one that has its roles. {'; '.join(reasons)}")

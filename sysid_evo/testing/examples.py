@@ -1,22 +1,19 @@
-"""What the kits run things on when they are given nothing else: a made-up car, a pendulum, dynamics for any system."""
+"""Example systems, recordings and dynamics that checks use by default."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import PlainDynamics
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout
+from sysid_evo.models.dynamics import PlainDynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
-
-if TYPE_CHECKING:
-    from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array
 
 DECAY = 0.9
 """Of the distance of a state of `ExampleDynamics` from neutral, per step."""
+
 PUSH = 0.3
 """Of a control on every state of `ExampleDynamics`, per step, at most."""
 
@@ -85,9 +82,6 @@ class ExampleDynamics(PlainDynamics):
         return after
 
     def kernel(self) -> DynamicsKernel:
-        from sysid_evo.kernels import DynamicsKernel, KernelSource
-        from sysid_evo.testing.kernels.example_step import HEAD, decay_and_push
-
         parameters = HEAD.pack(self.offset, self.push, nx=self.system.nx, nu=self.system.nu, decay=DECAY)
         return DynamicsKernel(KernelSource(decay_and_push), parameters)
 
@@ -95,3 +89,17 @@ class ExampleDynamics(PlainDynamics):
 def _car(drive: Channel, steer: Channel) -> System:
     states = (Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s"))
     return System(states, (drive, steer), dt=0.05, motion=PlanarBody(), name="made-up car")
+
+
+HEAD = Layout("nx", "nu", "decay")
+
+
+def decay_and_push(carry, control, noise, parameters, scratch):
+    """x' = decay x + offset + B u; the offset (nx,) and B (nx, nu) follow the head."""
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    for i in range(nx):
+        for lane in range(LANES):
+            after = parameters[HEAD.decay] * carry[i * LANES + lane] + parameters[HEAD.size + i]
+            for j in range(nu):
+                after += control[j * LANES + lane] * parameters[HEAD.size + nx + i * nu + j]
+            carry[i * LANES + lane] = after

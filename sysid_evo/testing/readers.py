@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.data.tables import Reader, Table
+from sysid_evo.data.readers import Reader, Table
 from sysid_evo.errors import ContractViolation, InvalidArgument, InvalidData
-from sysid_evo.registry import readers
-from sysid_evo.testing.arrays import expect_numbers, same
-from sysid_evo.testing.verdicts import Check, CheckResult, expect, raise_broken, verdicts
+from sysid_evo.registry.registry import readers
+from sysid_evo.testing.contract import Check, CheckResult, expect, expect_numbers, raise_broken, same, verdicts
 
 NO_COLUMN = "a column that no file has"
 

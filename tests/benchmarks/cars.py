@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.prediction import ModelPrediction
-from hardware.recording.scripted import record_dataset
+from hardware.recording.record import record_dataset
 from sysid_evo.data import Dataset
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot

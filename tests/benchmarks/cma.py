@@ -36,10 +36,11 @@ from rich.table import Table
 from scipy.stats import mannwhitneyu
 from threadpoolctl import threadpool_limits
 
-from sysid_evo.arrays import Array
-from sysid_evo.evolution import CmaEs, EvolutionStrategy, Scores, evolve
-from sysid_evo.registry import make_strategy
-from sysid_evo.store import CheckpointFile
+from sysid_evo.artefacts import CheckpointFile
+from sysid_evo.evolution import EvolutionStrategy, Scores, evolve
+from sysid_evo.evolution.strategies.cma_es import CmaEs
+from sysid_evo.evolution.strategies.strategy import make_strategy
+from sysid_evo.types import Array
 
 OURS, LIBRARY = "ours", "cma"
 

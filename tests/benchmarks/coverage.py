@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from model_zoo.validation.spread import SHARE
-from sysid_evo.arrays import Array
+from sysid_evo.types import Array
+from sysid_evo.validation.intervals import SHARE
 
 if TYPE_CHECKING:
     from evaluation.prediction import MeasuredCases
-    from sysid_evo.dynamics import DynamicsModel
+    from sysid_evo.models import DynamicsModel
 
 FAMILIES = ("mlp_ensemble", "gaussian_process", "linear", "sindy", "sindy_discrete", "narx")
 FAMILIES += ("k_neighbours", "parametrised", "neural_ode")
@@ -40,8 +40,9 @@ def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
 
 def uncertain(name: str, preset: str) -> DynamicsModel:
     """Return a family with its preset that is to learn its spread."""
-    from evaluation.comparison.model_cells import with_preset
-    from sysid_evo.registry import Spec, make_model
+    from evaluation.planning import with_preset
+    from sysid_evo.models.base import make_model
+    from sysid_evo.registry import Spec
 
     return make_model(with_preset(Spec(name, {"stochastic": True}), preset))
 

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sysid_evo.arrays import Array
+from sysid_evo.types import Array
 
 ITERATIONS = 400
 END_OF_TANH = 9.0

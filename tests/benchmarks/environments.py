@@ -22,18 +22,21 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.comparison import BUDGETS, compare
-from evaluation.labels import percent
+from evaluation.experiment import BUDGETS
+from evaluation.formatting import percent
+from evaluation.running import compare
 from evaluation.transfer import transfer_seeds
-from hardware.environments.gymnasium_robot import GymnasiumRobot
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
+from sysid_evo.evolution.champion import load_champion
 from sysid_evo.kernels import DynamicsKernel, Lifted
-from sysid_evo.registry import Spec, make_controller, make_task
-from sysid_evo.store import load_champion
+from sysid_evo.models import Dynamics
+from sysid_evo.registry import Spec
 from sysid_evo.system import System
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Array
 
 
 def pendulum(x, u, p):

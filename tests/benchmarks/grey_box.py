@@ -16,8 +16,8 @@ import time
 import numpy as np
 
 from evaluation.prediction import PredictionProtocol, assess_model, measured_cases
-from model_zoo.grey import GreyBox
-from sysid_evo.registry import make_model
+from model_zoo.grey_box import GreyBox
+from sysid_evo.models.base import make_model
 from tests.benchmarks.cars import EMULATED, TEST_EPISODE, recording
 
 PEER = {"slippery_20hz": (0.121, 0.38, 0.44, 0.47), "free_20hz": (0.129, 0.29, 0.33, 0.37)}

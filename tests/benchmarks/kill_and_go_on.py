@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.cli.exits import ROBOT as LOST
+from sysid_evo.cli.console import ROBOT as LOST
 from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import COMMAND
 from tests.sysid_evo.plan.dask_processes import Processes

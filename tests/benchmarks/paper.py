@@ -22,10 +22,12 @@ from scipy.stats import spearmanr
 from evaluation import compare
 from evaluation.report import Report
 from evaluation.transfer import TransferMatrix
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, behaviour_names
 from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_controller, make_robot, make_task
+from sysid_evo.registry import make_robot
+from sysid_evo.tasks.task import make_task
 
 ROBOT = "emulated_car"
 TRIALS = 300

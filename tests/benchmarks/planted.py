@@ -32,12 +32,12 @@ from evaluation.exploitability import (
     probe_limits,
     search_exploit,
 )
-from evaluation.exploitability.laws import DataLaws
+from evaluation.exploitability.slopes import DataLaws
 from evaluation.transfer import transfer
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
+from sysid_evo.models import Dynamics
 from sysid_evo.registry import Spec, make_robot
 from tests.benchmarks.cars import recording
 from tests.evaluation.habits import FAULTS, Fault, driven, equations

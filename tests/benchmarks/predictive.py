@@ -29,14 +29,15 @@ from sysid_evo import (
     make_robot,
     make_task,
 )
-from sysid_evo.arrays import Array
-from sysid_evo.controllers import Controller, Predictive, Pursuit, View
-from sysid_evo.controllers.imagination import Engine, Imagination
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.controllers import Controller, Pursuit, View
 from sysid_evo.engine import rollout
+from sysid_evo.engine.imagined import Engine, Imagination
+from sysid_evo.models import Dynamics
+from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
+from sysid_evo.types import Array
 
 MODELS = "sindy,mlp_ensemble,nearest_neighbour"
 ENGINES: tuple[Engine, ...] = ("reference", "auto")

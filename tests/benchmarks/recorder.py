@@ -25,11 +25,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from hardware.listener import Command
-from hardware.measurement import Measurement
-from hardware.recording.journal import read_journal
-from hardware.recording.recorder import Recorder
-from hardware.recording.records import TimedCommand
+from hardware.connection import Command, Measurement
+from hardware.recording.journal import Recorder, TimedCommand, read_journal
 from hardware.toy_car import CAR
 
 COUNTER = struct.Struct("<q")

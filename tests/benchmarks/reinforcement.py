@@ -20,11 +20,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from evaluation.transfer import TransferMatrix, fitness_on, transfer
 from hardware.robot import Robot, find_robot
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.environments import ModelVectorEnvironment, champion_of, make_vector_env
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
-from sysid_evo.registry import Spec, make_model, make_task
+from sysid_evo.models import Dynamics
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
+from sysid_evo.tasks.task import make_task
 
 COPIES = 16
 ALGORITHMS: Mapping[str, Any] = {"ppo": PPO, "sac": SAC}

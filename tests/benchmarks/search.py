@@ -21,12 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from sysid_evo.arrays import Array
 from sysid_evo.engine import DynamicsRunner, behaviour_names
 from sysid_evo.evolution import ControllerEvolution, EnsembleObjective
-from sysid_evo.evolution.controllers import selection_seeds
+from sysid_evo.evolution.controller_evolution import selection_seeds
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 PLAIN_CANDIDATES, PLAIN_TRIALS = 100, 10
 REACHED = 0.95

@@ -26,8 +26,8 @@ from sysid_evo import (
     make_robot,
     make_task,
 )
-from sysid_evo.arrays import Array
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.types import Array
 
 EVOLVED = ("pid", "linear", "feed_forward", "recurrent")
 TASK = "set_point"

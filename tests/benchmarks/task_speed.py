@@ -16,14 +16,15 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from model_zoo.parametrised import Parametrised
+from model_zoo.car.parametrised import Parametrised
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
+from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_robot, make_task
+from sysid_evo.registry import Spec, make_robot
 from sysid_evo.tasks import Task
+from sysid_evo.tasks.task import make_task
 from tests.benchmarks.rollout.families import recording
 from tests.benchmarks.rollout.timing import in_turn
 

@@ -18,7 +18,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.study.repeats import Spread, paired
+from evaluation.study.figures import Spread, paired
 
 TOGETHER = "all controllers"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import RawLog
+from sysid_evo.types import Array
 
 FINE = 20  # integration steps for each row
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
-from sysid_evo.cli.advice_tables import advice_as_json, advice_tables
+from sysid_evo.cli.recordings import advice_as_json, advice_tables
 from sysid_evo.data import Dataset, RawLog, advise, find_delays
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System

@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid_evo import ConditionFold, Dataset
-from sysid_evo.arrays import Array
+from sysid_evo.cli.options import parsed
 from sysid_evo.data import prepare
-from sysid_evo.data.conditions import parsed
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 from .conftest import Drive
 

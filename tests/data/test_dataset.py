@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.moving import moving_rows
+from sysid_evo.data.trajectory import moving_rows
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, ShapeError
-from sysid_evo.free_run import judging_windows
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.validation.simulation_error import judging_windows
 
 LINE = System((Channel("place", "m"),), (Channel("push"),), 0.1)
 

@@ -18,8 +18,8 @@ NUMBERS = ROWS * 9 * 8 / 2**20
 
 WATCHED = """
 import json, resource, sys
-from sysid_evo.cli import main
-import sysid_evo.cli.models, sysid_evo.data, evaluation.comparison
+from sysid_evo.__main__ import main
+import sysid_evo.cli.models, sysid_evo.data, evaluation.cells
 import pyarrow.csv, pyarrow.parquet, scipy.signal, sklearn.base
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 sys.argv = ["sysid-evo", *sys.argv[1:]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import RawLog, take_rows
-from sysid_evo.data.sampled import at_control_rate
+from sysid_evo.data.preparation import at_control_rate
 from sysid_evo.errors import InvalidData
 
 

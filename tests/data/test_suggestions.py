@@ -7,9 +7,8 @@ import pytest
 import scipy
 
 from sysid_evo.data import Dataset, advise, check_usable, find_delays
-from sysid_evo.data.delays import _first_peak
-from sysid_evo.data.linear_fit import fit_linear
-from sysid_evo.data.suggestions import named, spell
+from sysid_evo.data.advice import named, spell
+from sysid_evo.data.response import _first_peak, fit_linear
 from sysid_evo.errors import InvalidData
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System

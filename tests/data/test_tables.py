@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid_evo.data import Dataset, Reader, Table
+from sysid_evo.data.readers import CsvReader, ParquetReader, reader_for
 from sysid_evo.data.reading import log_files
-from sysid_evo.data.tables import CsvReader, ParquetReader, reader_for
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.registry import readers
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.data.thinning import thinned
+from sysid_evo.data.dataset import thinned
 from sysid_evo.system import Channel, System
 
 

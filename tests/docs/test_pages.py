@@ -18,9 +18,9 @@ import typer
 
 from sysid_evo.cli.app import app
 from sysid_evo.data import Dataset
-from sysid_evo.plugin_template import PLUGINS, write_plugin
 from sysid_evo.registry import KINDS, Registry
 from sysid_evo.testing import example_dataset
+from sysid_evo.testing.template import PLUGINS, write_plugin
 
 from .blocks import PAGES, ROOT, blocks, commands
 

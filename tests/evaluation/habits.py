@@ -10,11 +10,11 @@ import numpy as np
 
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.pendulum import PendulumParameters, PendulumPhysics
-from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
+from sysid_evo.models import Dynamics
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 Numbers: TypeAlias = tuple[float, ...]
 Habit: TypeAlias = Callable[[Numbers, Numbers, Numbers], Numbers]

@@ -6,12 +6,12 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.models import DynamicsModel
 from sysid_evo.motion import PlanarBody
 from sysid_evo.progress import Progress
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 SYSTEM = System(
     states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from evaluation.report import Report, tables
-from evaluation.report.page import to_html
-from evaluation.report.sections import sections
+from evaluation.report.report import sections, to_html
 from sysid_evo.system import System
 from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_brief import printed

@@ -11,16 +11,13 @@ import pytest
 
 from evaluation.advice import MOST, Evidence, ModelAdvice, advice_from_json, advice_to_json, advise_model
 from evaluation.advice.advise import LOOKS
-from evaluation.advice.commands import dead_command
-from evaluation.advice.coverage import largest_gap, missing_excitation, other_states
-from evaluation.advice.generalising import halved, overfit, too_few_data
-from evaluation.advice.memory import hidden_state, late_controls
-from evaluation.advice.noise import estimate_noise, noise_floor
-from evaluation.advice.shift import shift
-from evaluation.advice.worst import weak_region
-from evaluation.exploitability.steps import Steps
+from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
+from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
+from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
+from evaluation.coverage import largest_gap
+from evaluation.steps import Steps
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from tests.evaluation.planted import Fault, drive
 
 NONE = Fault()

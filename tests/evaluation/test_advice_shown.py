@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from evaluation.advice import ModelAdvice, Remark, advice_from_json
-from evaluation.comparison import Experiment, plan_comparison
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
 from evaluation.report import Report, advice_lines, tables, to_json, verdict
-from evaluation.report.sections import sections
+from evaluation.report.report import sections
 from sysid_evo.plan import Store, execute
 from tests.evaluation.made_up import prediction, report
 from tests.evaluation.planted import Fault, drive

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.comparison import Column, GivenData, PredictCell, Split
-from evaluation.comparison.believing import believed
+from evaluation.cells.data import GivenData, Split
+from evaluation.cells.models import PredictCell
+from evaluation.cells.plants import Column, believed
 from evaluation.prediction import ErrorScore, Interval, ModelPrediction
 from sysid_evo.plan import Cell, Work
 from sysid_evo.testing import example_dataset

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
-from evaluation.prediction.bootstrap import BlockErrors, draw_blocks, interval
+from sysid_evo.validation.bootstrap import BlockErrors, draw_blocks, interval
 from tests.evaluation.known_models import Sliding, Weak, fitted, recording
 
 CLUSTERS, SIZE = 40, 15

@@ -9,7 +9,7 @@ from dataclasses import replace
 from rich.console import Console, RenderableType
 
 from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
-from evaluation.report.overview import overview_sheet
+from evaluation.report.sections.controllers import overview_sheet
 from tests.evaluation.made_up import matrix, prediction, report
 
 LONG = "backprop27+nearest_neighbour+parametrised"

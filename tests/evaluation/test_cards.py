@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability.optimism import Optimism
-from evaluation.report.cards import exploitability_cards, worst_trials
+from evaluation.report.sections.exploitability import exploitability_cards, worst_trials
 from evaluation.transfer import Estimate, TransferMatrix
 from tests.evaluation.made_up import matrix
 from tests.evaluation.test_replay import on_a_plane

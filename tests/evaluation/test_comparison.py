@@ -10,18 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.comparison import Comparison, Experiment, RunCell, compare, finished, plan_comparison
-from evaluation.comparison.champion_cells import EvolveCell
-from evaluation.comparison.hand_written import HandWrittenCell
+from evaluation.cells.assessment import RunCell
+from evaluation.cells.controllers import EvolveCell, HandWrittenCell
+from evaluation.experiment import Experiment
+from evaluation.planning import Comparison, plan_comparison
 from evaluation.report import Report, save_report, to_json
+from evaluation.running import compare, finished
 from evaluation.transfer import summarise
-from hardware.robot import Connection, Robot
+from hardware.connection import Connection
+from hardware.robot import Robot
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, LinkLost, UnknownName
+from sysid_evo.evolution.champion import load_champion
+from sysid_evo.models import DynamicsModel, save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.plan import Cell, Silent, Store, execute
-from sysid_evo.registry import Registry, Spec, make_controller, make_model, make_task, models, robots
-from sysid_evo.store import load_champion, save_model
+from sysid_evo.registry import Registry, Spec, models, robots
+from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import pendulum, switched_car
 

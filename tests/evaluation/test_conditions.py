@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.comparison import compare
 from evaluation.report import brief, to_json
+from evaluation.running import compare
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from tests.sysid_evo.adaptation.cars import FloorCar, drive

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 
 from evaluation.prediction import PERSISTENCE, Prediction, PredictionProtocol, assess_prediction
-from evaluation.report.tables import (
-    difference_sheet,
-    episode_error_sheet,
-    fit_sheet,
-    region_sheet,
-    residual_sheet,
-)
-from evaluation.report.terminal import to_rich
+from evaluation.report.render.terminal import to_rich
+from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
+from evaluation.report.sections.prediction import difference_sheet
 from tests.evaluation.known_models import Known, fitted, recording
 from tests.evaluation.made_up import prediction
 from tests.evaluation.test_brief import printed

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from evaluation.comparison import Experiment, plan_comparison
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
 
 
 @pytest.mark.parametrize(

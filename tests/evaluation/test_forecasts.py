@@ -6,13 +6,12 @@ from typing import Self
 
 import numpy as np
 
-from evaluation.prediction.cases import measured_cases
-from evaluation.prediction.forecasts import forecast
-from evaluation.prediction.protocol import PredictionProtocol
-from sysid_evo.arrays import Array
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.scoring import forecast
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 SYSTEM = System((Channel("place"),), (Channel("push", low=0.25, high=5000.0),), 0.1)
 STEPS = 60

@@ -9,11 +9,11 @@ from xml.etree import ElementTree
 import pytest
 
 from evaluation.report import Report, verdict
-from evaluation.report.formats import to_markdown, write_format
-from evaluation.report.formats.markdown import sheet_to_markdown
-from evaluation.report.headlines import headlines
-from evaluation.report.sections import sections
-from evaluation.report.sheets import Sheet
+from evaluation.report.elements import Sheet
+from evaluation.report.render.markdown import sheet_to_markdown
+from evaluation.report.report import sections, to_markdown
+from evaluation.report.save import write_format
+from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.test_report import make_report

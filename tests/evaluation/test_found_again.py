@@ -11,21 +11,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.comparison import Comparison, Experiment, StoredModel, families, plan_comparison, unsettled
-from evaluation.comparison.champion_cells import PolishCell
+from evaluation import planning
+from evaluation.cells.controllers import PolishCell
+from evaluation.cells.models import StoredModel
+from evaluation.experiment import Experiment
+from evaluation.planning import Comparison, plan_comparison, unsettled
 from evaluation.transfer import Cell, person
-from evaluation.transfer.measured import Measured
+from evaluation.transfer.matrix import Measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.plan import cell as plan_cell
-from sysid_evo.registry import Registry, load_plugin, make_model, models
+from sysid_evo.registry import Registry, load_plugin, models
 from sysid_evo.registry import aggregates as aggregate_registry
 from sysid_evo.registry import controllers as controller_registry
 from sysid_evo.registry import strategies as strategy_registry
 from sysid_evo.registry import tasks as task_registry
-from sysid_evo.store import save_model
 from sysid_evo.testing import example_dataset
 from tests.evaluation.test_comparison import FailsInFit
 
@@ -372,7 +376,7 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
         requires = ("no_such_package",)
 
     register(models, "lacking", Lacking)
-    monkeypatch.setattr(families, "OTHER_FAMILIES", ("linear", "lacking"))
+    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("linear", "lacking"))
     comparison = planned(models=None, ensembles=None)
     assert list(comparison.fits) == ["linear"]
     assert len(comparison.plan.remarks) == 1
@@ -380,6 +384,6 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
     assert 'pip install "no_such_package"' in comparison.plan.remarks[0]
     with pytest.raises(MissingExtra, match="needs the package 'no_such_package', which is not installed"):
         planned(models=("lacking",), ensembles=())
-    monkeypatch.setattr(families, "OTHER_FAMILIES", ("lacking",))
+    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("lacking",))
     with pytest.raises(InvalidArgument, match="none of the usual families can be compared here"):
         planned(models=None, ensembles=None)

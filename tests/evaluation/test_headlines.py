@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from evaluation.report import Report
-from evaluation.report.headlines import Headline, headlines
+from evaluation.report.elements import Headline
+from evaluation.report.sections.summary import headlines
 from evaluation.transfer import Estimate
 from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_tables import exploited

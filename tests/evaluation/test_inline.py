@@ -8,10 +8,23 @@ from collections.abc import Callable
 import pytest
 from matplotlib.figure import Figure
 
-from evaluation.plots import new_figure, plot_claims, plot_fitness, plot_free_run, plot_horizon_curve, plot_trace, style
-from evaluation.plots.theme import ALARM, BOX, HEAT, INK, LINK, MUTED, PAPER, THEME, Colour, style_sheet
+from evaluation.plot_style import (
+    ALARM,
+    BOX,
+    HEAT,
+    INK,
+    LINK,
+    MUTED,
+    PAPER,
+    THEME,
+    Colour,
+    new_figure,
+    style,
+    style_sheet,
+)
+from evaluation.plots import plot_claims, plot_fitness, plot_free_run, plot_horizon_curve, plot_trace
 from evaluation.report import Report
-from evaluation.report.inline import inline_svg
+from evaluation.report.render.svg import inline_svg
 from evaluation.transfer import summarise
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.made_up import matrix

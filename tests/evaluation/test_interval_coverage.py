@@ -9,20 +9,13 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from evaluation.prediction import (
-    Coverage,
-    PredictionProtocol,
-    load_prediction,
-    measured_cases,
-    save_prediction,
-    score_model,
-)
-from evaluation.report.predicting import intervals_hold
-from evaluation.report.tables import coverage_sheet
-from sysid_evo.arrays import Array
+from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
+from evaluation.report.sections.prediction import coverage_sheet, intervals_hold
+from evaluation.storage import load_prediction, save_prediction
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 from tests.evaluation.made_up import prediction
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)

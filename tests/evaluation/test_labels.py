@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from evaluation.labels import few, folded, percent
+from evaluation.formatting import few, folded, percent
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import pytest
 
 from evaluation.behaviour import Manner, Measure, chase, describe, described, manner_of, manners, measured
 from evaluation.report import to_json
-from evaluation.report.tables import behaviour_sheet, manner_sheet
+from evaluation.report.sections.behaviour import behaviour_sheet, manner_sheet
 from evaluation.transfer import Cell, Trace, TransferMatrix
-from sysid_evo.arrays import Array
 from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
+from sysid_evo.types import Array
 from tests.evaluation import made_up
 from tests.evaluation.known_models import SYSTEM
 from tests.evaluation.test_transfer import champion

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.forecast import summary_of
 from evaluation.transfer import (
     NOT_RUN,
     Cell,
@@ -20,6 +19,7 @@ from evaluation.transfer import (
     summarise,
     with_measured,
 )
+from evaluation.transfer.summary import summary_of
 from sysid_evo.evolution import Champion
 from tests.evaluation.known_models import SYSTEM
 

@@ -15,7 +15,7 @@ import dask
 import numpy as np
 import pytest
 
-from evaluation.comparison import compare
+from evaluation.running import compare
 from evaluation.transfer import Cell, Measured, person, save_measured
 from sysid_evo.testing import example_dataset
 from tests.evaluation.test_side_by_side import SMALL, Remarks

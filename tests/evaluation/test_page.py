@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.plots.theme import LINES, PAPER
+from evaluation.plot_style import LINES, PAPER
 from evaluation.report import save_report
 from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.evaluation.known_models import Known, Sliding, fitted

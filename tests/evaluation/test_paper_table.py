@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from evaluation.report.sections import transfer as section
-from evaluation.report.tables import paper_sheet
-from evaluation.report.tables.paper import CONTROLLERS, FAMILIES
+from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet
 from evaluation.transfer import Cell, TransferMatrix, person
 from tests.evaluation import made_up
 from tests.evaluation.test_transfer import paper_matrix

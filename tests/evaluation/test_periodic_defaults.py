@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.comparison import Experiment, Split, plan_comparison
-from evaluation.comparison.data_cells import whole_episodes
+from evaluation.cells.data import Split, whole_episodes
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
 from sysid_evo.data import Dataset
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System

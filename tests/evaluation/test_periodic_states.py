@@ -9,10 +9,10 @@ import pytest
 from evaluation.exploitability import Steps, Support
 from evaluation.plots import plot_free_run
 from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 TURN = 2.0 * np.pi
 PENDULUM = System(

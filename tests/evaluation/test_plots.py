@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
+from evaluation.plot_style import new_figure, to_svg
 from evaluation.plots import (
-    new_figure,
     plot_claims,
     plot_fitness,
     plot_free_run,
@@ -18,7 +18,6 @@ from evaluation.plots import (
     plot_probes,
     plot_trace,
     plot_transfer,
-    to_svg,
 )
 from evaluation.report import Report
 from evaluation.transfer import Trace

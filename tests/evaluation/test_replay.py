@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.report.replay import Replay, _packed, parting, replay
+from evaluation.report.elements import Replay
+from evaluation.report.sections.replay import _packed, parting, replay
 from evaluation.transfer import Cell, Trace, TransferMatrix, transfer
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
@@ -89,7 +90,7 @@ def test_numbers_are_kept_to_a_small_part_of_their_range_and_what_is_none_stays_
 def test_a_page_that_would_be_too_large_leaves_out_trials_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("evaluation.report.replay.MOST_NUMBERS", 1)
+    monkeypatch.setattr("evaluation.report.sections.replay.MOST_NUMBERS", 1)
     shown = replay(matrix())
     assert shown is not None
     assert [(run["row"], run["column"]) for run in read(shown)["runs"]] == [

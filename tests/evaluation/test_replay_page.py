@@ -13,7 +13,7 @@ import pytest
 from matplotlib.image import imread
 from playwright.sync_api import Page, expect
 
-from evaluation.plots.theme import LINES
+from evaluation.plot_style import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
 from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways

@@ -17,12 +17,12 @@ from rich.console import Console, RenderableType
 from evaluation.exploitability import assess_exploitability
 from evaluation.prediction import PredictionProtocol, assess_prediction
 from evaluation.report import DataSummary, Failure, ModelSummary, Report, save, save_report, tables, to_json, verdict
-from evaluation.report.page import to_html
-from evaluation.report.tables import transfer_sheet
-from evaluation.report.terminal import to_rich
+from evaluation.report.render.terminal import to_rich
+from evaluation.report.report import to_html
+from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Cell, TransferMatrix, transfer
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner
+from sysid_evo.models import DynamicsModel
 from tests.evaluation.known_models import Broken, Exploding, Known, Sliding, Weak, fitted, recording
 from tests.evaluation.test_transfer import Unplugged, champion
 

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from evaluation.report import Report, report_schema, to_json
-from evaluation.report.document import SCHEMA
+from evaluation.report.report import SCHEMA
 from tests.evaluation.known_models import Broken, Known, Sliding, fitted
 from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_report import make_report

@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
-from evaluation.comparison import Experiment, GivenData, compare, comparison_again, plan_comparison
+from evaluation.cells.data import GivenData
+from evaluation.experiment import Experiment
+from evaluation.planning import comparison_again, plan_comparison
 from evaluation.report import Report, to_json
+from evaluation.running import compare
 from sysid_evo.plan import Record, Silent, StoredCell
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset

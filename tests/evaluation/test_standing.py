@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from evaluation.report import to_json
-from evaluation.report.sheets import Sheet
-from evaluation.report.tables import standing_sheet, transfer_sheet
-from evaluation.report.terminal import WIDTH, to_rich
+from evaluation.report.elements import Sheet
+from evaluation.report.render.terminal import WIDTH, to_rich
+from evaluation.report.sections.controllers import standing_sheet
+from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import (
     Cell,
     Figures,

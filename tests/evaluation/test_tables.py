@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability import ModelExploitability, ProbeResult
+from evaluation.formatting import number, three_digits
 from evaluation.report import Report
-from evaluation.report.pictures import (
-    SHOWN_MODELS,
-    Picture,
-    claims_picture,
-    fitness_picture,
-    free_run_picture,
-    traces_picture,
-)
-from evaluation.report.sheets import number, three_digits
-from evaluation.report.tables import controller_sheet, prediction_sheet, probe_sheet, transfer_sheet
-from evaluation.report.transferring import ONE_SEED
+from evaluation.report.elements import Picture
+from evaluation.report.sections.controllers import ONE_SEED, claims_picture, controller_sheet
+from evaluation.report.sections.evolution import fitness_picture
+from evaluation.report.sections.exploitability import probe_sheet
+from evaluation.report.sections.prediction import SHOWN_MODELS, free_run_picture, prediction_sheet
+from evaluation.report.sections.replay import traces_picture
+from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Estimate, TransferMatrix, summarise
 from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.made_up import matrix, prediction

@@ -9,26 +9,20 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from evaluation.transfer import (
-    Cell,
-    TransferMatrix,
-    load_cell,
-    run_cell,
-    save_cell,
-    summarise,
-    transfer,
-    transfer_seeds,
-)
-from evaluation.transfer.ranks import mean_ranks
-from sysid_evo.arrays import Seeds
+from evaluation.storage import load_cell, save_cell
+from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from evaluation.transfer.summary import mean_ranks
 from sysid_evo.controllers import Controller
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.evolution import Champion
-from sysid_evo.evolution.controllers import SELECTION
+from sysid_evo.evolution.controller_evolution import SELECTION
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_controller, make_task
+from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Seeds
 from tests.evaluation.known_models import SYSTEM, Boxed, Known, Stopped, Undefined, Weak, fitted
 
 TABLE_2 = {

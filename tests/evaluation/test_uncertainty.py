@@ -8,7 +8,7 @@ from scipy.stats import t
 
 from evaluation.transfer import PairedEstimate
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_aggregate
+from sysid_evo.evolution.aggregates import make_aggregate
 
 
 def of(fitness: np.ndarray, controller: str = "c") -> PairedEstimate:

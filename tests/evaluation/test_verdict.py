@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from evaluation.report import Report, tells_nothing, verdict
-from evaluation.report.predicting import main_horizon
+from evaluation.report.sections.prediction import main_horizon
 from sysid_evo.registry import Spec
 from tests.evaluation.made_up import matrix, prediction, report
 

@@ -8,21 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.prediction import (
-    Interval,
-    Prediction,
-    PredictionProtocol,
-    Region,
-    assess_prediction,
-    load_prediction,
-    save_prediction,
-    worst_region,
-)
-from evaluation.prediction.bootstrap import BlockErrors, interval
+from evaluation.prediction import Interval, Prediction, PredictionProtocol, Region, assess_prediction, worst_region
 from evaluation.prediction.regions import candidate_regions
-from sysid_evo.arrays import Array
+from evaluation.storage import load_prediction, save_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
+from sysid_evo.types import Array
+from sysid_evo.validation.bootstrap import BlockErrors, interval
 from tests.evaluation.known_models import Known, Sliding, Weak, fitted, recording
 
 PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)

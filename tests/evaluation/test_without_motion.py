@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluation.comparison import Experiment, finished, plan_comparison
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
 from evaluation.plots import plot_state, plotted_places
 from evaluation.report import Report, save_report, to_json
-from evaluation.report.overview import drive_command
-from evaluation.report.pictures import traces_picture
-from evaluation.report.tables import measure_sheet
+from evaluation.report.sections.controllers import drive_command
+from evaluation.report.sections.replay import traces_picture
+from evaluation.report.sections.transfer import measure_sheet
+from evaluation.running import finished
 from evaluation.transfer import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.plan import Store, execute

@@ -9,23 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.driving.instruments import Instruments
+from hardware.connection import Connection
+from hardware.control_loop import SLOWEST
+from hardware.driving.hand_driving import HandDriving, Instruments, check_driving_by_hand
 from hardware.driving.keyboard import Keyboard
-from hardware.driving.session import HandDriving
-from hardware.loop.demands import SLOWEST
-from hardware.loop.robot_runner import RobotRunner
-from hardware.loop.self_test import self_test
-from hardware.loop.stops import Stops
-from hardware.preflight import (
-    check_driving,
-    check_driving_by_hand,
-    check_recording,
-    check_same_robot,
-)
-from hardware.recording.excitation import Manoeuvre
-from hardware.recording.scripted import record
-from hardware.robot import Connection, Robot, find_robot
-from sysid_evo.controllers.recurrent import RecurrentNetwork
+from hardware.driving.trials import RobotRunner
+from hardware.preflight import check_driving, check_recording, check_same_robot
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import record
+from hardware.robot import Robot, find_robot
+from hardware.run_report import Stops
+from hardware.self_test import self_test
+from sysid_evo.controllers.networks import RecurrentNetwork
 from sysid_evo.errors import (
     IncompatibleSystem,
     IncompatibleTask,
@@ -145,7 +140,7 @@ def test_what_a_robot_itself_misses_is_refused_by_every_check(car: System) -> No
 def test_a_page_that_cannot_be_served_is_said_with_its_installation(
     car: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.preflight.PAGE", ("no_such_package",))
+    monkeypatch.setattr("hardware.driving.server.PREFLIGHT_PAGE", ("no_such_package",))
     with pytest.raises(MissingExtra, match="driving by hand needs the package 'no_such_package'"):
         check_driving_by_hand(Parked(car), PointToPoint())
 

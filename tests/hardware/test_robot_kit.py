@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from hardware import testing as kit
-from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.connection import Connection, Measurement
+from hardware.robot import Robot
 from hardware.testing import check_robot, run_robot_checks
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.errors import ContractViolation
 from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models import Dynamics
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import System
+from sysid_evo.types import Array
 from tests.broken import broken, sentence
 
 

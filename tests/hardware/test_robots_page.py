@@ -17,13 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.report import Reason
-from hardware.recording.excitation import Manoeuvre
-from hardware.recording.scripted import ManoeuvrePilot, NewestPose
+from hardware.connection import GateLimits
+from hardware.control_loop import ControlLoop
+from hardware.estimator import NewestPose
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import ManoeuvrePilot
 from hardware.robot import find_robot
-from hardware.trackers.gates import GateLimits
-from hardware.trackers.message import FrameMessage
+from hardware.run_report import Reason
+from hardware.trackers.udp import FrameMessage
 from sysid_evo.data import Dataset
 from sysid_evo.registry import load_plugin, robot_spec, robots
 from tests.rig.pose_stream import format_message

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 STATES = (Channel("angle", "rad"), Channel("rate", "rad/s"))
 FORCE = Channel("force", "N", low=-1.0, high=1.0)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.adapting import AND, ANEW
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.registry import make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.adaptation.selection import ANEW
+from sysid_evo.models.base import make_model
 from sysid_evo.system import System
+from sysid_evo.types import Array
+from sysid_evo.validation.acceptance import AND
 from tests.benchmarks.coverage import coverage
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 

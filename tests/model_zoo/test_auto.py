@@ -12,27 +12,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.auto import Auto
+from model_zoo.auto.candidates import offered, structure_of
+from model_zoo.auto.fitting import LARGE, Task, Work, fitted, load
+from model_zoo.auto.model import Auto
+from model_zoo.auto.selection import chosen, weights_of
 from model_zoo.linear import Linear
-from model_zoo.selection.candidates import (
-    offered,
-    structure_of,
-)
-from model_zoo.selection.fitting import LARGE, Task, Work, fitted, load
-from model_zoo.selection.gate import chosen, weights_of
-from sysid_evo.adaptation import held_out_error
-from sysid_evo.adaptation.adapting import ANEW, adaptation
-from sysid_evo.cross_validation import balanced, folds_of
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData
-from sysid_evo.judging import Judge, Trial, horizons_of, interval
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.adaptation import held_out_error
+from sysid_evo.models.adaptation.selection import ANEW, adaptation
+from sysid_evo.models.base import make_model
 from sysid_evo.processors import use_processors
-from sysid_evo.registry import make_model, models, register_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.registry import models, register_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from sysid_evo.validation.bootstrap import judging_interval as interval
+from sysid_evo.validation.folds import balanced, folds_of
+from sysid_evo.validation.simulation_error import Judge, Trial, horizons_of
 
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
 
@@ -271,7 +269,7 @@ def test_what_progress_raises_is_no_failure_of_a_candidate() -> None:
 
 def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest() -> None:
     load(["json", "no_such_library"])
-    here = "import sys; from model_zoo.selection.fitting import LARGE, load; load(LARGE); print(*sys.modules)"
+    here = "import sys; from model_zoo.auto.fitting import LARGE, load; load(LARGE); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", here], capture_output=True, text=True, check=True).stdout.split()
     assert {name for name in LARGE if importlib.util.find_spec(name)} <= set(loaded)
 

@@ -11,8 +11,9 @@ import pytest
 from model_zoo.average import Average
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, SysidEvoError
-from sysid_evo.registry import make_model, make_robot
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import make_robot
 from sysid_evo.testing.examples import example_dataset
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo import adapted as family
-from model_zoo.validation import elsewhere
-from model_zoo.validation.horizons import LAGS, MOST_WINDOWS
-from sysid_evo.adaptation import ANEW, NONE, REFIT, Learned, Terms
-from sysid_evo.adaptation.adapting import Adaptation
-from sysid_evo.adaptation.gate import Verdict
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model
+from sysid_evo.models.adaptation import ANEW, NONE, REFIT, Learned, Terms
+from sysid_evo.models.adaptation import adapted as elsewhere
+from sysid_evo.models.adaptation.selection import Adaptation, Verdict
+from sysid_evo.models.base import make_model
+from sysid_evo.types import Array
+from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 NOISE = 0.05
@@ -114,8 +112,8 @@ def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(
 ) -> None:
     learned = uncorrected(base, None)
     found = Adaptation(learned, Verdict(10.0, 3, 0.5, (), chosen), (uncorrected(base, parts[0]),))
-    monkeypatch.setattr(family, "adaptation", lambda *_, **__: found)
+    monkeypatch.setattr(elsewhere, "adaptation", lambda *_, **__: found)
     calibrated = base.variant()
-    monkeypatch.setattr(family, "calibrated_elsewhere", lambda *_: calibrated)
+    monkeypatch.setattr(elsewhere, "calibrated_elsewhere", lambda *_: calibrated)
     adapted: Any = make_model("adapted", base=None).given(base).fit(parts[0], rng=_rng())  # type: ignore[attr-defined]
     assert adapted.base_ is (calibrated if anew else base)

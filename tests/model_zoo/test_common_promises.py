@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.free_run import judging_windows, relative_error
-from sysid_evo.registry import make_model, models
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
+from sysid_evo.validation.simulation_error import judging_windows, relative_error
 from tests.model_zoo.test_contract import SMALL as SMALL_BUDGETS
 
 SMALL: dict[str, dict[str, Any]] = {"neural_ode": {"updates": 10}}

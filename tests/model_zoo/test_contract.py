@@ -9,7 +9,8 @@ import pytest
 
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.registry import make_model, models
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.testing import CHECKS, run_checks
 
 SMALL_NETWORK: dict[str, Any] = {"hidden": [12], "one_step_updates": 60, "updates": 30, "horizon": 5}

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.channels.features import Features
-from model_zoo.sparse.units import powers, quotient
-from model_zoo.validation.held_out import best
+from model_zoo.features import Features, powers, quotient
 from sysid_evo.data import Dataset
 from sysid_evo.engine import kernel_step
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
+from sysid_evo.validation.held_out import best
 
 PENDULUM = System(
     (Channel("angle", "rad", period=2 * np.pi), Channel("rate", "rad/s")), (Channel("torque", "N m", -3.0, 3.0),), 0.05

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.adapting import AND, FURTHER
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.registry import make_model
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.adaptation.selection import FURTHER
+from sysid_evo.models.base import make_model
+from sysid_evo.validation.acceptance import AND
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 

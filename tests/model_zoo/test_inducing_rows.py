@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from model_zoo.processes.inducing import inducing_rows
-from sysid_evo.arrays import Array
+from model_zoo.gaussian_process import inducing_rows
+from sysid_evo.types import Array
 
 
 def left(inputs: Array, rows: Array, length: float) -> Array:

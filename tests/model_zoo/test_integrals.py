@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.channels.integrals import between_limits, integrals
+from model_zoo.features import between_limits, integrals
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.registry import make_model
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 
 CART = System((Channel("position", "m"), Channel("speed", "m/s")), (Channel("force", "N", low=-1.0, high=1.0),), dt=0.1)

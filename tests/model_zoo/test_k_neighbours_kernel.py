@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.dialect import compile_kernel
-from sysid_evo.engine.compiled.memory import aligned
+from sysid_evo.engine.compiled.compiler import compile_kernel
+from sysid_evo.engine.compiled.workspace import aligned
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.kernels import DYNAMICS, LANES, Precision
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 Step = Callable[[Array, Array], Array]
 LAGS = ((0, 0), (0, 3), (2, 0), (1, 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.kernels import plane_through_neighbours
+from model_zoo import neighbours_kernel
 from sysid_evo.data import Dataset
 from tests.model_zoo.test_k_neighbours_kernel import compiled_step, fitted, queries
 
@@ -14,7 +14,7 @@ from tests.model_zoo.test_k_neighbours_kernel import compiled_step, fitted, quer
 def test_asking_groups_of_buckets_first_finds_the_same_neighbours(
     neighbours: int, proportional: Dataset, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plane_through_neighbours, "MANY", 1)
+    monkeypatch.setattr(neighbours_kernel, "MANY", 1)
     model = fitted(proportional, neighbours)
     step = compiled_step(model)
     for away in (0.1, 0.5, 3.0, 100.0):
@@ -25,7 +25,7 @@ def test_asking_groups_of_buckets_first_finds_the_same_neighbours(
 def test_a_query_that_is_not_a_number_ends(
     proportional: Dataset, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plane_through_neighbours, "MANY", 1)
+    monkeypatch.setattr(neighbours_kernel, "MANY", 1)
     model = fitted(proportional, 20)
     carry, control = queries(model, rng, 0.1)
     expected = model.step(carry, control)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.registry import make_model
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.testing import example_dataset
 
 FAMILIES = ("nearest_neighbour", "k_neighbours", "linear")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.comparison.model_cells import with_preset
-from model_zoo.validation.held_out import FOLDS, GOOD, HeldOut
+from evaluation.planning import with_preset
 from sysid_evo.data import Dataset
-from sysid_evo.registry import Spec, make_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
+from sysid_evo.validation.held_out import FOLDS, GOOD, HeldOut
 from tests.model_zoo.small_systems import DRIVEN
 
 SYSTEM = System(

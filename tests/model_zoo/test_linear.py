@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 SYSTEM = System((Channel("a"), Channel("b")), (Channel("u"),), dt=0.1)
 A = np.array([[0.9, 0.2], [-0.1, 0.7]])

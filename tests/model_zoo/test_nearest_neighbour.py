@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.channels.command_cells import CommandCells
+from model_zoo.control_grid import CommandCells
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 
 

@@ -12,24 +12,21 @@ import numpy as np
 import pytest
 
 from model_zoo.backprop27 import Backprop27
-from model_zoo.car.trained_physics import CarPhysics
-from model_zoo.channels.mirror import Mirror
-from model_zoo.flows.runge_kutta import rk4
-from model_zoo.flows.training import Flow
-from model_zoo.hybrid_ode import HybridOde
-from model_zoo.mlp_ensemble import MlpEnsemble
-from model_zoo.networks.layers import Layers
-from model_zoo.networks.members import LaggedMembers
-from model_zoo.networks.multistep import Batches, Shots
-from model_zoo.networks.network import random_network
-from model_zoo.networks.standardised import StandardisedModel
-from sysid_evo.arrays import Array
+from model_zoo.car.hybrid_ode import CarPhysics, HybridOde
+from model_zoo.networks.backpropagation import StandardisedModel
+from model_zoo.networks.mlp_ensemble import LaggedMembers, MlpEnsemble
+from model_zoo.networks.network import Layers, random_network
+from model_zoo.networks.neural_ode import Flow
+from model_zoo.networks.training import Batches, Shots
+from model_zoo.scaling import Mirror
 from sysid_evo.data import Dataset
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.models.dynamics import rk4
 from sysid_evo.progress import Counter
-from sysid_evo.registry import make_model
-from sysid_evo.store import save_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 
 @pytest.fixture(scope="module")
@@ -199,10 +196,10 @@ def test_a_stored_ensemble_steps_without_what_trains_it(ensemble: MlpEnsemble, t
     save_model(ensemble, tmp_path / "model")
     script = (
         "import sys, numpy as np\n"
-        "from sysid_evo.store import load_model\n"
+        "from sysid_evo.models import load_model\n"
         f"model = load_model({str(tmp_path / 'model')!r})\n"
         "model.step(np.zeros((1, model.n_carry)), np.zeros((1, 2)))\n"
-        "assert 'model_zoo.networks.multistep' not in sys.modules\n"
+        "assert 'model_zoo.networks.training' not in sys.modules\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

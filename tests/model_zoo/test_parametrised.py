@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from model_zoo.parametrised import PARAMETERS
-from sysid_evo.arrays import Array
+from model_zoo.car.parametrised import PARAMETERS
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 from .conftest import TRUTH
 

@@ -6,8 +6,8 @@ import warnings
 
 import numpy as np
 
-from model_zoo.processes.likelihood import most_likely, negative_log_likelihood, quadratic_form, squared_exponential
-from sysid_evo.arrays import Array
+from model_zoo.gaussian_process import most_likely, negative_log_likelihood, quadratic_form, squared_exponential
+from sysid_evo.types import Array
 
 
 def waves(n_inputs: int = 3) -> tuple[Array, Array]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
+from sysid_evo.types import Array
 from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, ONE_STATE, LinearSystem
 
 EXACT = 1e-8

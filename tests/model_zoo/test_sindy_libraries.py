@@ -10,15 +10,14 @@ import pysindy as ps
 import pytest
 from sklearn.linear_model import Lasso
 
-from model_zoo.channels.features import Features
-from model_zoo.channels.functions import FUNCTIONS
-from model_zoo.channels.standard import root_mean_square
-from model_zoo.sparse.libraries import basis_of
-from model_zoo.sparse.polynomial import evaluate
+from model_zoo.features import FUNCTIONS, Features
+from model_zoo.polynomial.libraries import basis_of
+from model_zoo.polynomial.model import evaluate
+from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.engine import kernel_step
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import run_checks
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing.models import rows_are_independent
 from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS

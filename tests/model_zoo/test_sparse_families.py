@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.channels.standard import root_mean_square
-from model_zoo.narx import Narx
-from model_zoo.sindy import Sindy
-from model_zoo.sindy_discrete import SindyDiscrete
-from model_zoo.sparse.family import Regression
-from model_zoo.sparse.polynomial import evaluate, monomials
-from model_zoo.sparse.regression import Library
-from sysid_evo.arrays import Array
+from model_zoo.polynomial.model import Regression, evaluate, monomials
+from model_zoo.polynomial.narx import Narx
+from model_zoo.polynomial.regression import Library
+from model_zoo.polynomial.sindy import Sindy, SindyDiscrete
+from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 SYSTEM = System(
     states=(Channel("speed", "m/s"), Channel("angle", "rad")), controls=(Channel("drive", low=-1.0, high=1.0),), dt=0.01

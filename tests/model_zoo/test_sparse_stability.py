@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.recording.scripted import record_dataset
-from model_zoo.sparse.continuation import MARGIN, continued, limits
-from model_zoo.sparse.stability import growth
+from hardware.recording.record import record_dataset
+from model_zoo.polynomial.model import growth
+from model_zoo.polynomial.sindy import MARGIN, continued, limits
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model, make_robot
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)

@@ -8,19 +8,18 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from model_zoo.validation.spread import (
+from sysid_evo.data import Dataset
+from sysid_evo.models import DynamicsModel
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+from sysid_evo.validation.folds import unseen_parts, unseen_recordings
+from sysid_evo.validation.intervals import (
     conformal_scale,
     growth_on_unseen_recordings,
     normalised_errors,
     rough_fits,
-    unseen_parts,
-    unseen_recordings,
     with_noise,
 )
-from sysid_evo.arrays import Array
-from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.system import Channel, System
 from tests.benchmarks.coverage import coverage
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)

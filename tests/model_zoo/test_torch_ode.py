@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.channels.features import Features
-from model_zoo.flows.training import Flow
-from model_zoo.networks.layers import Layers
-from model_zoo.networks.multistep import Batches, Shots
-from model_zoo.networks.network import random_network
-from model_zoo.torch_ode import TorchOde
+from model_zoo.features import Features
+from model_zoo.networks.network import Layers, random_network
+from model_zoo.networks.neural_ode import Flow
+from model_zoo.networks.torch_ode import TorchOde
+from model_zoo.networks.training import Batches, Shots
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import InvalidArgument, ShapeError
-from sysid_evo.registry import make_model, models
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.testing import check_model, example_dataset
 from tests.docs.blocks import blocks
 from tests.model_zoo.small_systems import DRIVEN
@@ -32,7 +32,7 @@ pytest.importorskip("torchdiffeq")
 from torch import Tensor, nn  # noqa: E402  # after the skip
 from torchdiffeq import odeint  # noqa: E402
 
-from model_zoo.torch_flows.equation import Equation, Turning, seen  # noqa: E402
+from model_zoo.networks.torch_training import Equation, Turning, seen  # noqa: E402
 
 SMALL: dict[str, Any] = {"hidden": [6], "updates": 12, "horizon": 3}
 
@@ -100,7 +100,7 @@ def test_a_stored_default_model_steps_without_torch(recording: Dataset, tmp_path
     save_model(fitted(recording), tmp_path / "model")
     script = (
         "import sys, numpy as np\n"
-        "from sysid_evo.store import load_model\n"
+        "from sysid_evo.models import load_model\n"
         f"model = load_model({str(tmp_path / 'model')!r})\n"
         "model.step(np.zeros((1, model.n_carry)), np.zeros((1, 2)))\n"
         "assert 'torch' not in sys.modules\n"

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.channels.mirror import Mirror
-from model_zoo.networks.multistep import Plan
-from model_zoo.networks.standardised import StandardisedModel
-from sysid_evo.arrays import Array
+from model_zoo.networks.backpropagation import StandardisedModel
+from model_zoo.networks.training import Plan
+from model_zoo.scaling import Mirror
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
+from sysid_evo.types import Array
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5, "input_noise": 0.07}

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.networks.trainings import Standing
-from sysid_evo.arrays import Array
+from model_zoo.networks.training import Standing
+from sysid_evo.artefacts import CheckpointFile, read_checkpoint
 from sysid_evo.data import Dataset
 from sysid_evo.errors import CheckpointWarning
+from sysid_evo.models.base import make_model
 from sysid_evo.progress import Progress
-from sysid_evo.registry import make_model, models
-from sysid_evo.store import CheckpointFile
-from sysid_evo.store.checkpoints import read_checkpoint
+from sysid_evo.registry import models
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 from tests.sysid_evo.test_checkpoints import AlwaysDue, Stop, StopAfter
 
 ROOT = Path(__file__).parents[2]

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from model_zoo.linear import Linear
-from model_zoo.validation.horizons import HORIZONS, horizon_scales, persistent_share, segments
-from model_zoo.validation.horizons import Case as HeldOutCase
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.engine import kernel_step
 from sysid_evo.errors import NotFitted
-from sysid_evo.registry import make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import run_checks
+from sysid_evo.types import Array
+from sysid_evo.validation.intervals import HORIZONS, horizon_scales, persistent_share, segments
+from sysid_evo.validation.intervals import Case as HeldOutCase
 from tests.benchmarks.coverage import coverage
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)

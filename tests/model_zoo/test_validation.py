@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from model_zoo.gaussian_process import GaussianProcess
-from model_zoo.k_neighbours import KNeighbours
-from model_zoo.narx import forward_selection
-from model_zoo.sindy_discrete import SindyDiscrete
-from model_zoo.validation.held_out import lag_candidates
-from sysid_evo.cross_validation import time_blocks
+from model_zoo.neighbours import KNeighbours
+from model_zoo.polynomial.narx import forward_selection
+from model_zoo.polynomial.sindy import SindyDiscrete
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.held_out import lag_candidates
 from tests.benchmarks.coverage import coverage
 
 

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from model_zoo.evolved3 import Evolved3
-from model_zoo.networks.multistep import FLOOR, SHARPNESS, Plan, Shots, step_weights, train
-from model_zoo.networks.trainings import Trainings
-from model_zoo.validation import spread
-from model_zoo.validation.held_out import DIVERGED, HeldOut
-from sysid_evo.arrays import Array
+from model_zoo.networks.training import FLOOR, SHARPNESS, Plan, Shots, Trainings, step_weights, train
+from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.evolution import identification
-from sysid_evo.lags import CarryLayout
-from sysid_evo.registry import make_model
+from sysid_evo.evolution import model_evolution
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+from sysid_evo.validation import intervals
+from sysid_evo.validation.held_out import DIVERGED, HeldOut
 from tests.model_zoo.small_systems import DRIVEN
 
 LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
@@ -53,8 +52,8 @@ def test_few_windows_widen_the_intervals_by_n_plus_1_over_n(
     model = Shaken().fit(data)
     cut = data.windows(1)[:windows]
     errors = np.linspace(0.5, 2.0, windows)[:, None]
-    monkeypatch.setattr(spread, "normalised_errors", lambda *_, **__: errors)
-    scale = spread.conformal_scale([(model, cut)], np.random.default_rng(0), rounds=1)
+    monkeypatch.setattr(intervals, "normalised_errors", lambda *_, **__: errors)
+    scale = intervals.conformal_scale([(model, cut)], np.random.default_rng(0), rounds=1)
     assert scale[0] == errors[rank, 0]
 
 
@@ -108,13 +107,13 @@ def test_narx_never_chooses_a_setting_that_diverges(monkeypatch: pytest.MonkeyPa
 
 def test_evolved3_looks_as_many_steps_ahead_as_its_horizon(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    error = identification.final_error
+    error = model_evolution.final_error
 
     def watched(step: Any, population: Array, windows: Any, *rest: Any, **more: Any) -> Array:
         asked.append(windows.controls.shape[1])
         return error(step, population, windows, *rest, **more)
 
-    monkeypatch.setattr(identification, "final_error", watched)
+    monkeypatch.setattr(model_evolution, "final_error", watched)
     monkeypatch.setattr(Evolved3, "_kernels", lambda self, parameters: None)
     for horizon in (3, 12):
         make_model("evolved3", generations=1, windows=5, horizon=horizon).fit(DRIVEN.recording())

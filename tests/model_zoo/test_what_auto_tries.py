@@ -5,26 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.auto import Auto
+from model_zoo.auto.candidates import NUMBERS, PROCESSORS, SHARE, SHIPPED, STEPS, Candidate, affordable, named, offered
+from model_zoo.auto.fitting import Work
+from model_zoo.auto.model import Auto
+from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, Choice, Choosing
 from model_zoo.average import Average
-from model_zoo.selection.candidates import (
-    NUMBERS,
-    PROCESSORS,
-    SHARE,
-    SHIPPED,
-    STEPS,
-    Candidate,
-    affordable,
-    named,
-    offered,
-)
-from model_zoo.selection.choosing import REFINED, UNPROMISING, UNTRIED, Choice, Choosing
-from model_zoo.selection.fitting import Work
-from sysid_evo.cross_validation import folds_of
-from sysid_evo.judging import LONGEST_HISTORY, Judge, Trial, history_of
-from sysid_evo.registry import Spec, make_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.testing import example_dataset
+from sysid_evo.validation.folds import folds_of
+from sysid_evo.validation.simulation_error import LONGEST_HISTORY, Judge, Trial, history_of
 
 NARX = "narx(terms=12, state_lags=0, control_lags=2)"
 
@@ -131,7 +122,7 @@ def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_
 ) -> None:
     """Both are polynomials, so each weighs a half; the second is a committee."""
     tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, committee=name == "b") for name in "ab"]
-    monkeypatch.setattr("model_zoo.auto.offered", lambda _: (tried, []))
+    monkeypatch.setattr("model_zoo.auto.model.offered", lambda _: (tried, []))
     data = example_dataset()
     model = make_model("auto", gate=gate).fit(data, rng=0)
     assert isinstance(model, Auto)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.emulation.emulated_car import emulated_car
+from hardware.emulation.cars import emulated_car
 from tests.rig.board import Board
 from tests.rig.faults import KINDS, Fault, FaultSchedule
 from tests.rig.journal import JournalWriter

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.measurement import Measurement
-from sysid_evo.arrays import Array
+from hardware.connection import Measurement
+from hardware.emulation.tracked_robots import EmulatedRobot
+from sysid_evo.types import Array
 
 MOST_BEHIND = 1.0  # s: a process that was stopped for longer goes on from now, instead of catching up
 

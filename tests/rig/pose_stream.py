@@ -10,9 +10,9 @@ from collections import deque
 
 import numpy as np
 
-from hardware.measurement import Measurement
-from hardware.trackers.message import FrameMessage
-from sysid_evo.arrays import Array
+from hardware.connection import Measurement
+from hardware.trackers.udp import FrameMessage
+from sysid_evo.types import Array
 from tests.rig.faults import FaultSchedule
 
 OTHER_BODY = "other"

@@ -7,8 +7,8 @@ import os
 import select
 import time
 
-from hardware.link.buttons import control_of
 from hardware.link.messages import Buttons
+from hardware.link.serial_robot import control_of
 from tests.rig.board import Board
 from tests.rig.faults import Fault, FaultSchedule
 from tests.rig.journal import JournalWriter

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hardware.link.serial_connection import SerialConnection
-from hardware.link.serial_robot import SerialRobot
-from hardware.measurement import Measurement
+from hardware.connection import GateLimits, Measurement
+from hardware.link.serial_robot import SerialConnection, SerialRobot
 from hardware.robot import Robot
 from hardware.toy_car import CAR
-from hardware.trackers.gates import GateLimits
 from hardware.trackers.tracker import Tracker, TrackerStream
 from hardware.trackers.udp import UdpTracker
 from tests.rig.faults import Fault

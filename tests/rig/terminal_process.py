@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, cast
 
-from hardware.session import Session
+from hardware.connection import Session
 from sysid_evo.errors import LinkLost
 from tests.rig.faults import Fault
 

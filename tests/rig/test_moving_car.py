@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.emulated_car import emulated_car
+from hardware.emulation.cars import emulated_car
 from tests.rig.moving_car import MOST_BEHIND, MovingCar
 
 FORWARD = np.array([1.0, 0.0])

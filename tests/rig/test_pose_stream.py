@@ -8,8 +8,8 @@ import socket
 import numpy as np
 import pytest
 
-from hardware.measurement import Measurement
-from hardware.trackers.message import FrameMessage, parse_message
+from hardware.connection import Measurement
+from hardware.trackers.udp import FrameMessage, parse_message
 from tests.rig.faults import Fault, FaultSchedule
 from tests.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.robot import Connection
-from hardware.trackers.gates import GateLimits
+from hardware.connection import Connection, GateLimits
 from sysid_evo.errors import LinkLost
 from tests.rig.faults import Fault
 from tests.rig.journal import read_journal

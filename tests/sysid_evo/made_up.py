@@ -9,11 +9,11 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array, IntArray, Seeds
 from sysid_evo.controllers import Controller, View
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.models import Dynamics
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task, TaskState
+from sysid_evo.types import Array, IntArray, Seeds
 
 
 class Climber(Dynamics):

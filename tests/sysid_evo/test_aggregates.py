@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.comparison.recipes import MEAN_OF_ONE
+from evaluation.cells.controllers import MEAN_OF_ONE
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import aggregates, make_aggregate
+from sysid_evo.evolution.aggregates import make_aggregate
+from sysid_evo.registry import aggregates
 
 FITNESS = np.array(
     [

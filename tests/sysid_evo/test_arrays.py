@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import check_last, check_shape
 from sysid_evo.errors import ShapeError
+from sysid_evo.types import check_last, check_shape
 
 
 def test_an_array_of_the_right_shape_comes_back_as_float64_without_a_copy() -> None:

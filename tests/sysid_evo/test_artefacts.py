@@ -14,14 +14,16 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.artefacts import is_stored
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
-from sysid_evo.registry import Spec, make_model, models
-from sysid_evo.store import family_name, is_stored, load_champion, load_model, save_champion, save_model
+from sysid_evo.evolution.champion import load_champion, save_champion
+from sysid_evo.models import DynamicsModel, family_name, load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec, models
 from sysid_evo.testing.examples import switched_car
+from sysid_evo.types import Array
 
 CHAMPION = Champion(
     name="mm1",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.artefacts import CheckpointFile, read_checkpoint
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
@@ -26,10 +26,10 @@ from sysid_evo.evolution import (
     evolve_controller,
     polish,
 )
-from sysid_evo.registry import make_model, strategies
-from sysid_evo.store import CheckpointFile
-from sysid_evo.store.checkpoints import read_checkpoint
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import strategies
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = ControllerEvolution(
@@ -55,7 +55,7 @@ STATE: StrategyState = {
 PROGRAM = """
 import sys
 from tests.sysid_evo.test_checkpoints import LONG, AlwaysDue, evolved
-from sysid_evo.store.checkpoints import read_checkpoint
+from sysid_evo.artefacts import read_checkpoint
 
 def told(done, total, note=""):
     print(done, flush=True)

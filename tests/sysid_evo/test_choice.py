@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
@@ -15,6 +14,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose,
 from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
 from sysid_evo.testing.examples import switched_car
+from sysid_evo.types import Array, Seeds
 
 CONTROLLER = Spec("recurrent", {"hidden": 1})
 N = 5 + 1 + 2

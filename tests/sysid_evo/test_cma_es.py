@@ -10,12 +10,12 @@ import cma
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.artefacts import read_checkpoint, write_checkpoint
 from sysid_evo.errors import InvalidArgument, ShapeError
-from sysid_evo.evolution import CmaEs, evolve
-from sysid_evo.evolution.cma_es import LearningRates
-from sysid_evo.store.checkpoints import read_checkpoint, write_checkpoint
+from sysid_evo.evolution import evolve
+from sysid_evo.evolution.strategies.cma_es import CmaEs, LearningRates
 from sysid_evo.testing import check_strategy
+from sysid_evo.types import Array
 
 
 def sphere(population: Array, _: int = 0) -> Array:

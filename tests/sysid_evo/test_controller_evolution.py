@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, evolve_controller
+from sysid_evo.models import DelayedEstimate
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, aggregates, make_model
+from sysid_evo.registry import Spec, aggregates
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
-from sysid_evo.wrappers import DelayedEstimate
+from sysid_evo.types import Array, Seeds
 
 from .made_up import Climber, Constant, Ladder
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, FeedForward, LinearFeedback, Pid, Pursuit, View
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
@@ -19,6 +18,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, SetPoint, Task, TaskState
 from sysid_evo.testing import check_controller
 from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
+from sysid_evo.types import Array
 
 TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
 

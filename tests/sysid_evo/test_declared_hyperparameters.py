@@ -12,9 +12,9 @@ import pytest
 from sklearn.base import clone
 
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument, UnknownParameter
-from sysid_evo.hyperparameters import Limit, at_least
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.parameters import Limit, at_least
 
 
 class Declared(DynamicsModel):

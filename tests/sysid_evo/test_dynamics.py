@@ -7,11 +7,12 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.carry import clip_state
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel, clip_state, require_planar, training_envelope
 from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted, ShapeError
+from sysid_evo.models import DynamicsModel, require_planar, training_envelope
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 PAIR = System((Channel("a"), Channel("b")), (Channel("u"),), dt=0.1)
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.comparison import Column, EvolveCell, Experiment
-from sysid_evo.arrays import Seeds
+from evaluation.cells.controllers import EvolveCell
+from evaluation.cells.plants import Column
+from evaluation.experiment import Experiment
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts
+from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.evolution import ControllerEvolution, evolve_controller, polish
-from sysid_evo.evolution.meeting import met
-from sysid_evo.registry import Spec, make_model
+from sysid_evo.evolution.controller_evolution import met
+from sysid_evo.models import NoisySensors, Perturbed
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
 from sysid_evo.testing import example_dataset
-from sysid_evo.wrappers import Discounted, NoisySensors, Perturbed
+from sysid_evo.types import Seeds
 
 NOISE = "envelope(sensor=0.2, latency=2, gain=0.2)"
 SHORT = Spec.parse("point_to_point(horizon=120)")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.comparison import Experiment, plan_comparison
-from sysid_evo.evolution.feasibility import farthest_driven, farthest_recorded
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
+from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
 from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint

@@ -13,10 +13,8 @@ from sklearn.base import clone
 from sklearn.model_selection import GridSearchCV
 
 from sysid_evo import EpisodeFold
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import (
     DataWarning,
     IncompatibleSystem,
@@ -26,11 +24,12 @@ from sysid_evo.errors import (
     ShapeError,
     SysidEvoError,
 )
-from sysid_evo.hyperparameters import Limit, above, at_least
-from sysid_evo.registry import make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 SYSTEM = System((Channel("a"), Channel("b")), (Channel("u", low=-1.0, high=1.0, neutral=0.5),), dt=0.1)
 

@@ -13,10 +13,11 @@ from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_task
+from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Balance, SetPoint, SwingUp, TrackReference
-from sysid_evo.tasks.following import Following, FollowingState
+from sysid_evo.tasks.task import make_task
+from sysid_evo.tasks.tracking import Following, FollowingState
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import ExampleDynamics, bare_system, pendulum, switched_car
 

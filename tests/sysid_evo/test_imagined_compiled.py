@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from sysid_evo import make_model, make_task
-from sysid_evo.arrays import Array
-from sysid_evo.controllers import Predictive
-from sysid_evo.controllers.imagination import Engine, Imagination
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import rollout
+from sysid_evo.engine.imagined import Engine, Imagination
 from sysid_evo.kernels import DynamicsKernel, Lifted
+from sysid_evo.models import Dynamics
+from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import System
 from sysid_evo.tasks import Reward, Task
 from sysid_evo.tasks.task import TaskState
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, pendulum
+from sysid_evo.types import Array
 
 CASES: list[tuple[str, System]] = [
     ("point_to_point(horizon=40, waypoint_radius=0.6, arena_radius=0.8)", continuous_car()),

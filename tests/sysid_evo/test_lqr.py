@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import View
-from sysid_evo.controllers.linear_model import LinearModel, linear_model
-from sysid_evo.controllers.lqr import Lqr
+from sysid_evo.controllers.lqr import LinearModel, Lqr, linear_model
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, SetPoint
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car
+from sysid_evo.types import Array
 
 MASS = System([Channel("position", "m"), Channel("speed", "m/s")], [Channel("force", "N", low=-4.0, high=4.0)], dt=0.1)
 A, B, C = [[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.1]], [0.0, 0.05]

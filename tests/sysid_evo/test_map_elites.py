@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sysid_evo import extras
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.evolution import Scores, evolve
-from sysid_evo.evolution.map_elites import MapElites
+from sysid_evo.evolution.strategies.map_elites import MapElites
 from sysid_evo.testing import check_strategy
+from sysid_evo.types import Array
 
 from .test_niches import CONTROLS, NAMES, trap
 

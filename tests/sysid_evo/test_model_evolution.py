@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import ModelEvolution
-from sysid_evo.evolution.identification import Weights, final_error
+from sysid_evo.evolution.model_evolution import Weights, final_error
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 SYSTEM = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 TRUTH = np.array([0.8, 0.5])

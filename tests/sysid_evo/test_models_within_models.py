@@ -9,13 +9,13 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import ArtefactError
-from sysid_evo.registry import make_model, models
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.system import System
+from sysid_evo.types import Array
 from tests.sysid_evo.test_artefacts import rewrite
 
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sysid_evo.angles import rotate, wrap
-from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
 from sysid_evo.motion import CentralDifferences, Motion, PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 HEAD = Layout("nx", "dt")
 MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")

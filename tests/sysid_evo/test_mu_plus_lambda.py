@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import MuPlusLambda, evolve
-from sysid_evo.registry import make_strategy
+from sysid_evo.evolution.strategies.strategy import make_strategy
+from sysid_evo.types import Array
 
 
 def sphere(population: Array, _: int = 0) -> Array:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Niches, Scores, evolve
-from sysid_evo.evolution.niches import Island, _known
+from sysid_evo.evolution.strategies.niches import Island, _known
 from sysid_evo.testing import check_strategy
+from sysid_evo.types import Array
 
 NAMES = ("speed above", "speed below", "drive above", "drive below", "steer above", "steer below")
 CONTROLS = ("drive", "steer")

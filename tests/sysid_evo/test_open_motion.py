@@ -11,19 +11,20 @@ import numpy as np
 import pytest
 
 from sysid_evo import system as systems
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import rollout
-from sysid_evo.engine.kernels import network_predictor, stepping_kernel, turning_frame
 from sysid_evo.errors import IncompatibleSystem, InvalidSystem
-from sysid_evo.evolution.identification import ModelEvolution
+from sysid_evo.evolution.model_evolution import ModelEvolution
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
+from sysid_evo.models.kernels import network_predictor, stepping_kernel, turning_frame
 from sysid_evo.motion import Motion, PlanarBody, motion_from_dict
-from sysid_evo.registry import make_model, motions
+from sysid_evo.registry import motions
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 SEEDS = np.array([4, 9], dtype=np.uint64)
 

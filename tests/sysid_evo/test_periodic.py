@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from sysid_evo.angles import wrap
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.data.preparation import prepare
-from sysid_evo.data.raw import RawLog
-from sysid_evo.dynamics import DynamicsModel
+from sysid_evo.data.preparation import RawLog, prepare
 from sysid_evo.errors import InvalidSystem
+from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 TURN = 2.0 * np.pi
 PENDULUM = System(

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_model
-from sysid_evo.arrays import Array
-from sysid_evo.controllers import Predictive, View
-from sysid_evo.controllers.imagination import Imagination
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.controllers import View
 from sysid_evo.engine import rollout
+from sysid_evo.engine.imagined import Imagination
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.models import Dynamics, save_model
+from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.store import save_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.tasks.point_to_point import PointToPointState
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, switched_car
+from sysid_evo.types import Array
 
 
 class Steered(Dynamics):

@@ -14,7 +14,8 @@ import pytest
 from sysid_evo import register_reward
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_task, tasks
+from sysid_evo.registry import tasks
+from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum, switched_car
 from tests.sysid_evo.cli.calling import run_here

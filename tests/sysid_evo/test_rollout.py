@@ -8,15 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import step_noise, trial_draws, trial_seeds
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 
 from .made_up import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
+from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
@@ -24,9 +24,10 @@ from sysid_evo.evolution import (
     evolve,
     evolve_controller,
 )
-from sysid_evo.registry import Spec, make_model
-from sysid_evo.store import CheckpointFile
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
+from sysid_evo.types import Array
 
 from .test_checkpoints import Stop, StopAfter, assert_same
 

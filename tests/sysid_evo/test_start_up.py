@@ -45,7 +45,7 @@ print(json.dumps([early, sysid_evo.__all__]))
 
 MAKE_A_MISTAKE = """
 import json, sys
-from sysid_evo.cli import main
+from sysid_evo.__main__ import main
 sys.argv = ["sysid-evo", "compare", "--models", "linaer"]
 try:
     main()
@@ -113,9 +113,10 @@ def test_the_emulated_car_starts_without_what_only_models_and_kernels_need() -> 
 
 COMPUTE = """
 import json, sys
-from evaluation.comparison import Experiment, plan_comparison
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
 from sysid_evo.data import Dataset
-from sysid_evo.plan import Store, execute, working
+from sysid_evo.plan import Store, execute, processes as working
 settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
                 transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
                 strategy="mu_plus_lambda(children=4)", recipe="plain")
@@ -146,5 +147,5 @@ def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_
 
 
 def test_a_process_that_waits_for_cells_has_imported_little() -> None:
-    _, imported = answer("import json, sys, sysid_evo.plan.working\nprint(json.dumps(sorted(sys.modules)))")
+    _, imported = answer("import json, sys, sysid_evo.plan.processes\nprint(json.dumps(sorted(sys.modules)))")
     assert not {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"} & set(imported)

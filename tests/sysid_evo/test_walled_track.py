@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import Predictive, RecurrentNetwork
+from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import WalledTrack
-from sysid_evo.tasks.track import draw_track, place_of, wall
+from sysid_evo.tasks.track_geometry import draw_track, place_of, wall
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import ExampleDynamics, pendulum, switched_car
 

@@ -1,10 +1,15 @@
-"""What limits the best model, and what to record next."""
+"""What limits the best model and what to record next."""
 
 from __future__ import annotations
 
-from evaluation.report.contents import Report
-from evaluation.report.sections.section import Section
-from evaluation.report.tables import advice_sheet
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from evaluation.advice.evidence import ModelAdvice
+from evaluation.report.elements import Section, Sheet
+from evaluation.results import Report
 
 
 def section(report: Report) -> Section | None:
@@ -12,3 +17,33 @@ def section(report: Report) -> Section | None:
     if report.advice is None or not report.advice.remarks:
         return None
     return Section("Advice", [advice_sheet(report.advice)], background=True)
+
+
+def advice_sheet(advice: ModelAdvice) -> Sheet:
+    """What limits the best model, and what to record next."""
+    rows = tuple((remark.topic, remark.sentence) for remark in advice.remarks)
+    return Sheet(
+        f"What limits {advice.model}",
+        ("topic", "what was found, and what to do"),
+        rows,
+        note=f"The most important first. Judged on {advice.judged_on}.",
+        prose=True,
+    )
+
+
+def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
+    """Return what limits a model as a list, the most important first; nothing where there was no model."""
+    if not advice.model:
+        return []
+    if not advice.remarks:
+        return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.judged_on}.")]
+    bullets = Table.grid(padding=(0, 1))
+    for remark in advice.remarks:
+        bullets.add_row(Text(" -"), Text(remark.sentence))
+    judged = Padding(Text(f"Judged on {advice.judged_on}.", style="dim"), (0, 0, 0, 1))
+    return [Text(limits_question(advice), style="bold cyan"), bullets, judged]
+
+
+def limits_question(advice: ModelAdvice) -> str:
+    """Return the question that the advice answers."""
+    return f"What limits {advice.model}, and what to record next?"

@@ -1,10 +1,10 @@
-"""The data that models were fitted to and tested on."""
+"""Episodes and channels of the data, and notes on them."""
 
 from __future__ import annotations
 
-from evaluation.report.contents import Report
-from evaluation.report.sections.section import Section
-from evaluation.report.tables import channel_list, episode_sheet
+from evaluation.formatting import listed, number, percent
+from evaluation.report.elements import Section, Sheet
+from evaluation.results import Report
 
 
 def section(report: Report) -> Section:
@@ -21,4 +21,40 @@ def _sentence(report: Report) -> str:
     return (
         f"{name}{len(data.training)} training episodes of {seconds[0]:.0f} s, {len(data.test)} test episodes of "
         f"{seconds[1]:.0f} s, sampled every {data.system.dt:g} s. Training set SHA-256: {data.fingerprint}"
+    )
+
+
+SHOWN_EPISODES = 40
+
+
+def episode_sheet(report: Report) -> Sheet:
+    """The episodes of the data set."""
+    rows = [
+        (e.name, part, f"{e.duration:.1f}", str(e.steps), percent(e.moving))
+        for part, episodes in (("training", report.data.training), ("test", report.data.test))
+        for e in episodes[:SHOWN_EPISODES]
+    ]
+    return Sheet("Episodes", ("episode", "used for", "seconds", "steps", "moving"), tuple(rows), details=True)
+
+
+def channel_list(report: Report) -> Sheet:
+    """The channels of the system."""
+    system = report.data.system
+    rows = [
+        (
+            channel.name,
+            kind,
+            channel.unit or "–",
+            number(channel.low, 3),
+            number(channel.high, 3),
+            "–" if channel.levels is None else listed([f"{level:g}" for level in channel.levels]),
+        )
+        for kind, channels in (("state", system.states), ("control", system.controls))
+        for channel in channels
+    ]
+    return Sheet(
+        f"Channels, sampled every {system.dt:g} s",
+        ("channel", "kind", "unit", "lowest", "highest", "levels"),
+        tuple(rows),
+        details=True,
     )

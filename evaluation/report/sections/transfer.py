@@ -1,21 +1,28 @@
-"""What every controller does on every system."""
+"""Transfer matrix: every controller on every system; the paper's table."""
 
 from __future__ import annotations
 
-from evaluation.report.absences import of_transfer
-from evaluation.report.contents import Report
-from evaluation.report.overview import command_sheet
-from evaluation.report.pictures import claims_picture, fitness_picture
-from evaluation.report.sections.section import Section, present
-from evaluation.report.tables import (
+from typing import Any
+
+import numpy as np
+
+from evaluation.formatting import folded, lines, number, percent
+from evaluation.report.elements import Heat, Section, Sheet, present
+from evaluation.report.sections.controllers import (
+    NO_ROBOT,
+    claims_picture,
+    command_sheet,
     controller_sheet,
-    finalist_sheet,
-    measure_sheet,
-    paper_sheet,
     standing_sheet,
-    transfer_sheet,
+    unknown,
+    without_controllers,
 )
-from evaluation.report.transferring import unknown
+from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
+from evaluation.results import Report
+from evaluation.transfer.matrix import BY_HAND, NOT_RUN, Cell, TransferMatrix
+from evaluation.transfer.summary import Figures, judges_of
+from evaluation.transfer.uncertainty import SHARE, PairedEstimate
+from sysid_evo.evolution import Champion
 
 WORDS = "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."
 
@@ -41,3 +48,227 @@ def section(report: Report) -> Section:
         [WORDS, *unknown(summary)],
         absent=of_transfer(report),
     )
+
+
+CONSENSUS = "other\nfamilies"
+"""The heading of what models of other families say together."""
+
+
+def transfer_sheet(matrix: TransferMatrix) -> Sheet:
+    """Mean fitness (standard deviation over trials) of every controller on every system, and on other families."""
+    places = _with_consensus(matrix)
+    columns = tuple(
+        CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
+    )
+    figures = Figures(matrix)
+    medians = {champion.name: figures.consensus(champion) for champion in matrix.champions}
+    rows = [
+        (
+            champion.name,
+            *(
+                _consensus_cell(medians[champion.name])
+                if c is None
+                else _fitness_cell(matrix.cell(champion.name, c), c in champion.against)
+                for c in places
+            ),
+        )
+        for champion in matrix.champions
+    ]
+    unit = matrix.unit or "fitness"
+    means = np.array(
+        [[_value(medians[row]) if c is None else matrix.cell(row, c).mean for c in places] for row in matrix.rows]
+    ).reshape(len(matrix.rows), len(places))
+    known = means[np.isfinite(means)]
+    low, top = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
+    shades = tuple(
+        tuple((m - low) / (top - low) if np.isfinite(m) and top > low else None for m in row) for row in means
+    )
+    own = frozenset(
+        (i, j)
+        for i, champion in enumerate(matrix.champions)
+        for j, column in enumerate(places)
+        if column in champion.against
+    )
+    models = sum(column is None or column in matrix.models for column in places)
+    return Sheet(
+        title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
+        columns=("controller", *columns),
+        rows=tuple(rows),
+        note=(
+            f"{_trials(matrix)} = evolved against this model. "
+            "other families: median over the models of families that it was not evolved in. "
+            "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
+        ),
+        heat=Heat(shades, own, models if 0 < models < len(places) else None),
+    )
+
+
+def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
+    """What the task tells beside the fitness, where each controller was evolved and on the robot; None if nothing."""
+    rows, names = [], list(dict.fromkeys(name for cell in matrix.cells.values() for name in cell.measures))
+    for champion in matrix.champions:
+        own = next((column for column in champion.against if column in matrix.columns), None)
+        places = dict.fromkeys(column for column in (own, matrix.robot) if column is not None)
+        for column in places:
+            told = matrix.cell(champion.name, column).measures
+            shown = ["–" if told.get(name) is None else number(told[name]) for name in names]
+            rows.append((champion.name, folded(column), *shown))
+    if not names:
+        return None
+    return Sheet(
+        title="What else was measured",
+        columns=("controller", "on", *(name.replace(" ", "\n") for name in names)),
+        rows=tuple(rows),
+        note="Means over the trials that have the number; the first model that it was evolved on, and the robot.",
+    )
+
+
+def _trials(matrix: TransferMatrix) -> str:
+    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
+    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
+    if len(counts) > 1:
+        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
+    return f"{matrix.trials} fresh trials, the same in every cell."
+
+
+def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
+    """Return the columns with None for the consensus of other families, before the robots, if these are several."""
+    families = {matrix.families[column] for column in matrix.models}
+    robots = tuple(column for column in matrix.columns if column not in matrix.models)
+    return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
+
+
+def _value(figure: PairedEstimate | None) -> float:
+    return float("nan") if figure is None else figure.value
+
+
+def _consensus_cell(figure: PairedEstimate | None) -> str:
+    return "–" if figure is None else f"{number(figure.value)} ±{number(figure.standard_error)}"
+
+
+def _fitness_cell(cell: Cell, own: bool) -> str:
+    if cell.failed:
+        return "–" if cell.reason == NOT_RUN else "failed"
+    return lines(
+        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
+        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
+        f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
+        f"{len(cell.missing)} missing" if cell.missing else "",
+    )
+
+
+FAMILIES = {"backprop27": "bp27", "parametrised": "param", "evolved3": "evo3", "nearest_neighbour": "nn"}
+"""The columns, and what the paper calls them; the last one is the car."""
+
+CONTROLLERS = {
+    ("backprop27",): ("bp27c", (18.6, 9.0, 1.3, 14.0, 9.33)),
+    ("parametrised",): ("paramc", (18.1, 15.1, 1.3, 15.5, 14.0)),
+    ("evolved3",): ("evo3c", (0.7, 0.2, 13.4, 0.3, 0.33)),
+    ("nearest_neighbour",): ("nnc", (15.0, 5.0, 0.7, 17.0, 5.33)),
+    ("evolved3", "nearest_neighbour"): ("mm1c", (11.0, 4.0, 15.0, 12.0, 8.33)),
+    ("backprop27", "nearest_neighbour", "parametrised"): ("mm2c", (13.6, 10.0, 10.2, 11.7, 9.33)),
+}
+"""What each controller was evolved against (the paper does not say which three models mm2c met), and its row there."""
+
+HUMANS = "People in the paper: 8.33 waypoints forwards (humFc), 6.0 backwards (humBc)."
+
+
+def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
+    """The paper's Table 2 with these cells, its own numbers below; None unless its four single models are there.
+
+    Several models of one family are not in it: the first counts.
+    """
+    columns = {family: column for column in reversed(matrix.models) if (family := matrix.families[column]) in FAMILIES}
+    if len(columns) < len(FAMILIES):
+        return None
+    places = [*(columns[family] for family in FAMILIES), *([] if matrix.robot is None else [matrix.robot])]
+    rows = []
+    for champion in matrix.champions:
+        known = CONTROLLERS.get(tuple(sorted(matrix.families.get(name, name) for name in champion.against)))
+        if known is not None and set(champion.against) <= set(columns.values()):
+            name, published = known
+            cells = [matrix.cell(champion.name, place) for place in places]
+            rows.append((name, *(_cell(cell, there) for cell, there in zip(cells, published, strict=False))))
+    driven = [champion for champion in matrix.champions if champion.controller == BY_HAND]
+    rows += [(champion.name, *_by_hand(matrix, champion, places)) for champion in driven]
+    return Sheet(
+        title="Table 2 of the paper, here and there: fitness (standard deviation)",
+        columns=("controller", *FAMILIES.values(), *([] if matrix.robot is None else ["real"])),
+        rows=tuple(rows),
+        note=(
+            "First line: this comparison; second: the paper, whose car, data and arena are others. "
+            f"mm1c met evo3 and nn, mm2c here bp27, nn and param. {HUMANS}"
+        ),
+        details=True,
+    )
+
+
+def _cell(cell: Cell, published: float) -> str:
+    there = f"paper {published:g}"
+    if cell.failed:
+        return lines("–", there)
+    spread = f" ({number(cell.std)})" if np.isfinite(cell.std) else ""
+    return lines(f"{number(cell.mean)}{spread}", there)
+
+
+def _by_hand(matrix: TransferMatrix, champion: Champion, places: list[str]) -> list[str]:
+    return [number(matrix.cell(champion.name, place).mean) for place in places]
+
+
+def of_transfer(report: Report) -> list[str]:
+    """Say what is not known of controllers."""
+    matrix = report.matrix
+    if matrix is None or report.transfer is None:
+        return [without_controllers(report)]
+    if matrix.robot is None:
+        return [NO_ROBOT]
+    if all(matrix.cell(row, matrix.robot).failed for row in matrix.rows):
+        return [f"No controller could be run on {matrix.robot}: what is achieved there is not known."]
+    return []
+
+
+def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
+    figures = Figures(matrix)
+    return {
+        "unit": matrix.unit,
+        "trials": matrix.trials,
+        "rows": matrix.rows,
+        "columns": matrix.columns,
+        "robot": matrix.robot,
+        "other_robots": matrix.other_robots,
+        "families": matrix.families,
+        "interval": SHARE,
+        "cells": [
+            _document_cell(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns
+        ],
+        "consensus": [_consensus(champion, figures) for champion in matrix.champions],
+    }
+
+
+def _consensus(champion: Champion, figures: Figures) -> dict[str, Any]:
+    median = figures.consensus(champion)
+    return {
+        "champion": champion.name,
+        "models": judges_of(champion, figures.matrix),
+        "median": None if median is None else median.value,
+        "interval": None if median is None else median.interval(),
+    }
+
+
+def _document_cell(cell: Cell, figures: Figures) -> dict[str, Any]:
+    figure = figures.singles.get((cell.champion, cell.column))
+    return {
+        "champion": cell.champion,
+        "column": cell.column,
+        "trials": cell.trials,
+        "mean": cell.mean,
+        "std": cell.std,
+        "standard_error": cell.standard_error,
+        "interval": None if figure is None else figure.interval(),
+        "clipped_share": cell.clipped_share,
+        "diverged_share": cell.diverged_share,
+        "engine": cell.engine,
+        "fitness": cell.fitness,
+        "reason": cell.reason or None,
+        "missing": cell.missing,
+    }

@@ -1,4 +1,4 @@
-"""Open loop over windows for many parameter vectors: the error at the end, or all states on the way."""
+"""Kernels without a controller: free runs, final errors, one step."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, check_shape
-from sysid_evo.engine.compiled import window_loops
-from sysid_evo.engine.compiled.dialect import compile_kernel
-from sysid_evo.engine.compiled.memory import aligned, empty_lines
-from sysid_evo.engine.compiled.run import Work, compiled, spread
-from sysid_evo.kernels import DYNAMICS, LANES, KernelSource, Precision, Source
+from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled.closed_loop import Work, spread
+from sysid_evo.engine.compiled.compiler import compile_kernel, compiled
+from sysid_evo.engine.compiled.workspace import aligned, empty_lines
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, KernelSource, Precision, Source
+from sysid_evo.types import Array, check_shape
 
 
 @cache
 def _loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(window_loops.open_loop), window_loops.OPEN_LOOP, precision, pointer=False)
+    return compile_kernel(KernelSource(loops.open_loop), loops.OPEN_LOOP, precision, pointer=False)
 
 
 @cache
 def _recording_loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(window_loops.free_runs), window_loops.FREE_RUNS, precision, pointer=False)
+    return compile_kernel(KernelSource(loops.free_runs), loops.FREE_RUNS, precision, pointer=False)
 
 
 def free_runs(
@@ -43,14 +43,14 @@ def free_runs(
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (len(parameters), windows, None))
     nx, real = envelope.shape[1], np.dtype(precision)
-    sizes = window_loops.OPEN.integers(
+    sizes = loops.OPEN.integers(
         windows=windows, steps=steps, n_carry=start.shape[2], nx=nx, nu=nu, n_parameters=parameters.shape[1]
     )
     states = np.zeros(len(parameters) * windows * steps * nx, real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
     room = {"carry": start.shape[2], "control": nu, "noise": 1, "scratch": n_scratch}
     _recording_loop(precision)(
-        *window_loops.FREE_RUNS.ordered(
+        *loops.FREE_RUNS.ordered(
             dynamics=compiled(source, DYNAMICS, precision),
             sizes=sizes,
             first=0,
@@ -88,7 +88,7 @@ def final_errors(
     real = np.dtype(precision)
     weight = np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:])
 
-    sizes = window_loops.OPEN.integers(
+    sizes = loops.OPEN.integers(
         windows=windows,
         steps=steps,
         n_carry=start.shape[1],
@@ -108,7 +108,7 @@ def final_errors(
 
         def work(first: int, last: int) -> None:
             loop(
-                *window_loops.OPEN_LOOP.ordered(
+                *loops.OPEN_LOOP.ordered(
                     dynamics=kernel, sizes=sizes, first=first, last=last, error=error, **shared, **own
                 )
             )
@@ -117,3 +117,24 @@ def final_errors(
 
     spread(prepare, len(parameters), threads)
     return error.astype(np.float64)
+
+
+def kernel_step(
+    kernel: DynamicsKernel, carry: Array, control: Array, noise: Array | None = None, *, precision: Precision
+) -> Array:
+    """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise), compiled."""
+    function, loop = compiled(kernel.source, DYNAMICS, precision), _single_step_loop(precision)
+    noise = np.zeros((len(carry), 1)) if noise is None else noise
+    parameters = aligned(kernel.parameters, precision)
+    after = np.empty_like(carry)
+    for first in range(0, len(carry), LANES):
+        rows = np.minimum(np.arange(first, first + LANES), len(carry) - 1)
+        blocks = [aligned(array[rows].T, precision) for array in (carry, control, noise)]
+        loop(function, *blocks, parameters, empty_lines(kernel.n_scratch * LANES, precision))
+        after[rows] = blocks[0].reshape(-1, LANES).T
+    return after
+
+
+@cache
+def _single_step_loop(precision: Precision) -> Any:
+    return compile_kernel(KernelSource(loops.one_step), loops.ONE_STEP, precision, pointer=False)

@@ -26,11 +26,11 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 from tests.benchmarks.c_reference.compiled import Compiled
 from tests.benchmarks.c_reference.export import FORMS
 from tests.benchmarks.c_reference.models import SEED, TRIALS, dynamics, population

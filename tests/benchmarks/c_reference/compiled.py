@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.models import Dynamics
 from sysid_evo.randomness import step_noise
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array, Seeds
 from tests.benchmarks.c_reference.export import LANES, export
 
 HERE = Path(__file__).parent

@@ -11,12 +11,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hardware.emulation.car_physics import BODY
-from model_zoo.channels.command_cells import CommandCells
-from sysid_evo.arrays import Array, Seeds
-from sysid_evo.engine.kernels import command_networks
-from sysid_evo.engine.kernels.neighbours import BUCKET, packed, split
-from sysid_evo.engine.kernels.stepping import HEAD
+from model_zoo.control_grid import CommandCells
+from sysid_evo.models.kernels import networks
+from sysid_evo.models.kernels.neighbours import BUCKET, packed, split
+from sysid_evo.models.kernels.stepping import HEAD
 from sysid_evo.randomness import trial_draws
+from sysid_evo.types import Array, Seeds
 
 Exported: TypeAlias = tuple[list[Any], dict[str, int]]
 LANES = 16  # in a vector of the C forms
@@ -51,7 +51,7 @@ def evolved3(model: Any, seeds: Seeds) -> Exported:
 
 
 def backprop27(model: Any, seeds: Seeds) -> Exported:
-    head = command_networks.HEAD
+    head = networks.COMMAND_NETWORKS_HEAD
     kernel = model.kernel().parameters
     own = kernel[int(kernel[HEAD.own]) :]
     size = 3 * (5 * model.hidden + 1) * LANES

@@ -12,15 +12,14 @@ from typing import Any
 import numpy as np
 
 from hardware.robot import find_robot
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
-from sysid_evo.registry import make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import Dynamics, load_model, save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 
 TRIALS, SEED, N_PARAMETERS = 10, 1, 78
 CAR = "emulated_car"

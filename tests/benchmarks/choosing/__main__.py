@@ -26,15 +26,15 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from evaluation.comparison.model_cells import with_preset
+from evaluation.planning import with_preset
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
-from evaluation.prediction.bootstrap import interval
 from evaluation.prediction.cases import MeasuredCases
-from model_zoo.selection.candidates import SHIPPED, unusable
+from model_zoo.auto.candidates import SHIPPED, unusable
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.registry import Spec, make_model, make_robot
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec, make_robot
+from sysid_evo.validation.bootstrap import interval
 from tests.benchmarks.cars import SECOND, TEST_EPISODE, pooled
 from tests.benchmarks.cars import recording as car_recording
 from tests.benchmarks.choosing.systems import SIMULATED

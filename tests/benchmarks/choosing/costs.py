@@ -18,7 +18,7 @@ import warnings
 
 import numpy as np
 
-from model_zoo.selection.candidates import SHIPPED, Candidate, unusable
+from model_zoo.auto.candidates import SHIPPED, Candidate, unusable
 from sysid_evo.data import Dataset
 from tests.benchmarks.choosing.__main__ import recording
 

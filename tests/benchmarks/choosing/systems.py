@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 DT, FINE = 0.05, 10
 """Seconds of a sample, and steps of the simulation in each."""

@@ -20,12 +20,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from evaluation.comparison.model_cells import with_preset
+from evaluation.planning import with_preset
 from evaluation.prediction import ModelPrediction, assess_model
-from model_zoo.selection.fitting import Outcome, Task, Work
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.registry import Spec, make_model
+from model_zoo.auto.fitting import Outcome, Task, Work
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
+from sysid_evo.types import Array
 from tests.benchmarks.cars import TEST_EPISODE, pooled
 from tests.benchmarks.choosing.__main__ import Fits
 
@@ -51,7 +52,7 @@ def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
 
         spec = with_preset(Spec("auto"), preset)
         model = make_model(Spec(spec.name, {**spec.parameters, **changed}))
-        with patch("model_zoo.auto.Work", Remembering), patch("model_zoo.auto.weights_of", weights):
+        with patch("model_zoo.auto.model.Work", Remembering), patch("model_zoo.auto.model.weights_of", weights):
             return model.fit(fits.training, rng=np.random.default_rng(seed))
 
     return {**{f"{power:g}": become(power) for power in POWERS}, ALONE: become(POWERS[0], gate=1.0)}

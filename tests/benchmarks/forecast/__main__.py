@@ -10,7 +10,7 @@ their run and, in other trials, on the car; what is seen is kept in ``--out``. F
 runs alone, where they take most of the time. Prints, within a run, the rank correlation with what is achieved (means
 over runs, 95 % intervals over cars), the error, and what is lost by choosing the best of ten; the share of 90 %
 intervals that hold, each car's calibrated on the others; whether a further term does better; and the constants of
-`evaluation.forecast.RULE`.
+`evaluation.transfer.forecast.RULE`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.forecast import RULE
 from evaluation.study import Study
+from evaluation.transfer.forecast import RULE
 from tests.benchmarks.forecast.judging import (
     Seen,
     asked_only,

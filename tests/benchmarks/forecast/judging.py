@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from evaluation.forecast import Rule, forecast_of
-from evaluation.transfer import ranks
-from sysid_evo.arrays import Array
+from evaluation.transfer import summary
+from evaluation.transfer.forecast import Rule, forecast_of
+from sysid_evo.types import Array
 from tests.benchmarks.forecast.looking import Record
 
 TENS, RESAMPLES = 200, 2000
@@ -84,7 +84,7 @@ def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
 
 def rank_correlation(found: Sequence[Seen], figure: Callable[[Seen], float]) -> float:
     """Return Spearman's correlation of a figure with what is achieved."""
-    correlation = ranks.rank_correlation([(figure(one), one.achieved) for one in found if np.isfinite(figure(one))])
+    correlation = summary.rank_correlation([(figure(one), one.achieved) for one in found if np.isfinite(figure(one))])
     return np.nan if correlation is None else correlation
 
 

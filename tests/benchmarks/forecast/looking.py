@@ -11,20 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.comparison import runner_of
+from evaluation.cells.plants import runner_of
 from evaluation.exploitability import Steps, Support, probe_limits
-from evaluation.exploitability.limits import ProbeLimit
 from evaluation.exploitability.optimism import optimism, others_of
-from evaluation.forecast.credibility import HORIZON
+from evaluation.exploitability.probes import ProbeLimit
+from evaluation.prediction.scores import HORIZON
 from evaluation.transfer import transfer_seeds
-from sysid_evo.arrays import Array
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner
 from sysid_evo.evolution import Champion
+from sysid_evo.evolution.champion import load_champion
 from sysid_evo.files import write_atomically
-from sysid_evo.registry import make_controller, make_task, robot_spec
-from sysid_evo.store import load_champion, load_model
+from sysid_evo.models import DynamicsModel, load_model
+from sysid_evo.registry import robot_spec
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Array
 
 TRIALS, TRUTH, OTHER = 100, 300, 1_000_000
 """Trials on every model, trials on the car, and what is added to the seed so that these are other ones."""

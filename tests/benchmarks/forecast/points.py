@@ -6,8 +6,9 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from evaluation.comparison import Comparison, runner_of
-from evaluation.forecast import error_of
+from evaluation.cells.plants import runner_of
+from evaluation.planning import Comparison
+from evaluation.prediction.scores import error_of
 from evaluation.study import Point, Study, plan_study
 from sysid_evo.cli.progress import Bars
 from sysid_evo.evolution import Champion

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.forecast import RULE
+from evaluation.transfer.forecast import RULE
 from tests.benchmarks.forecast.judging import (
     Seen,
     asked_only,

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from evaluation.plots.canvas import COLOURS, new_figure, style
+from evaluation.plot_style import COLOURS, new_figure, style
 from tests.benchmarks.growth.cases import PARTS, cases
 from tests.benchmarks.growth.measuring import WORSE, Curve, measured
 

@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.comparison.model_cells import with_preset
-from evaluation.exploitability.steps import Steps
-from evaluation.exploitability.support import Support
+from evaluation.planning import with_preset
 from evaluation.prediction import PredictionProtocol, measured_cases, score_model
+from evaluation.steps import Steps, Support
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset, advise
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective
+from sysid_evo.evolution.strategies.strategy import make_strategy
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec, make_model, make_strategy
+from sysid_evo.registry import Spec
 from sysid_evo.tasks import PointToPoint
 from tests.benchmarks.growth.measuring import Growth, doubled
 from tests.benchmarks.growth.recordings import long_car, write_log

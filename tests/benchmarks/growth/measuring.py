@@ -139,7 +139,7 @@ def allocated(program: Callable[[], object]) -> float:
 
 def of_process(arguments: Sequence[str]) -> tuple[float, float]:
     """Return processor seconds and the peak of resident memory in megabytes of ``sysid-evo`` with these arguments."""
-    code = f"import sys; sys.argv = ['sysid-evo', *{list(arguments)!r}]; from sysid_evo.cli import main; main()"
+    code = f"import sys; sys.argv = ['sysid-evo', *{list(arguments)!r}]; from sysid_evo.__main__ import main; main()"
     watch = (
         "import json, resource, subprocess, sys; "
         "subprocess.run([sys.executable, '-c', sys.argv[1]], check=True, stdout=subprocess.DEVNULL, "

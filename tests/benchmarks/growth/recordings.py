@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 DT = 0.05
 LEVELS = (-1.0, 0.0, 1.0)

@@ -25,10 +25,10 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from sysid_evo import make_model
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import DataWarning
+from sysid_evo.models import DynamicsModel
+from sysid_evo.types import Array
 from tests.benchmarks.hidden.systems import SYSTEMS, HiddenSystem
 
 BEGIN = 64

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 from tests.benchmarks.hidden import equations
 
 TEST_STEPS = 1000

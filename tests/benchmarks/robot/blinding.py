@@ -11,7 +11,7 @@ import numpy as np
 
 from hardware.link.messages import State, StatusMessage
 from hardware.recording.journal import read_journal
-from hardware.recording.raw_log import raw_log
+from hardware.recording.journal_reader import raw_log
 from hardware.toy_car import CAR
 from sysid_evo.data.preparation import prepare
 from tests.benchmarks.robot.outcome import Row, spread

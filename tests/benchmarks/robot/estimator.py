@@ -12,16 +12,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hardware.emulation.emulated_robot import EmulatedConnection
-from hardware.listener import Listener
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.delay import EstimateDelay, estimator_delays, measure_delays
-from hardware.loop.estimator import LAG, WINDOW, PoseEstimator
-from hardware.loop.pilot import Estimate, Pilot
-from hardware.measurement import Measurement
-from hardware.recording.excitation import Manoeuvre, excitation
-from sysid_evo.arrays import Array
+from hardware.connection import Listener, Measurement
+from hardware.control_loop import ControlLoop, Pilot
+from hardware.emulation.tracked_robots import EmulatedConnection
+from hardware.estimator import LAG, WINDOW, Estimate, EstimateDelay, PoseEstimator, estimator_delays, measure_delays
+from hardware.recording.manoeuvres import Manoeuvre, excitation
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 
 class Witness(Listener):

@@ -14,18 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
+from hardware.connection import Command, Listener, Measurement
+from hardware.control_loop import ControlLoop, Pilot
+from hardware.estimator import Estimate
 from hardware.link.serial_robot import SerialRobot
-from hardware.listener import Command, Listener
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.pilot import Estimate, Pilot
-from hardware.loop.report import LoopReport
-from hardware.loop.stops import Stops
-from hardware.measurement import Measurement
-from hardware.recording.recorder import Recorder
+from hardware.recording.journal import Recorder
+from hardware.run_report import LoopReport, Stops
 from hardware.toy_car import CAR
 from hardware.trackers.udp import UdpTracker
-from sysid_evo.arrays import Array
 from sysid_evo.errors import IncompatibleRobot, LinkLost
+from sysid_evo.types import Array
 from tests.rig.journal import JournalWriter
 
 BODY = "car"

@@ -10,10 +10,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from hardware.connection import Session
 from hardware.link.framing import FrameDecoder
 from hardware.link.messages import Message, unpack
 from hardware.recording.journal import SUFFIX
-from hardware.session import Session
 from tests.rig.faults import Fault
 from tests.rig.journal import Entry, JournalReader, read_journal
 from tests.rig.terminal_process import TerminalProcess

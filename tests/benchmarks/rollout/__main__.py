@@ -19,13 +19,13 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
+from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 from tests.benchmarks.rollout.families import Case, cases, recording
 from tests.benchmarks.rollout.timing import in_turn
 

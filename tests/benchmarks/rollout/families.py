@@ -15,13 +15,13 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
 
 from hardware.robot import Robot
-from model_zoo.channels.command_cells import CommandCells
-from model_zoo.nearest_neighbour import NearestNeighbour
-from model_zoo.parametrised import Parametrised
-from sysid_evo.arrays import Array
+from model_zoo.car.parametrised import Parametrised
+from model_zoo.control_grid import CommandCells
+from model_zoo.neighbours import NearestNeighbour
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.dynamics import Dynamics, training_envelope
-from sysid_evo.engine.kernels import (
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models import Dynamics, training_envelope
+from sysid_evo.models.kernels import (
     command_network_predictor,
     network_predictor,
     polynomial_predictor,
@@ -29,9 +29,9 @@ from sysid_evo.engine.kernels import (
     separate_networks_predictor,
     stepping_kernel,
 )
-from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 
 HIDDEN = 10
 ITERATIONS = 150

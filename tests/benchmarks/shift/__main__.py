@@ -24,15 +24,15 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.comparison.model_cells import with_preset
+from evaluation.planning import with_preset
 from evaluation.prediction import MeasuredCases, PredictionProtocol, measured_cases
-from evaluation.prediction.bootstrap import BlockErrors, interval
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidData
-from sysid_evo.registry import Spec, make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
+from sysid_evo.types import Array
+from sysid_evo.validation.bootstrap import BlockErrors, interval
 from tests.benchmarks.shift.recordings import GROUPS, Case, cases
 from tests.benchmarks.shift.rows import MARKED, Row, errors_table, read_rows, verdicts_table, write_rows
 

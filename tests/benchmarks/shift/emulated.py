@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.emulated_car import REPEATS, CarPhysics
-from hardware.emulation.emulated_robot import EmulatedRobot
+from hardware.emulation.car_physics import CarParameters
+from hardware.emulation.cars import REPEATS, CarPhysics
+from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.models import Dynamics
 
 EPISODE = 20.0  # s
 HELD = (4, 16)

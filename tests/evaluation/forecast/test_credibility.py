@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.forecast import Rule, credibilities, weighted_median
+from evaluation.transfer.forecast import Rule, credibilities, weighted_median
 
 NONE_OWN = np.zeros(2, dtype=bool)
 RULE = Rule(power=2.0, own=0.5)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.forecast import RULE, Rule, forecast_of, forecasts, model_forecasts, summary_of, worth_by
 from evaluation.transfer import Cell, Estimate, TransferMatrix
+from evaluation.transfer.forecast import RULE, Rule, forecast_of, forecasts, model_forecasts, worth_by
+from evaluation.transfer.summary import summary_of
 from tests.evaluation.made_up import evolved, matrix
 
 ERRORS = {"good": 0.1, "fair": 0.2, "poor": 1.0}

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from evaluation.report import Report, to_json
-from evaluation.report.forecasting import forecast_sheet, model_forecast_sheet, why_chosen
-from evaluation.report.sections import sections
+from evaluation.report.report import sections
+from evaluation.report.sections.controllers import forecast_sheet, model_forecast_sheet, why_chosen
 from tests.evaluation.made_up import matrix, prediction, report
 
 FITNESS = {

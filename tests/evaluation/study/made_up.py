@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evaluation.study import ControllerRow, ModelRow, PointRow, Study, StudyResults
-from evaluation.study.gathering import with_yardsticks
-from evaluation.study.results import CellTime, Error
+from evaluation.study.results import CellTime, Error, with_yardsticks
 
 CARS = ("emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)")
 

@@ -42,7 +42,7 @@ COMMAND = ("study", "small.toml", "--jobs", "1")
 PRESSABLE = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
-from sysid_evo.cli import main
+from sysid_evo.__main__ import main
 main()
 """
 

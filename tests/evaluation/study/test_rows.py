@@ -22,9 +22,8 @@ from evaluation.study import (
     forecast_figures,
     prediction_figures,
 )
-from evaluation.study.gathering import with_yardsticks
-from evaluation.study.models import prediction_axes
-from evaluation.study.results import Error
+from evaluation.study.figures import prediction_axes
+from evaluation.study.results import Error, with_yardsticks
 from tests.evaluation.study.made_up import made_up
 
 

@@ -10,16 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.study import (
-    PlannedStudy,
-    Study,
-    StudyResults,
-    controller_figures,
-    finish,
-    gather,
-    plan_study,
-    run_study,
-)
+from evaluation.running import finish, run_study
+from evaluation.study import PlannedStudy, Study, StudyResults, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Again, Cell, Silent, Store, execute
 

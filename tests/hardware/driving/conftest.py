@@ -6,10 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
+from hardware.connection import Command, Listener, Measurement
 from hardware.driving.keyboard import Keyboard, key_life
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.listener import Command, Listener
-from hardware.measurement import Measurement
+from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.registry import make_robot
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from hardware.driving.controller_panel import (
+from hardware.driving.controller_driving import (
     CONTROLLED,
     FINISHED,
     ControllerPanel,
@@ -22,14 +22,14 @@ from hardware.driving.controller_panel import (
 )
 from hardware.driving.keyboard import Keyboard
 from hardware.driving.server import PageServer
-from hardware.loop.report import Reason
-from hardware.loop.robot_runner import RobotRunner
-from hardware.loop.stops import Stops
+from hardware.driving.trials import RobotRunner
 from hardware.robot import find_robot
+from hardware.run_report import Reason, Stops
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import Rollouts
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_controller, make_task
 from sysid_evo.tasks import Task
+from sysid_evo.tasks.task import make_task
 from tests.browser import Visitor, sideways
 from tests.pixels import seen
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.driving.human_pilot import HumanPilot, Phase
+from hardware.control_loop import ControlLoop
+from hardware.driving.hand_driving import LEAD, HumanPilot, Phase, WhileDriving
 from hardware.driving.keyboard import FORWARD, LEFT
-from hardware.driving.while_driving import LEAD, WhileDriving
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.emulation.modelled_robot import ModelledRobot
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.pilot import Estimate
-from hardware.loop.report import Reason
+from hardware.emulation.tracked_robots import EmulatedRobot, ModelledRobot
+from hardware.estimator import Estimate
+from hardware.run_report import Reason
 from sysid_evo.tasks import PointToPoint
 from tests.hardware.driving.conftest import Hands
 

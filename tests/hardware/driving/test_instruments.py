@@ -7,11 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from hardware.driving.human_pilot import HumanPilot
-from hardware.driving.instruments import Instruments
+from hardware.control_loop import ControlLoop
+from hardware.driving.hand_driving import HumanPilot, Instruments
 from hardware.driving.keyboard import FORWARD
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.loop.control_loop import ControlLoop
+from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.tasks import PointToPoint
 from tests.hardware.driving.conftest import Hands
 

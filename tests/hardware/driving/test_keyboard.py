@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.driving.keyboard import BACKWARD, FORWARD, LEFT, RIGHT, Keyboard, Punctuality, control_of, key_life
-from hardware.driving.seats import InvalidWord, Seats
+from hardware.driving.keyboard import (
+    BACKWARD,
+    FORWARD,
+    LEFT,
+    RIGHT,
+    InvalidWord,
+    Keyboard,
+    Punctuality,
+    Seats,
+    control_of,
+    key_life,
+)
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System

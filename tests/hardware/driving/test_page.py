@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 from playwright.sync_api import Error, Page, expect
 
-from hardware.driving.instruments import Instruments
+from hardware.connection import Command, Listener
+from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
 from hardware.driving.server import PageServer
-from hardware.driving.session import HandDriving, HandTrial
-from hardware.emulation.pacing import in_real_time
-from hardware.listener import Command, Listener
-from hardware.loop.report import Reason
-from hardware.loop.stops import Stops
+from hardware.emulation.simulated_robot import in_real_time
+from hardware.run_report import Reason, Stops
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from tests.browser import Visitor

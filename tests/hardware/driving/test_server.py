@@ -14,16 +14,13 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hardware.driving.human_pilot import Phase
-from hardware.driving.instruments import Instruments
+from hardware.connection import Command, Listener
+from hardware.driving.hand_driving import HandDriving, Instruments, Phase
 from hardware.driving.keyboard import FORWARD, HOLD, Keyboard, key_life
 from hardware.driving.server import PageServer
-from hardware.driving.session import HandDriving
-from hardware.emulation.pacing import in_real_time
-from hardware.listener import Command, Listener
-from hardware.loop.report import Reason
-from hardware.loop.stops import Stops
+from hardware.emulation.simulated_robot import in_real_time
 from hardware.robot import Robot
+from hardware.run_report import Reason, Stops
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.models import Dynamics
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 
 class Delayed(Dynamics):

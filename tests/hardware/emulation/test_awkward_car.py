@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.awkward_car import AWKWARD, AwkwardCar
-from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.emulated_car import CarPhysics
-from sysid_evo.arrays import Array
+from hardware.emulation.car_physics import CarParameters
+from hardware.emulation.cars import AWKWARD, AwkwardCar, CarPhysics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 SECOND = 200  # fine steps
 

@@ -7,18 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hardware.emulation.awkward_car import AWKWARD
-from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.car_physics import BODY, BUFFER
-from hardware.emulation.emulated_car import CarPhysics
+from hardware.emulation.car_physics import BODY, BUFFER, CarParameters
+from hardware.emulation.cars import AWKWARD, CarPhysics
 from hardware.emulation.held_control import HeldControl
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
+from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.types import Array
 from tests.hardware.emulation.delayed import Delayed
 
 Step = Callable[[Array, Array, Array], Array]

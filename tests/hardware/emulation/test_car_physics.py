@@ -7,11 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hardware.emulation.car_parameters import FINE_DT, CarParameters
-from hardware.emulation.car_physics import BODY, LATENCY
-from hardware.emulation.emulated_car import CarPhysics
-from sysid_evo.arrays import Array
+from hardware.emulation.car_physics import BODY, FINE_DT, LATENCY, CarParameters
+from hardware.emulation.cars import CarPhysics
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.types import Array
 
 MOTOR, SAG, BATTERY, SLACK, STEERING, FORCE_NOISE = range(BODY, BODY + 6)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.emulated_robot import EmulatedRobot
 from hardware.emulation.held_control import HeldControl
+from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.robot import Robot
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, LinkLost, ShapeError
+from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 
 FORWARD = np.array([1.0, 0.0])
 

@@ -7,13 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from hardware.emulation.equations import Equations
-from hardware.emulation.sensed_robot import SensedRobot, Sensor
+from hardware.emulation.sensed_robot import Equations, SensedRobot, Sensor
 from sysid_evo.angles import TURN
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument, InvalidSystem, ShapeError
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 
 class Decay(Equations):

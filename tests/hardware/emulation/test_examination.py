@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.equations import Equations
-from hardware.emulation.sensed_robot import SensedRobot
-from hardware.finding import Finding
-from hardware.loop.report import Reason
-from hardware.loop.stops import Stops
+from hardware.emulation.sensed_robot import Equations, SensedRobot
 from hardware.robot import find_robot
-from sysid_evo.arrays import Array
+from hardware.run_report import Reason, Stops
+from hardware.self_test import Finding
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 
 class Tank(Equations):

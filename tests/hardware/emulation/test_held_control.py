@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.emulated_car import CarPhysics
+from hardware.emulation.cars import CarPhysics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot

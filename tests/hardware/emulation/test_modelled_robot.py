@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.modelled_robot import FRAMES, LEAD, ModelledRobot
-from sysid_evo.dynamics import Dynamics
+from hardware.emulation.tracked_robots import FRAMES, LEAD, ModelledRobot
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, LinkLost
+from sysid_evo.models import Dynamics
 from sysid_evo.system import System
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.optical_tracker import CORRELATION, HEADING_ERROR, POSITION_ERROR, OpticalTracker
+from hardware.emulation.tracked_robots import CORRELATION, HEADING_ERROR, POSITION_ERROR, OpticalTracker
 
 
 def test_errors_have_the_stated_size_and_correlation(rng):

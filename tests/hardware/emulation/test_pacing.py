@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from hardware.emulation.emulated_robot import TRACKER_DELAY
-from hardware.emulation.pacing import PacedRobot, in_real_time
+from hardware.emulation.simulated_robot import PacedRobot, in_real_time
+from hardware.emulation.tracked_robots import TRACKER_DELAY
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import make_robot
 

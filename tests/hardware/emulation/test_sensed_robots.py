@@ -13,8 +13,8 @@ from hardware.emulation.pendulum import TORQUE, PendulumParameters, PendulumPhys
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, rate
 from hardware.emulation.thermal import FINE_DT, LATENCY, ROOM, ThermalParameters, ThermalPhysics
 from hardware.robot import find_robot
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.types import Array
 
 ALMOST_NONE = 1e-9
 NAMES = ("pendulum", "cart_pole", "thermal")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hardware.environments.environment_task import EnvironmentTask
-from hardware.environments.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_task import EnvironmentTask
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds

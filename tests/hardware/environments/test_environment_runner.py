@@ -9,13 +9,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hardware.environments.gymnasium_robot import GymnasiumRobot
-from sysid_evo.arrays import Array, Seeds
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task, TaskState
+from sysid_evo.types import Array, Seeds
 
 from .small import BREAKS, NAME, register
 

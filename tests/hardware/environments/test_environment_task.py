@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.environments.environment_task import RULES, EnvironmentTask
-from hardware.environments.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_task import RULES, EnvironmentTask
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum
 

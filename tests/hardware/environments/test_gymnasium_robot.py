@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.environments.gymnasium_robot import GymnasiumRobot
-from hardware.environments.spaces import parse_angles
 from hardware.robot import find_robot
+from hardware.simulators.gymnasium_robot import GymnasiumRobot, parse_angles
 from hardware.testing import check_robot
 from sysid_evo.angles import TURN
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.environments.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from tests.benchmarks.environments import EQUATIONS, Equations
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.environments.gymnasium_robot import GymnasiumRobot
-from hardware.loop.report import Reason
-from hardware.loop.stops import Stops
 from hardware.preflight import check_recording
+from hardware.run_report import Reason, Stops
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 
 from .small import BREAKS, NAME, register
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware.link.buttons import buttons_of
 from hardware.link.messages import Buttons
+from hardware.link.serial_robot import buttons_of
 from hardware.link.session import HostSession
-from sysid_evo.arrays import Array
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Real, c_text, law_of
+from sysid_evo.types import Array
 from tests.rig.build import FOLDER, SOURCES, WARNINGS, compiler
 from tests.sysid_evo.export.made import champion_of, decided, wandering
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.link.buttons import buttons_of, control_of
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import EXCLUSIVE, MESSAGES, Buttons, unpack
+from hardware.link.serial_robot import buttons_of, control_of
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, ShapeError
 

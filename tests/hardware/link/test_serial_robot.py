@@ -14,12 +14,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.link import serial_connection
+from hardware.connection import Measurement
+from hardware.link import serial_robot
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, Message, State, unpack
 from hardware.link.port import SerialPort
 from hardware.link.serial_robot import SerialRobot
-from hardware.measurement import Measurement
 from hardware.robot import Robot
 from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
@@ -94,7 +94,7 @@ def until(condition: Callable[[], bool], act: Callable[[], object]) -> None:
         act()
 
 
-def drive(connection: serial_connection.SerialConnection) -> None:
+def drive(connection: serial_robot.SerialConnection) -> None:
     connection.send(FORWARD, valid_for=LIFE)
     connection.measure(0.02)
 

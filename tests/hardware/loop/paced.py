@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from hardware.measurement import Measurement
-from hardware.robot import Connection
-from sysid_evo.arrays import Array
+from hardware.connection import Connection, Measurement
+from sysid_evo.types import Array
 
 FRAME = 0.005  # s
 

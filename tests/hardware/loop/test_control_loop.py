@@ -5,8 +5,8 @@ import gc
 import numpy as np
 import pytest
 
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.report import Reason
+from hardware.control_loop import ControlLoop
+from hardware.run_report import Reason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.loop.delay import estimator_delays, known_drive, measure_delays
-from hardware.loop.estimator import LAG, WINDOW, PoseEstimator
-from hardware.loop.pilot import Estimate
-from hardware.measurement import Measurement
-from sysid_evo.arrays import Array
+from hardware.connection import Measurement
+from hardware.estimator import LAG, WINDOW, Estimate, PoseEstimator, estimator_delays, known_drive, measure_delays
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 CAR = System(
     (Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),

@@ -10,14 +10,15 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from hardware.loop.robot_runner import RobotRunner
-from sysid_evo.arrays import Array
+from hardware.driving.trials import RobotRunner
 from sysid_evo.controllers import Controller, View
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Law, c_text, law_of
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_controller, make_robot
+from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 from tests.rig.build import WARNINGS, compiler
 from tests.sysid_evo.export.made import champion_of
 

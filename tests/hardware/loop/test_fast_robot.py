@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.loop.report import LoopReport, Reason
-from hardware.recording.excitation import Manoeuvre
+from hardware.connection import GateLimits
+from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal import read_journal
-from hardware.recording.scripted import record
-from hardware.trackers.gates import GateLimits
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import Dynamics
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import record
+from hardware.run_report import LoopReport, Reason
+from sysid_evo.models import Dynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 
 class Sled(Dynamics):

@@ -7,19 +7,17 @@ from typing import Self
 import numpy as np
 import pytest
 
-from hardware.loop.pilot import Estimate
-from hardware.loop.report import Reason
-from hardware.loop.robot_runner import RobotRunner
-from hardware.loop.stops import Stops
-from hardware.loop.trials import RestWatch, Tape
+from hardware.driving.trials import RestWatch, RobotRunner, Tape
+from hardware.estimator import Estimate
 from hardware.robot import Robot
-from sysid_evo.arrays import Array
+from hardware.run_report import Reason, Stops
 from sysid_evo.controllers import Controller, View
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.tasks.point_to_point import PointToPointState
+from sysid_evo.types import Array
 
 from .through import Diary, FaultyRobot
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hardware.loop.self_test import self_test
 from hardware.robot import Robot
+from hardware.self_test import self_test
 from sysid_evo.registry import make_robot
 
 from .through import FaultyRobot

@@ -11,11 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hardware.loop.control_loop import ControlLoop
-from hardware.loop.report import LoopReport, Reason
-from hardware.loop.stops import SIGNALS, Stops
-from sysid_evo.arrays import Array
+from hardware.control_loop import ControlLoop
+from hardware.run_report import SIGNALS, LoopReport, Reason, Stops
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 from .paced import Paced
 from .through import Script

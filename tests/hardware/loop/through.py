@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hardware.listener import Command, Listener, RobotStatus
-from hardware.loop.pilot import Estimate, Pilot
-from hardware.measurement import Measurement
-from hardware.robot import Connection, Robot
+from hardware.connection import Command, Connection, Listener, Measurement, RobotStatus
+from hardware.control_loop import Pilot
+from hardware.estimator import Estimate
+from hardware.robot import Robot
 from sysid_evo.angles import rotate
-from sysid_evo.arrays import Array
 from sysid_evo.errors import LinkLost
+from sysid_evo.types import Array
 
 
 @dataclasses.dataclass

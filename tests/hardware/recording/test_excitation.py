@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.recording.excitation import excitation
+from hardware.recording.manoeuvres import excitation
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel

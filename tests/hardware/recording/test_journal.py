@@ -16,14 +16,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.listener import Command, RobotStatus
-from hardware.measurement import Measurement
-from hardware.recording.journal import MAGIC, SCHEMA, Journal, read_journal
-from hardware.recording.raw_log import raw_log
-from hardware.recording.recorder import Recorder
-from hardware.recording.records import LONGEST
+from hardware.connection import Command, GateLimits, Measurement, RobotStatus
+from hardware.recording.journal import LONGEST, MAGIC, SCHEMA, Journal, Recorder, read_journal
+from hardware.recording.journal_reader import raw_log
 from hardware.toy_car import CAR
-from hardware.trackers.gates import GateLimits
 from sysid_evo.errors import InvalidArgument, InvalidData
 from tests.benchmarks.recorder import kill_once
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.emulation.car_parameters import CarParameters
-from hardware.recording.measuring import KINDS, measuring
+from hardware.emulation.car_physics import CarParameters
+from hardware.recording.manoeuvres import KINDS, measuring
 from hardware.robot import find_robot
 from sysid_evo.data import Dataset
-from sysid_evo.data.measured import Measured, measured
+from sysid_evo.data.response import Measured, measured
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.system import Channel, System
 

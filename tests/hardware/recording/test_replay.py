@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.measurement import Measurement
-from hardware.recording.recorder import Recorder
+from hardware.connection import Measurement
+from hardware.recording.journal import Recorder
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
 from sysid_evo.system import System

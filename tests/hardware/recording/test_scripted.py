@@ -7,23 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.emulation.car_parameters import CarParameters
-from hardware.emulation.emulated_car import CarPhysics
-from hardware.emulation.emulated_robot import EmulatedRobot
-from hardware.loop.report import Reason
-from hardware.loop.stops import Stops
-from hardware.measurement import Measurement
-from hardware.recording.excitation import Manoeuvre, excitation
+from hardware.connection import Connection, Measurement
+from hardware.emulation.car_physics import CarParameters
+from hardware.emulation.cars import CarPhysics
+from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal_reader import JournalReader
-from hardware.recording.scripted import logs_of, prepared, record, record_dataset, save_raw
-from hardware.robot import Connection, Robot
-from sysid_evo.arrays import Array
+from hardware.recording.manoeuvres import Manoeuvre, excitation
+from hardware.recording.record import logs_of, prepared, record, record_dataset, save_raw
+from hardware.robot import Robot
+from hardware.run_report import Reason, Stops
 from sysid_evo.data.columns import load_columns
 from sysid_evo.data.preparation import prepare
+from sysid_evo.data.readers import CsvReader
 from sysid_evo.data.reading import read_dataset
-from sysid_evo.data.tables import CsvReader
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import make_robot
+from sysid_evo.types import Array
 
 
 class Watched(Connection):

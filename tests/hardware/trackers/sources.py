@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hardware.measurement import Measurement
+from hardware.connection import Measurement
 from hardware.trackers.motion_capture import MotionCaptureTracker
 from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import TrackerStream

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.measurement import Measurement
-from hardware.trackers.gates import GateLimits, PoseGate
+from hardware.connection import GateLimits, Measurement
+from hardware.gate import PoseGate
 from sysid_evo.errors import InvalidArgument
 
 RATE = 200.0  # Hz

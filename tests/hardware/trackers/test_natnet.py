@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from hardware.trackers.axes import Axes
+from hardware.trackers.tracker import Axes
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import trackers
 

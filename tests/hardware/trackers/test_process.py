@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.measurement import Measurement
+from hardware.connection import Measurement
 from hardware.trackers.process import RECORD, record_of
 from sysid_evo.errors import InvalidArgument, LinkLost, MissingExtra
 from sysid_evo.registry import trackers

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.trackers.source_clock import LEAK, SourceClock
+from hardware.trackers.tracker import LEAK, SourceClock
 
 
 def mapped(clock: SourceClock, source, arrival):

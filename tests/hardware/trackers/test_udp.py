@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.trackers.message import FrameMessage, parse_message
-from hardware.trackers.udp import UdpStream, UdpTracker
+from hardware.trackers.udp import FrameMessage, UdpStream, UdpTracker, parse_message
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
 from tests.rig.pose_stream import format_message

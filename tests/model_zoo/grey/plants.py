@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from model_zoo.grey import GreyBox, Hidden, Parameter
-from sysid_evo.arrays import Array
+from model_zoo.grey_box import GreyBox, Hidden, Parameter
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 ANGLE, SPIN = Channel("angle", "rad", period=2.0 * np.pi), Channel("spin", "rad/s")
 PENDULUM = System((ANGLE, SPIN), (Channel("torque", "N m", -2.0, 2.0),), 0.05)

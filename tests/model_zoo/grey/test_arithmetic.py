@@ -8,8 +8,8 @@ from math import atan2, sin
 import numpy as np
 import pytest
 
-from model_zoo.grey.arithmetic import array_form
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.laws import array_form
 
 SHARE = 0.25
 

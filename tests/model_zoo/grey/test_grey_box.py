@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from model_zoo.grey import GreyBox, Hidden, Parameter
-from sysid_evo.cli.cards import card_table, model_card
+from model_zoo.grey_box import GreyBox, Hidden, Parameter
+from sysid_evo.cli.models import card_table, model_card
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.registry import make_model, models
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.testing import run_checks
 from tests.model_zoo.grey.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from hardware.emulation.car_parameters import CarParameters
-from hardware.recording.measuring import measuring
-from hardware.recording.scripted import record_dataset
+from hardware.emulation.car_physics import CarParameters
+from hardware.recording.manoeuvres import measuring
+from hardware.recording.record import record_dataset
 from hardware.robot import find_robot
-from model_zoo.car.single_track import MAGIC, PARAMETERS, magic, pacejka_rate, tanh_rate
-from model_zoo.single_track import SingleTrack
+from model_zoo.car.single_track import MAGIC, PARAMETERS, SingleTrack, magic, pacejka_rate, tanh_rate
 from sysid_evo.data import Dataset
-from sysid_evo.data.measured import measured
+from sysid_evo.data.response import measured
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 OUTPUT_ONLY = System((Channel("position", "m"),), (Channel("force", "N", low=-1.0, high=1.0),), dt=0.1)
 OSCILLATOR = np.array([[0.98, 0.15], [-0.15, 0.95]])

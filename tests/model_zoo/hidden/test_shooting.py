@@ -7,17 +7,18 @@ import warnings
 import numpy as np
 import pytest
 
-from model_zoo.hidden import learning
-from model_zoo.hidden.learning import Lesson, radius, stabilised
-from model_zoo.hidden.mixtures import GATE, SHARP, SHARP_INPUT, networks
-from model_zoo.hidden.records import Record, Segments
-from model_zoo.hidden.shooting import FAR, Spaces, train
-from model_zoo.hidden.subspace import flowing
-from model_zoo.hidden.units import UNITS
-from sysid_evo.arrays import Array
+from model_zoo.state_space import estimation
+from model_zoo.state_space.estimation import Lesson, radius, stabilised
+from model_zoo.state_space.nonlinear_state_space import networks
+from model_zoo.state_space.recordings import Record, Segments
+from model_zoo.state_space.shooting import FAR, Spaces, train
+from model_zoo.state_space.subspace import flowing
+from model_zoo.state_space.units import GATE, SHARP_INPUT, UNITS
+from model_zoo.state_space.units import MIXTURES_SHARP as SHARP
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.registry import make_model
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models.base import make_model
+from sysid_evo.types import Array
 from tests.model_zoo.hidden.small import OSCILLATOR, OUTPUT_ONLY, recording
 
 
@@ -182,11 +183,11 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
     three = networks(trained.spaces, [(SHARP,)] * 3, 1, np.random.default_rng(0))
     three.inner[2, 0] = [1.0, 0.0, 0.0, -place]
     three.outer[2, 0] += [steep / 2, 0.0, 0.0, -steep * place / 2, steep]
-    told = getattr(learning, name)
+    told = getattr(estimation, name)
     for other, none in (("SLOWER", 1), ("LOUDER", 1), ("SHUFFLES", 0)):
-        monkeypatch.setattr(learning, other, none)
+        monkeypatch.setattr(estimation, other, none)
     assert not lesson.escapes(three, observers).any()
-    monkeypatch.setattr(learning, name, told)
+    monkeypatch.setattr(estimation, name, told)
     assert lesson.escapes(three, observers).tolist() == [False, False, True]
     assert not lesson.escapes(three[[0, 2]], observers[:2]).any()
 

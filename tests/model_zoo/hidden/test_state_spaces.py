@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.registry import make_model
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
 from tests.model_zoo.hidden.small import chain, recording
 
 
@@ -106,7 +106,7 @@ def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_bet
     data = recording(0, 300, bend=0.03)
     passed, stopped = (make_model(family, **FEW) for _ in range(2))
     assert not passed.fit(data, rng=0).fit_note
-    monkeypatch.setattr("model_zoo.hidden.ensemble.BETTER", 0.0)
+    monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.BETTER", 0.0)
     assert "linear state space" in stopped.fit(data, rng=0).fit_note
     assert [len(units) for units in stopped.inner_] == [0]
     windows = recording(1).windows(1, stride=20, history=stopped.n_lags)

@@ -2,13 +2,13 @@
 
 from tests.mutation.change import Change
 
-GATE = "sysid_evo/adaptation/gate.py"
-ADAPTING = "sysid_evo/adaptation/adapting.py"
+GATE = "sysid_evo/models/adaptation/selection.py"
+ADAPTING = "sysid_evo/models/adaptation/selection.py"
 TEST_WHAT_THE_GATE_SAYS = "tests/sysid_evo/adaptation/test_what_the_gate_says.py"
 TEST_ADAPTED = "tests/model_zoo/test_adapted.py"
 TEST_GIVEN_UP = "tests/model_zoo/test_given_up.py"
 TEST_GATE = "tests/sysid_evo/adaptation/test_gate.py"
-HOME, TEST_HOME = "sysid_evo/adaptation/home.py", "tests/sysid_evo/adaptation/test_home.py"
+HOME, TEST_HOME = "sysid_evo/models/adaptation/selection.py", "tests/sysid_evo/adaptation/test_home.py"
 
 CHANGES = (
     Change(
@@ -48,14 +48,14 @@ CHANGES = (
     ),
     Change(
         "auto knows how far off it is on what it has learned from",
-        "model_zoo/auto.py",
+        "model_zoo/auto/model.py",
         "nothing_held_out = any(seen is held for seen, held in pairs)",
         "nothing_held_out = False",
         ("tests/model_zoo/test_auto.py",),
     ),
     Change(
         "better in one block is enough",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "return max(self.each) <= 1.0 - IN_EACH",
         "return min(self.each) <= 1.0 - IN_EACH",
         (
@@ -65,7 +65,7 @@ CHANGES = (
     ),
     Change(
         "a tenth is enough",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "BETTER = 0.15",
         "BETTER = 0.14",
         (
@@ -75,7 +75,7 @@ CHANGES = (
     ),
     Change(
         "three percent in each block are enough",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "IN_EACH = 0.05",
         "IN_EACH = 0.045",
         (
@@ -85,7 +85,7 @@ CHANGES = (
     ),
     Change(
         "a correction is sure at 97 % of Student's t",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "CONFIDENCE = 0.975",
         "CONFIDENCE = 0.97",
         (
@@ -95,7 +95,7 @@ CHANGES = (
     ),
     Change(
         "two seconds are sure",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "if len(gains) < 3:",
         "if len(gains) < 2:",
         (
@@ -105,7 +105,7 @@ CHANGES = (
     ),
     Change(
         "the error of a mean is that of n",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "gains.std(ddof=1)",
         "gains.std()",
         (
@@ -145,7 +145,7 @@ CHANGES = (
     ),
     Change(
         "a window that reaches over the edge is held back",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "(first >= self.low) & (first + self.horizon <= self.high)",
         "(first >= self.low) & (first <= self.high)",
         (
@@ -155,7 +155,7 @@ CHANGES = (
     ),
     Change(
         "a window that reaches into the block is learned from",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "(first + self.horizon <= self.low) | (first >= self.high)",
         "(first <= self.low) | (first >= self.high)",
         (
@@ -165,7 +165,7 @@ CHANGES = (
     ),
     Change(
         "the second episode counts from the first",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "begin += len(episode)",
         "begin += 0",
         (
@@ -175,7 +175,7 @@ CHANGES = (
     ),
     Change(
         "the part before a block is left out",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "((0, low), (high, len(episode))) if b > a",
         "((high, len(episode)),) if b > a",
         (
@@ -185,7 +185,7 @@ CHANGES = (
     ),
     Change(
         "blocks begin where the first window does",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "edges[0], edges[-1] = 0, int(first.max()) + horizon",
         "edges[0], edges[-1] = int(first.min()), int(first.max())",
         (
@@ -195,7 +195,7 @@ CHANGES = (
     ),
     Change(
         "blocks without windows are blocks",
-        GATE,
+        "sysid_evo/validation/folds.py",
         "if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []",
         "",
         (
@@ -205,7 +205,7 @@ CHANGES = (
     ),
     Change(
         "seconds that one of both has count",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "first.keys() & second.keys()",
         "first.keys()",
         (
@@ -265,28 +265,28 @@ CHANGES = (
     ),
     Change(
         "more training is believed as a correction is",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "CONFIDENCE_OF_TRAINING = 1.0, 0.99",
         "CONFIDENCE_OF_TRAINING = 1.0, 0.985",
         (TEST_GATE,),
     ),
     Change(
         "a mean is believed as a correction is",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         'if kind in ("further", "mean"):',
         'if kind == "further":',
         (TEST_GATE,),
     ),
     Change(
         "what is asked of more training shrinks with the seconds",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "/ np.sqrt(max(1, len(gains)))",
         "/ max(1, len(gains))",
         (TEST_GATE,),
     ),
     Change(
         "what is asked of more training is asked of it alone",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "self.error <= 1.0 - self.asked",
         "self.error <= 1.0 - BETTER",
         (TEST_GATE,),
@@ -300,7 +300,7 @@ CHANGES = (
     ),
     Change(
         "what has failed must have done so in all blocks",
-        GATE,
+        "sysid_evo/validation/acceptance.py",
         "return any(_share(*pair)",
         "return all(_share(*pair)",
         (TEST_GATE,),

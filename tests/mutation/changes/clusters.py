@@ -2,11 +2,11 @@
 
 from tests.mutation.change import Change
 
-DISPATCH = "sysid_evo/plan/dispatch.py"
-REMOTE = "sysid_evo/plan/remote.py"
-SCHEDULER = "sysid_evo/plan/scheduler.py"
-PARCELS = "sysid_evo/plan/parcels.py"
-CLUSTER = "sysid_evo/plan/cluster.py"
+DISPATCH = "sysid_evo/plan/dask_executor.py"
+REMOTE = "sysid_evo/plan/dask_worker.py"
+SCHEDULER = "sysid_evo/plan/dask_executor.py"
+PARCELS = "sysid_evo/plan/store.py"
+CLUSTER = "sysid_evo/plan/dask_executor.py"
 TEST_DISPATCH = "tests/sysid_evo/plan/test_dispatch.py"
 TEST_REMOTE = "tests/sysid_evo/plan/test_remote.py"
 TEST_SCHEDULER = "tests/sysid_evo/plan/test_scheduler.py"
@@ -308,7 +308,7 @@ CHANGES = (
     Change("what is away leaves no less room", CLUSTER, " - len(self.away)\n", "\n", (TEST_WHAT_IS_LOST,)),
     Change(
         "what needs a cell that stays here is sent",
-        CLUSTER,
+        "sysid_evo/plan/plan.py",
         "if cell.at_home or any(needed.digest in found for needed in cell.needs):",
         "if cell.at_home:",
         (TEST_WHAT_IS_LOST,),

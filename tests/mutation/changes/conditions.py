@@ -2,13 +2,13 @@
 
 from tests.mutation.change import Change
 
-ELSEWHERE = "model_zoo/validation/elsewhere.py"
-ADAPTED = "model_zoo/adapted.py"
-MEAN = "model_zoo/selection/mean.py"
-MLP_ENSEMBLE = "model_zoo/mlp_ensemble.py"
-NETWORK_RATE = "model_zoo/flows/network_rate.py"
-FLOW_TRAINING = "model_zoo/flows/training.py"
-MULTISTEP = "model_zoo/networks/multistep.py"
+ELSEWHERE = "sysid_evo/models/adaptation/adapted.py"
+ADAPTED = "sysid_evo/models/adaptation/adapted.py"
+MEAN = "sysid_evo/models/ensemble.py"
+MLP_ENSEMBLE = "model_zoo/networks/mlp_ensemble.py"
+NETWORK_RATE = "model_zoo/networks/neural_ode.py"
+FLOW_TRAINING = "model_zoo/networks/neural_ode.py"
+MULTISTEP = "model_zoo/networks/training.py"
 AVERAGE = "model_zoo/average.py"
 TEST_CALIBRATED_ELSEWHERE = "tests/model_zoo/test_calibrated_elsewhere.py"
 TEST_TRAINED_FURTHER = "tests/model_zoo/test_trained_further.py"

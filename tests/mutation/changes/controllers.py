@@ -22,14 +22,14 @@ CHANGES = (
     ),
     Change(
         "a plan believes the most hopeful of several models",
-        "sysid_evo/controllers/predictive.py",
+        "sysid_evo/predictive_control.py",
         "scores = np.min(",
         "scores = np.max(",
         (f"{PLANNING}::test_the_lowest_score_of_several_models_counts",),
     ),
     Change(
         "a plan knows the waypoint after the next",
-        "sysid_evo/controllers/predictive.py",
+        "sysid_evo/predictive_control.py",
         "known = self.task.foreseen(view.task_state)",
         "known = view.task_state",
         (f"{PLANNING}::test_it_does_not_know_the_waypoint_after_the_next",),
@@ -63,14 +63,14 @@ CHANGES = (
     ),
     Change(
         "a plan on which the model diverges scores like any other",
-        "sysid_evo/controllers/imagination.py",
+        "sysid_evo/engine/imagined.py",
         "np.where(lost, task.worst - 1.0, scores)",
         "scores",
         (f"{PLANNING}::test_a_sequence_on_which_the_model_diverges_is_the_worst",),
     ),
     Change(
         "a controller with a model of the comparison inside does not depend on its fit",
-        "evaluation/comparison/hand_written.py",
+        "evaluation/cells/controllers.py",
         "return tuple(self.models.values())",
         "return ()",
         (
@@ -80,7 +80,7 @@ CHANGES = (
     ),
     Change(
         "a robot meets the noise that is usual for models",
-        "evaluation/comparison/recipes.py",
+        "evaluation/cells/controllers.py",
         "if experiment.noise is None and any(",
         "if experiment.noise == 'never' and any(",
         (

@@ -9,21 +9,21 @@ TEST_WINDOWS = ("tests/data/test_dataset.py",)
 CHANGES = (
     Change(
         "the vertex of the delay search lies on the wrong side of the peak",
-        "sysid_evo/data/delays.py",
+        "sysid_evo/data/response.py",
         "float(0.5 * (before - after) / bend)",
         "float(0.5 * (after - before) / bend)",
         TEST_ADVICE,
     ),
     Change(
         "the largest peak is the delay, however late",
-        "sysid_evo/data/delays.py",
+        "sysid_evo/data/response.py",
         "FIRST = 0.5",
         "FIRST = 1.0",
         TEST_ADVICE,
     ),
     Change(
         "a smooth control smears its delay",
-        "sysid_evo/data/delays.py",
+        "sysid_evo/data/response.py",
         "return np.concatenate([[1.0], -weights])",
         "return np.concatenate([[1.0], 0.0 * weights])",
         TEST_ADVICE,
@@ -65,14 +65,14 @@ CHANGES = (
     ),
     Change(
         "a window leads to the state it starts from",
-        "sysid_evo/data/windows.py",
+        "sysid_evo/data/trajectory.py",
         "_cut(self.states, place, ahead + 1),",
         "_cut(self.states, place, ahead),",
         TEST_WINDOWS,
     ),
     Change(
         "the history of a window is made up",
-        "sysid_evo/data/windows.py",
+        "sysid_evo/data/trajectory.py",
         "max(first, history)",
         "first",
         TEST_WINDOWS,

@@ -2,9 +2,9 @@
 
 from tests.mutation.change import Change
 
-CONTROLLERS = "evaluation/study/controllers.py"
-FORECASTING = "evaluation/study/forecasting.py"
-MODELS = "evaluation/study/models.py"
+CONTROLLERS = "evaluation/study/figures.py"
+FORECASTING = "evaluation/study/figures.py"
+MODELS = "evaluation/study/figures.py"
 TEST_FIGURES = "tests/evaluation/study/test_figures.py"
 TEST_ROWS = "tests/evaluation/study/test_rows.py"
 

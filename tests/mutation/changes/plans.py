@@ -4,10 +4,10 @@ from tests.mutation.change import Change
 
 CELL = "sysid_evo/plan/cell.py"
 STORE = "sysid_evo/plan/store.py"
-EXECUTION = "sysid_evo/plan/execution.py"
-CELLS = "evaluation/comparison/champion_cells.py"
+EXECUTION = "sysid_evo/plan/executors.py"
+CELLS = "evaluation/cells/controllers.py"
 REGISTRY = "sysid_evo/registry/registry.py"
-SPEC = "sysid_evo/registry/spec.py"
+SPEC = "sysid_evo/registry/grammar.py"
 TEST_PLAN = ("tests/sysid_evo/plan/test_plan.py",)
 TEST_EXECUTION = ("tests/sysid_evo/plan/test_execution.py",)
 TEST_SIDE_BY_SIDE = ("tests/sysid_evo/plan/test_side_by_side.py",)
@@ -42,7 +42,7 @@ CHANGES = (
     ),
     Change(
         "a claim is measured without the delay of evolution",
-        "evaluation/comparison/controller_cells.py",
+        "evaluation/cells/assessment.py",
         "self.column.runner(work, delay=self.delay),",
         "self.column.runner(work, delay=0.0),",
         TEST_FOUND_AGAIN,
@@ -84,63 +84,63 @@ CHANGES = (
     ),
     Change(
         "a record leads out of the run folder",
-        "sysid_evo/plan/parcels.py",
+        "sysid_evo/plan/store.py",
         'return not path.is_absolute() and ".." not in path.parts',
         "return not path.is_absolute()",
         TEST_EXECUTION,
     ),
     Change(
         "a full disk is the failure of one cell",
-        EXECUTION,
+        "sysid_evo/plan/run_state.py",
         "except OSError:  # a full disk",
         "except MemoryError:  # a full disk",
         TEST_EXECUTION,
     ),
     Change(
         "Ctrl-C is the failure of one cell",
-        EXECUTION,
+        "sysid_evo/plan/run_state.py",
         "except Exception as error:  # whatever a plugin does",
         "except BaseException as error:  # whatever a plugin does",
         TEST_EXECUTION,
     ),
     Change(
         "what was assessed without a cell is never assessed again",
-        "sysid_evo/plan/ledger.py",
+        "sysid_evo/plan/run_state.py",
         "if self.store.done(cell) and not self.without(cell)]",
         "if self.store.done(cell)]",
         TEST_EXECUTION,
     ),
     Change(
         "a process that ends without a word costs its cell at once",
-        "sysid_evo/plan/side_by_side.py",
+        "sysid_evo/plan/run_state.py",
         "TRIES = 2",
         "TRIES = 1",
         TEST_SIDE_BY_SIDE,
     ),
     Change(
         "a cell alone is left with one processor while the others idle",
-        "sysid_evo/plan/side_by_side.py",
+        "sysid_evo/plan/processes.py",
         "processors // len(working) + (i < processors % len(working))",
         "1",
         TEST_SIDE_BY_SIDE,
     ),
     Change(
         "cells are handed out before what they need is there",
-        "sysid_evo/plan/side_by_side.py",
+        "sysid_evo/plan/processes.py",
         "if cell not in busy and not self.ledger.waits(cell) and",
         "if cell not in busy and",
         TEST_SIDE_BY_SIDE,
     ),
     Change(
         "the yardstick of a recorded run is not planned again",
-        "evaluation/comparison/planning.py",
+        "evaluation/planning.py",
         'return isinstance(data, RecordedData) or "robot" in data.inputs()',
         "return isinstance(data, RecordedData)",
         ("tests/evaluation/test_side_by_side.py",),
     ),
     Change(
         "a model under two labels is driven twice",
-        "evaluation/comparison/planning.py",
+        "evaluation/planning.py",
         "any(map(column.is_same, champion.members))",
         "column in champion.members",
         ("tests/evaluation/test_comparison.py::test_what_is_the_same_under_two_labels_is_computed_once",),
@@ -154,14 +154,14 @@ CHANGES = (
     ),
     Change(
         "an artefact with a flipped bit is loaded",
-        "sysid_evo/store/manifest.py",
+        "sysid_evo/artefacts.py",
         "if digest != manifest.sha256:",
         "if not digest:",
         TEST_ARTEFACTS,
     ),
     Change(
         "a controller is loaded as a model",
-        "sysid_evo/store/manifest.py",
+        "sysid_evo/artefacts.py",
         "if manifest.kind != kind:",
         "if not manifest.kind:",
         TEST_ARTEFACTS,
@@ -192,7 +192,7 @@ CHANGES = (
     ),
     Change(
         "a wrong argument ends with another exit code",
-        "sysid_evo/cli/exits.py",
+        "sysid_evo/cli/console.py",
         "WRONG_INPUT = 2",
         "WRONG_INPUT = 1",
         (
@@ -201,14 +201,14 @@ CHANGES = (
     ),
     Change(
         "a comparison of which a family failed ends as if nothing had",
-        "sysid_evo/cli/exits.py",
+        "sysid_evo/cli/console.py",
         "SOME_FAILED = 3",
         "SOME_FAILED = 0",
         ("tests/sysid_evo/cli/test_outcomes.py::test_a_family_that_fails_is_exit_code_3_with_a_report_and_its_reason",),
     ),
     Change(
         "a robot that does not answer is wrong input",
-        "sysid_evo/cli/exits.py",
+        "sysid_evo/cli/console.py",
         "ROBOT = 4",
         "ROBOT = 2",
         ("tests/sysid_evo/cli/test_driving.py::test_robot_that_does_not_answer_is_a_message_and_an_exit_code",),

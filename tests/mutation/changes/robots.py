@@ -3,7 +3,7 @@
 from tests.mutation.change import Change
 
 SESSION = "hardware/link/session.py"
-GATES = "hardware/trackers/gates.py"
+GATES = "hardware/gate.py"
 TEST_FRAMING = ("tests/hardware/link/test_framing.py",)
 TEST_SESSION = ("tests/hardware/link/test_session.py",)
 TEST_GATES = ("tests/hardware/trackers/test_gates.py",)
@@ -82,7 +82,7 @@ CHANGES = (
     ),
     Change(
         "the last reason to stop counts, not the first",
-        "hardware/loop/stops.py",
+        "hardware/run_report.py",
         "if self.reason is None:",
         "if True:",
         ("tests/hardware/loop/test_stops.py::test_request_of_another_thread_ends_the_run_and_the_first_one_counts",),

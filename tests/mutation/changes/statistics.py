@@ -2,7 +2,7 @@
 
 from tests.mutation.change import Change
 
-CLAIMS = "evaluation/transfer/claims.py"
+CLAIMS = "evaluation/transfer/summary.py"
 SUMMARY = "evaluation/transfer/summary.py"
 TEST_CLAIMS = "tests/evaluation/test_claims.py"
 TEST_TRANSFER = "tests/evaluation/test_transfer.py"
@@ -61,7 +61,7 @@ CHANGES = (
     ),
     Change(
         "a model of the same family is a judge",
-        "evaluation/transfer/standing.py",
+        "evaluation/transfer/summary.py",
         "[column for column in matrix.models if matrix.families[column] not in families]",
         "list(matrix.models)",
         (TEST_TRANSFER,),
@@ -75,7 +75,7 @@ CHANGES = (
     ),
     Change(
         "a correlation of numbers is told as one of ranks",
-        "evaluation/transfer/ranks.py",
+        "evaluation/transfer/summary.py",
         "np.corrcoef(mean_ranks(first), mean_ranks(second))",
         "np.corrcoef(first, second)",
         (TEST_TRANSFER,),
@@ -89,35 +89,35 @@ CHANGES = (
     ),
     Change(
         "an emulated robot that is driven counts before the physical one",
-        "evaluation/transfer/measured.py",
+        "evaluation/transfer/matrix.py",
         "if item.physical or (not physical and (matrix is None or matrix.robot is None)):",
         "if True:",
         ("tests/evaluation/test_measured.py",),
     ),
     Change(
         "a column of measured cells is taken for a model",
-        "evaluation/transfer/measured.py",
+        "evaluation/transfer/matrix.py",
         "other_robots=tuple(name for name in robots if name != robot),",
         "other_robots=(),",
         ("tests/evaluation/test_measured.py",),
     ),
     Change(
         "the trials of the matrix are those on which champions were chosen",
-        "evaluation/transfer/cell.py",
+        "evaluation/transfer/matrix.py",
         "TRANSFER = 2**31 + 1",
         "TRANSFER = 2**31",
         (TEST_TRANSFER,),
     ),
     Change(
         "Ctrl-C while a controller runs is a failed cell",
-        "evaluation/transfer/cell.py",
+        "evaluation/transfer/matrix.py",
         "except Exception as error:  # a plugin or a robot",
         "except BaseException as error:  # a plugin or a robot",
         (TEST_TRANSFER,),
     ),
     Change(
         "Ctrl-C while a model predicts is a failed row",
-        "evaluation/prediction/assess.py",
+        "evaluation/prediction/scoring.py",
         "except Exception as error:  # a plugin may fail",
         "except BaseException as error:  # a plugin may fail",
         (TEST_PREDICTION,),
@@ -138,28 +138,28 @@ CHANGES = (
     ),
     Change(
         "the limit of a probe is passed by one training step in a hundred",
-        "evaluation/exploitability/limits.py",
+        "evaluation/exploitability/probes.py",
         "QUANTILE = 0.999",
         "QUANTILE = 0.99",
         (TEST_EXPLOITABILITY,),
     ),
     Change(
         "an interval of 95 % is one of 90 %",
-        "evaluation/prediction/protocol.py",
+        "evaluation/prediction/cases.py",
         "confidence: float = 0.95",
         "confidence: float = 0.90",
         ("tests/evaluation/test_bootstrap.py",),
     ),
     Change(
         "the tails of an interval are twice as large",
-        "evaluation/prediction/bootstrap.py",
+        "sysid_evo/validation/bootstrap.py",
         "tail = 50.0 *",
         "tail = 100.0 *",
         ("tests/evaluation/test_bootstrap.py",),
     ),
     Change(
         "two models meet different draws of blocks",
-        "evaluation/prediction/bootstrap.py",
+        "sysid_evo/validation/bootstrap.py",
         "rng = np.random.default_rng(seed)",
         "rng = np.random.default_rng()",
         ("tests/evaluation/test_bootstrap.py",),
@@ -173,7 +173,7 @@ CHANGES = (
     ),
     Change(
         "samples of a free run are drawn one by one instead of in blocks",
-        "evaluation/prediction/assess.py",
+        "evaluation/prediction/scoring.py",
         "// cases.protocol.block_samples",
         "// 1",
         ("tests/evaluation/test_bootstrap.py", TEST_PREDICTION),
@@ -201,21 +201,21 @@ CHANGES = (
     ),
     Change(
         "a model no better than a constant is called best",
-        "evaluation/report/predicting.py",
+        "evaluation/report/sections/prediction.py",
         "USELESS = 1.0",
         "USELESS = 1.5",
         (TEST_VERDICT,),
     ),
     Change(
         "a model whose interval holds that of the mean is called best",
-        "evaluation/report/predicting.py",
+        "evaluation/report/sections/prediction.py",
         "return score.interval.high < USELESS",
         "return score.n < USELESS",
         (TEST_VERDICT,),
     ),
     Change(
         "a claim is kept from four fifths of it on",
-        "evaluation/report/transferring.py",
+        "evaluation/report/sections/controllers.py",
         "KEPT = 0.9",
         "KEPT = 0.8",
         (TEST_VERDICT,),
@@ -229,28 +229,28 @@ CHANGES = (
     ),
     Change(
         "the fit is in the scale of the whole test set",
-        "evaluation/prediction/episodes.py",
+        "evaluation/prediction/scoring.py",
         "std=cases.system.spread(measured)",
         "std=cases.std",
         (TEST_WHERE,),
     ),
     Change(
         "what a hidden state explains counts for late controls",
-        "evaluation/advice/memory.py",
+        "evaluation/advice/one_step.py",
         "min(best, max(own)) < SHARE",
         "best < SHARE",
         (TEST_ADVICE,),
     ),
     Change(
         "a recording of other states is another condition",
-        "evaluation/advice/shift.py",
+        "evaluation/advice/generalisation.py",
         "alike = distance <= usual",
         "alike = distance >= 0.0",
         (TEST_ADVICE,),
     ),
     Change(
         "the noise is that of two steps, not of one",
-        "evaluation/advice/noise.py",
+        "evaluation/advice/one_step.py",
         "0.5 * np.mean",
         "1.0 * np.mean",
         (TEST_ADVICE,),

@@ -2,11 +2,11 @@
 
 from tests.mutation.change import Change
 
-GATHERING = "evaluation/study/gathering.py"
-REPEATS = "evaluation/study/repeats.py"
+GATHERING = "evaluation/study/results.py"
+REPEATS = "evaluation/study/figures.py"
 STUDY = "evaluation/study/study.py"
-AXES = "evaluation/study/axes.py"
-STUDYING = "sysid_evo/cli/studying.py"
+AXES = "evaluation/study/study.py"
+STUDYING = "sysid_evo/cli/experiments.py"
 TEST_RUNNING_CELLS = "tests/evaluation/study/test_running.py::test_failing_cells_are_rows_with_reasons"
 TEST_ROWS = "tests/evaluation/study/test_rows.py"
 TEST_RUNNING_OF = "tests/evaluation/study/test_running.py::test_errors_of_models_are_those_that_were_measured"
@@ -182,7 +182,7 @@ CHANGES = (
     ),
     Change(
         "what is foreseen is corrected the wrong way",
-        STUDYING,
+        "evaluation/study/planning.py",
         "took[kind] / expected for",
         "expected / took[kind] for",
         (TEST_STUDYING,),

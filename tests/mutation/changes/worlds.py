@@ -65,7 +65,7 @@ CHANGES = (
     ),
     Change(
         "the compiled task passes a waypoint from another distance",
-        "sysid_evo/engine/kernels/waypoints.py",
+        "sysid_evo/tasks/point_to_point.py",
         "radius_squared=waypoint_radius**2",
         "radius_squared=waypoint_radius",
         TEST_WAYPOINTS,
@@ -79,14 +79,14 @@ CHANGES = (
     ),
     Change(
         "lanes that only pad a block count in the error of a compiled fit",
-        "sysid_evo/engine/compiled/window_loops.py",
+        "sysid_evo/engine/compiled/loops.py",
         "for lane in range(used):\n                    off = carry",
         "for lane in range(LANES):\n                    off = carry",
         TEST_FIT,
     ),
     Change(
         "a compiled fit forgets how much each state counts",
-        "sysid_evo/engine/compiled/window_loops.py",
+        "sysid_evo/engine/compiled/loops.py",
         "total += off * off * weight[row]",
         "total += off * off",
         TEST_FIT,
@@ -121,14 +121,14 @@ CHANGES = (
     ),
     Change(
         "a state that is not a number stays one although there is an envelope",
-        "sysid_evo/dynamics/stepping.py",
+        "sysid_evo/carry.py",
         "np.maximum(np.fmin(value, most), least, out=value)",
         "np.maximum(np.minimum(value, most), least, out=value)",
         ("tests/sysid_evo/test_dynamics.py",),
     ),
     Change(
         "a switch closes at half instead of three tenths",
-        "sysid_evo/engine/compiled/tables.py",
+        "sysid_evo/engine/compiled/workspace.py",
         "np.arctanh(boundary) if before_tanh else boundary",
         "np.arctanh(1.5 * boundary) if before_tanh else 1.5 * boundary",
         (f"{COMPILED}::test_every_output_selects_the_level_that_the_system_says",),

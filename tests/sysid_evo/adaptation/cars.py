@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import Dynamics
+from sysid_evo.models import Dynamics
 from sysid_evo.testing.examples import continuous_car
+from sysid_evo.types import Array
 
 
 class FloorCar(Dynamics):

@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation import Terms
-from sysid_evo.adaptation.learning import corrections
-from sysid_evo.adaptation.pieces import Pieces, error_of, free_runs, off
-from sysid_evo.adaptation.sensitivities import sensitivities
-from sysid_evo.adaptation.terms import pushed
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.single_step import kernel_step
-from sysid_evo.engine.kernels.correction import correction_kernel
-from sysid_evo.registry import make_model
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.models.adaptation import Terms
+from sysid_evo.models.adaptation.correction import Pieces, corrections, free_runs, pushed, sensitivities
+from sysid_evo.models.base import make_model
+from sysid_evo.models.kernels.correction import correction_kernel
 from sysid_evo.system import System
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
+from sysid_evo.types import Array
+from sysid_evo.validation.simulation_error import error_of, off
 
 from .cars import FloorCar, drive
 

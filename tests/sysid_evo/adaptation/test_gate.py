@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.gate import Held, Kind, Trial, blocks_of, decided, failed, judged, surely_positive
+from sysid_evo.models.adaptation.selection import decided
+from sysid_evo.validation.acceptance import Held, Kind, Trial, failed, judged, surely_positive
+from sysid_evo.validation.folds import blocks_of
 
 from .cars import FloorCar, drive
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation import NONE, adaptation, held_out_error
-from sysid_evo.adaptation.home import AS_AT_HOME, MOST_PIECES, times_home
-from sysid_evo.arrays import Array
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import PluginError
-from sysid_evo.registry import make_model
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.adaptation import NONE, adaptation, held_out_error
+from sysid_evo.models.adaptation.selection import AS_AT_HOME, MOST_PIECES, times_home
+from sysid_evo.models.base import make_model
+from sysid_evo.types import Array
 
 from .cars import FloorCar, drive
 

@@ -7,10 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sysid_evo.adaptation.adapting import moving_seconds, refitted
-from sysid_evo.adaptation.gate import Block, Held, Trial, Verdict, blocks_of, judged, surely_positive
 from sysid_evo.data import Dataset
-from sysid_evo.registry import make_model
+from sysid_evo.models.adaptation.selection import Verdict, moving_seconds, refitted
+from sysid_evo.models.base import make_model
+from sysid_evo.validation.acceptance import Held, Trial, judged, surely_positive
+from sysid_evo.validation.folds import Block, blocks_of
 
 from .cars import FloorCar, drive
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from sysid_evo.cli import main
+from sysid_evo.__main__ import main
 from sysid_evo.cli.console import err, session
 from sysid_evo.registry import KINDS
-from sysid_evo.registry.plugin_files import PREFIX
+from sysid_evo.registry.plugins import PREFIX
 
-COMMAND = (sys.executable, "-c", "from sysid_evo.cli import main; main()")
+COMMAND = (sys.executable, "-c", "from sysid_evo.__main__ import main; main()")
 
 
 @dataclass(frozen=True)

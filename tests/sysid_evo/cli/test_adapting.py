@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sysid_evo.registry import make_model
-from sysid_evo.store import load_model, save_model
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.base import make_model
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 from tests.sysid_evo.cli.calling import Caller
 

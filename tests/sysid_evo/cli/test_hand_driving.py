@@ -20,13 +20,14 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from evaluation.transfer import load_measured
+from hardware.connection import GateLimits
+from hardware.driving.controller_driving import page_server
+from hardware.driving.hand_driving import HandTrial
 from hardware.driving.keyboard import FORWARD, LEFT
-from hardware.driving.session import HandTrial
-from hardware.emulation.modelled_robot import ModelledRobot
-from hardware.loop.report import LoopReport, Reason
+from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.recording.journal import read_journal
-from hardware.trackers.gates import GateLimits
-from sysid_evo.cli.hand_driving import Driven, append_row, page_server
+from hardware.run_report import LoopReport, Reason
+from sysid_evo.cli.robots import Driven, append_row
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
@@ -34,7 +35,7 @@ from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import run_here
 
-COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "drive"]
+COMMAND = [sys.executable, "-c", "from sysid_evo.__main__ import main; main()", "drive"]
 SECONDS = 3.0
 
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.evolution import MuPlusLambda
 from sysid_evo.registry import strategies
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 from tests.sysid_evo.cli.calling import Caller, run_here
 
 PLUGIN = """
@@ -77,7 +77,7 @@ def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_o
     (tmp_path / "mine.py").write_text(WAITING)
     arguments = ["fit", str(logs), "--plugin", "mine.py", "--models", "waiting,linear", "--jobs", "2", "--out", "out"]
     command = [sys.executable, "-c", "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-               "from sysid_evo.cli import main; main()", *arguments]  # fmt: skip
+               "from sysid_evo.__main__ import main; main()", *arguments]  # fmt: skip
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stderr is not None
     said = ""
@@ -101,7 +101,7 @@ def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_o
 
 PRESSED_EARLY = """
 import sys
-from sysid_evo.cli import main
+from sysid_evo.__main__ import main
 
 class Pressed:
     def find_spec(self, name, path=None, target=None):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from evaluation import compare
-from evaluation.comparison import GivenData
+from evaluation.cells.data import GivenData
 from sysid_evo.plan import Store, StoredCell
 from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import Caller, Ended, run, run_here

@@ -14,15 +14,15 @@ import numpy as np
 from sysid_evo.data import Dataset
 from tests.sysid_evo.cli.calling import run_here
 
-COMMAND = [sys.executable, "-c", "from sysid_evo.cli import main; main()", "record"]
+COMMAND = [sys.executable, "-c", "from sysid_evo.__main__ import main; main()", "record"]
 ENVIRONMENT = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}
 
 SLOW_ROBOT = '''
 """The emulated car in real time."""
 import time
 
-from hardware.emulation.emulated_car import emulated_car
-from hardware.emulation.emulated_robot import EmulatedConnection
+from hardware.emulation.cars import emulated_car
+from hardware.emulation.tracked_robots import EmulatedConnection
 from sysid_evo import register_robot
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from evaluation.study import Study, plan_study
-from sysid_evo.cli.studying import duration, seconds_about
+from evaluation.study.planning import seconds_about
+from sysid_evo.cli.experiments import duration
 from tests.sysid_evo.cli.calling import run_here
 
 STUDY = """

@@ -12,10 +12,12 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.evolution import Champion
-from sysid_evo.registry import make_controller, make_robot, make_task
-from sysid_evo.store import save_champion
+from sysid_evo.evolution.champion import save_champion
+from sysid_evo.registry import make_robot
+from sysid_evo.tasks.task import make_task
 from tests.sysid_evo.cli.calling import run_here
 
 

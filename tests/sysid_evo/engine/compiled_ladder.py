@@ -7,10 +7,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from sysid_evo.arrays import Array, Seeds
 from sysid_evo.kernels import LANES, ControllerKernel, DynamicsKernel, KernelSource, Lifted, TaskKernel
 from sysid_evo.system import System
 from sysid_evo.tasks import TaskState
+from sysid_evo.types import Array, Seeds
 from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState
 
 

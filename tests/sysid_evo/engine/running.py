@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import compile_kernel
-from sysid_evo.engine.compiled.memory import aligned
-from sysid_evo.engine.kernels import Predictor
+from sysid_evo.engine.compiled.compiler import compile_kernel
+from sysid_evo.engine.compiled.workspace import aligned
 from sysid_evo.kernels import DYNAMICS, LANES, KernelSource, Precision, Signature
+from sysid_evo.models.kernels import Predictor
+from sysid_evo.types import Array
 
 PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
 EXACT_FIRST = ("float64", pytest.param("float32", marks=pytest.mark.slow))

@@ -9,14 +9,14 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array, Seeds
 from sysid_evo.controllers import Controller, RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import Engine, Rollouts, rollout
-from sysid_evo.engine.compiled.run import trajectories
+from sysid_evo.engine.results import trajectories
 from sysid_evo.errors import InvalidArgument, InvalidSystem
+from sysid_evo.models import Dynamics
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task
+from sysid_evo.types import Array, Seeds
 from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState
 
 from .compiled_ladder import BlindLadder, CompiledClimber, CompiledConstant, CompiledLadder, seeds_from

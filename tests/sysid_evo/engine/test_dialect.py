@@ -14,7 +14,8 @@ import numba
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.dialect import compile_kernel, generate
+from sysid_evo.engine.compiled.compiler import compile_kernel
+from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
 from sysid_evo.kernels import REALS, KernelSource, Precision, Signature
@@ -222,7 +223,7 @@ def test_a_function_without_source_is_refused() -> None:
 SECOND = """
 import json, sys
 from pathlib import Path
-from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.kernels import REALS, KernelSource, Signature
 from tests.sysid_evo.engine.test_dialect import with_numbers, mathematics
 for function in (with_numbers, mathematics):

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.kernels import NUMBER, REALS, Signature
+from sysid_evo.types import Array
 
 from .running import compile_for_python
 

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from sysid_evo.angles import wrap
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork, View
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.engine import Engine, rollout
 from sysid_evo.engine.compiled.open_loop import final_errors
-from sysid_evo.engine.kernels import Predictor, stepping_kernel
-from sysid_evo.evolution.identification import final_error, kernel_error
-from sysid_evo.evolution.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.model_evolution import final_error, kernel_error
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.kernels import ADVANCE, CONTROLLER, LANES, OBSERVE, KernelSource, Precision
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
+from sysid_evo.models.kernels import Predictor, stepping_kernel
 from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
+from sysid_evo.types import Array
 
 from .running import PRECISIONS, RTOL, call_block
 

@@ -12,9 +12,9 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled.dialect import generate
-from sysid_evo.engine.compiled.generated import imported, name_of
-from sysid_evo.engine.compiled.inlined import TRIED, compiler_for
+from sysid_evo.engine.compiled.compiler import imported, name_of
+from sysid_evo.engine.compiled.internals import TRIED, compiler_for
+from sysid_evo.engine.compiled.language import generate
 from sysid_evo.files import cache_folder
 from sysid_evo.kernels import REALS, KernelSource, Signature
 

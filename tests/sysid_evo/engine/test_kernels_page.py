@@ -14,7 +14,8 @@ import pytest
 
 from sysid_evo.data import Dataset
 from sysid_evo.engine import rollout
-from sysid_evo.registry import make_model, models
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import models
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import check_model
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sysid_evo import kernels
-from sysid_evo.engine.compiled import lanes, row_mathematics
-from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.engine.compiled import vectors
+from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.kernels import (
     LANES,
     QUARTER,
@@ -168,8 +168,8 @@ def test_the_tanh_of_a_row(precision: Precision) -> None:
 def test_every_lane_looks_up_its_own_number(
     without: tuple[str, ...], precision: Precision, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
-    has = lanes._host_has
-    monkeypatch.setattr(lanes, "_host_has", lambda feature: feature not in without and has(feature))
+    has = vectors._host_has
+    monkeypatch.setattr(vectors, "_host_has", lambda feature: feature not in without and has(feature))
     source = compile_kernel_anew(taken, precision)
     table, places = RNG.normal(size=QUARTER), RNG.integers(0, QUARTER, LANES)
     y = np.zeros(LANES, dtype=precision)
@@ -181,7 +181,7 @@ def compile_kernel_anew(function: Callable[..., Any], precision: Precision) -> A
     """Compile without the folder of kernels, which knows nothing of other processors."""
     import numba
 
-    from sysid_evo.engine.compiled.dialect import generate
+    from sysid_evo.engine.compiled.language import generate
 
     signature = Signature(a=REALS, b=REALS, y=REALS)
     text = generate(KernelSource(function), signature, precision, pointer=False).replace("cache=True, ", "")
@@ -191,7 +191,7 @@ def compile_kernel_anew(function: Callable[..., Any], precision: Precision) -> A
 
 
 def test_every_word_of_the_kernel_language_has_a_compiled_meaning() -> None:
-    assert [name for name in WORDS.values() if not (hasattr(lanes, name) or hasattr(row_mathematics, name))] == []
+    assert [name for name in WORDS.values() if not (hasattr(vectors, name) or hasattr(vectors, name))] == []
     assert all(getattr(kernels, name) is word for word, name in WORDS.items())
 
 

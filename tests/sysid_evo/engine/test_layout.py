@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.dialect import compile_kernel
+from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, KernelSource, Layout, Signature, padded
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.engine.compiled.memory import CACHE_LINE, SMALL, aligned, empty_lines, together
+from sysid_evo.engine.compiled.workspace import CACHE_LINE, SMALL, aligned, empty_lines, together
 
 
 def begin(array: np.ndarray) -> int:

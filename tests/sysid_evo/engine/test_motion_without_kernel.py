@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
-from sysid_evo.engine import rollout, stepping_kernel
+from sysid_evo.engine import rollout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, DynamicsKernel, Predictor
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.kernels.stepping import stepping_kernel
 from sysid_evo.motion import Motion
 from sysid_evo.system import System
+from sysid_evo.types import Array
 
 from .compiled_ladder import CompiledConstant, CompiledLadder, seeds_from
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.engine.compiled import window_loops
-from sysid_evo.engine.compiled.dialect import generate
-from sysid_evo.engine.kernels import (
+from sysid_evo.engine.compiled import loops
+from sysid_evo.engine.compiled.language import generate
+from sysid_evo.kernels import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE, REALS, KernelSource, Signature, Source
+from sysid_evo.models.kernels import (
     command_network_predictor,
     neighbour_predictor,
     network_predictor,
@@ -20,7 +21,6 @@ from sysid_evo.engine.kernels import (
     runge_kutta_predictor,
     stepping_kernel,
 )
-from sysid_evo.kernels import ADVANCE, CONTROLLER, DYNAMICS, OBSERVE, REALS, KernelSource, Signature, Source
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 
@@ -45,7 +45,7 @@ def library(car: System) -> dict[str, tuple[Source, Signature]]:
     task, controller = PointToPoint().bind(car).kernel(), RecurrentNetwork().bind(5, 2).kernel()
     found["recurrent"] = controller.source, CONTROLLER
     found["observe"], found["advance"] = (task.observe, OBSERVE), (task.advance, ADVANCE)
-    found["open loop"] = KernelSource(window_loops.open_loop), window_loops.OPEN_LOOP
+    found["open loop"] = KernelSource(loops.open_loop), loops.OPEN_LOOP
     return found
 
 

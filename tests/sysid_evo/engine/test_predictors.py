@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_evo.arrays import Array
-from sysid_evo.engine.kernels import (
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, Precision
+from sysid_evo.models.kernels import (
     added,
     command_network_predictor,
     neighbour_predictor,
@@ -19,8 +20,7 @@ from sysid_evo.engine.kernels import (
     network_predictor,
     polynomial_predictor,
 )
-from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import LANES, Precision
+from sysid_evo.types import Array
 
 from .running import EXACT_FIRST, RTOL, predictions
 

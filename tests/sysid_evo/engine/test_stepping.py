@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_evo.arrays import Array
-from sysid_evo.engine.compiled.dialect import compile_kernel
-from sysid_evo.engine.compiled.memory import aligned
-from sysid_evo.engine.kernels import (
+from sysid_evo.engine.compiled.compiler import compile_kernel
+from sysid_evo.engine.compiled.workspace import aligned
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
+from sysid_evo.models.kernels import (
     Predictor,
     network_predictor,
     polynomial_predictor,
@@ -22,10 +22,10 @@ from sysid_evo.engine.kernels import (
     stepping_kernel,
     turning_frame,
 )
-from sysid_evo.engine.kernels.stepping import Output
-from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
+from sysid_evo.models.kernels.stepping import Output
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
 
 from .running import EXACT_FIRST, RTOL, predictions
 

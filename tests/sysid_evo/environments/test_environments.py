@@ -16,12 +16,12 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from sysid_evo.controllers import RecurrentNetwork, View
-from sysid_evo.dynamics import Dynamics, DynamicsModel
 from sysid_evo.engine import rollout
 from sysid_evo.environments import ENVIRONMENTS, ModelEnvironment, make_env, make_vector_env, members_of
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.registry import make_model, make_robot
-from sysid_evo.store import save_model
+from sysid_evo.models import Dynamics, DynamicsModel, save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import ExampleDynamics, example_dataset
 from sysid_evo.testing.examples import continuous_car, pendulum, switched_car

@@ -10,11 +10,11 @@ from stable_baselines3 import DQN, PPO, SAC
 
 from evaluation.transfer import transfer
 from sysid_evo.controllers import View
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.environments import champion_of, make_env
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import make_controller
-from sysid_evo.store import load_champion, save_champion
+from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.testing import ExampleDynamics
 from sysid_evo.testing.examples import continuous_car
 

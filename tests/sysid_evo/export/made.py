@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from sysid_evo import make_controller, make_task
-from sysid_evo.arrays import Array
 from sysid_evo.evolution import Champion
-from sysid_evo.export.law import decided_by
+from sysid_evo.export.exported_controller import decided_by
 from sysid_evo.system import System
 from sysid_evo.testing.examples import switched_car
+from sysid_evo.types import Array
 
 SPECS = (
     "recurrent",

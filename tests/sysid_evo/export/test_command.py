@@ -11,13 +11,15 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, View
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.champion import save_champion
 from sysid_evo.export import law_of
-from sysid_evo.registry import controllers, make_model
-from sysid_evo.store import save_champion, save_model
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import controllers
 from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
 from tests.sysid_evo.cli.calling import Caller
 
 from .made import champion_of

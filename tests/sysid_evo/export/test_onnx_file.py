@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import MissingExtra
 from sysid_evo.export import Real, law_of, onnx_bytes
 from sysid_evo.testing.examples import continuous_car
+from sysid_evo.types import Array
 
 from .made import SPECS, champion_of, decided, stepped, wandering
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.interoperation import to_control
-from sysid_evo.registry import make_model
+from sysid_evo.models.base import make_model
 from sysid_evo.testing import example_dataset
 
 control = pytest.importorskip("control")

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from sysid_evo.plan import Plan, Store, execute, remote
-from sysid_evo.plan.parcels import Parcel
-from sysid_evo.plan.remote import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
+from sysid_evo.plan import Plan, Store, dask_worker, execute
+from sysid_evo.plan.dask_worker import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
+from sysid_evo.plan.store import Parcel
 from tests.sysid_evo.plan.made_up_cells import Number
 
 ASKED: dict[str, Any] = {"run": "r", "function": "tests:none", "settings": {}, "files": {"own.py": "0/own.py"}}
@@ -41,8 +41,8 @@ class MadeUpWorker:
 
 @pytest.fixture(autouse=True)
 def _made_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remote, "Worker", MadeUpWorker)
-    monkeypatch.setattr(remote, "WATCH", 0.01)
+    monkeypatch.setattr(dask_worker, "Worker", MadeUpWorker)
+    monkeypatch.setattr(dask_worker, "WATCH", 0.01)
 
 
 def child_in(folder: Path, before: tuple[Parcel, ...] = (), files: Parcel = ()) -> tuple[Child, Any]:
@@ -78,7 +78,7 @@ def test_what_the_plan_is_made_of_is_put_down_before_the_process_begins(tmp_path
 def test_of_many_results_those_not_used_for_longest_go_first_but_not_what_the_plan_is_made_of(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remote, "KEPT", 2)
+    monkeypatch.setattr(dask_worker, "KEPT", 2)
     before, *others = parcels_of(tmp_path / "there", 4)
     child, _ = child_in(tmp_path, (before,))
 
@@ -98,7 +98,7 @@ def test_a_record_is_put_down_after_the_files_that_it_names(tmp_path: Path, monk
     (parcel,) = parcels_of(tmp_path / "there", 1)
     child, _ = child_in(tmp_path)
     put = list[str]()
-    monkeypatch.setattr(remote, "unpack", lambda parcel, folder: put.extend(name for name, _, _ in parcel))
+    monkeypatch.setattr(dask_worker, "unpack", lambda parcel, folder: put.extend(name for name, _, _ in parcel))
     child._keep(parcel)
     assert len(put) > 1
     assert put[-1].startswith("cells/")
@@ -175,7 +175,7 @@ def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch:
 
     children, used, forgotten = Children(), made("used"), made("forgotten")
     timers = MadeUpTimer.made = list[MadeUpTimer]()
-    monkeypatch.setattr(remote, "Timer", MadeUpTimer)
+    monkeypatch.setattr(dask_worker, "Timer", MadeUpTimer)
     assert children.take("r") is None
     children.give("r", used)
     assert children.take("other") is None
@@ -185,7 +185,7 @@ def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch:
     timers[0].goes_off()  # it may be too late to stop it
     children.give("r", forgotten)
     assert ended == []
-    assert (timers[1].seconds, timers[1].daemon, timers[1].started) == (remote.IDLE, True, True)
+    assert (timers[1].seconds, timers[1].daemon, timers[1].started) == (dask_worker.IDLE, True, True)
     timers[1].goes_off()
     timers[1].goes_off()
     assert ended == ["forgotten"]

@@ -12,7 +12,7 @@ import distributed
 import pytest
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
-from sysid_evo.plan.scheduler import address_of, connected
+from sysid_evo.plan.dask_executor import address_of, connected
 
 
 class MadeUpClient(distributed.Client):

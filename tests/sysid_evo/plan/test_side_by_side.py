@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Again, Plan, Store, execute, jobs
-from sysid_evo.plan.jobs import number_of_jobs
-from sysid_evo.plan.side_by_side import work_ahead
+from sysid_evo.plan import Again, Plan, Store, execute, executors
+from sysid_evo.plan.executors import number_of_jobs
+from sysid_evo.plan.plan import work_ahead
 from sysid_evo.processors import usable_processors
 from tests.sysid_evo.plan.deeds import planned
 from tests.sysid_evo.plan.made_up_cells import Number, Watching
@@ -217,10 +217,10 @@ def test_the_longest_way_comes_first() -> None:
 
 def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SYSID_EVO_JOBS")
-    monkeypatch.setattr(jobs, "usable_processors", lambda: 8)
-    monkeypatch.setattr(jobs, "available_memory", lambda: 100 * 2**30)
+    monkeypatch.setattr(executors, "usable_processors", lambda: 8)
+    monkeypatch.setattr(executors, "available_memory", lambda: 100 * 2**30)
     cells = [Number(i) for i in range(20)]  # of one second each
-    assert number_of_jobs(None, cells) == (int(20 / jobs.WORTH), "")
+    assert number_of_jobs(None, cells) == (int(20 / executors.WORTH), "")
     assert number_of_jobs(None, cells[:3]) == (1, "")
     assert number_of_jobs(None, [Number(i) for i in range(500)]) == (8, "")
     assert number_of_jobs(30, cells) == (20, "")
@@ -228,12 +228,12 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
     monkeypatch.setenv("SYSID_EVO_JOBS", "5")
     assert number_of_jobs(None, cells) == (5, "")
     assert number_of_jobs(2, cells) == (2, "")
-    monkeypatch.setattr(jobs, "available_memory", lambda: 3 * 2**30 + 5)
+    monkeypatch.setattr(executors, "available_memory", lambda: 3 * 2**30 + 5)
     assert number_of_jobs(2, cells) == (2, "")
     assert number_of_jobs(5, cells) == (
         3, "3 instead of 5 cells are computed at once: 3.0 GiB of memory are free, and each may need 1"
     )  # fmt: skip
-    monkeypatch.setattr(jobs, "available_memory", lambda: 0)
+    monkeypatch.setattr(executors, "available_memory", lambda: 0)
     assert number_of_jobs(5, cells)[0] == 1
 
 
@@ -248,13 +248,13 @@ def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatc
 
 def test_free_memory_is_what_the_container_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit, used = tmp_path / "memory.max", tmp_path / "memory.current"
-    monkeypatch.setattr(jobs, "LIMITS", (limit, used))
-    all_of_it = jobs.available_memory()
+    monkeypatch.setattr(executors, "LIMITS", (limit, used))
+    all_of_it = executors.available_memory()
     assert all_of_it > 0
     limit.write_text("1000000\n")
     used.write_text("400000\n")
-    assert jobs.available_memory() == 600000
+    assert executors.available_memory() == 600000
     used.write_text("2000000\n")
-    assert jobs.available_memory() == 0
+    assert executors.available_memory() == 0
     limit.write_text("max\n")
-    assert jobs.available_memory() > 600000
+    assert executors.available_memory() > 600000

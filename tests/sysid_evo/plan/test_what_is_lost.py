@@ -11,10 +11,11 @@ import pytest
 from distributed import KilledWorker
 
 from sysid_evo.plan import Again, Plan, Store
-from sysid_evo.plan.cluster import AHEAD, FIRST, LOST, Away, Cluster, at_home
-from sysid_evo.plan.ledger import Ledger
-from sysid_evo.plan.remote import BLOCKED, ENDED, FAILED, LACKS
-from sysid_evo.store.manifest import versions
+from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, Away, Cluster
+from sysid_evo.plan.dask_worker import BLOCKED, ENDED, FAILED, LACKS
+from sysid_evo.plan.plan import at_home
+from sysid_evo.plan.run_state import Ledger
+from sysid_evo.version import versions
 from tests.sysid_evo.plan.made_up_cells import AtHome, Number, Watching
 
 ONE = Number(1, label="one")

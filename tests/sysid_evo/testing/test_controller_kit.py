@@ -9,14 +9,14 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import Controller, RecurrentNetwork, View
 from sysid_evo.errors import ContractViolation
 from sysid_evo.registry import controllers
 from sysid_evo.tasks import SetPoint
 from sysid_evo.testing import check_controller, run_controller_checks
-from sysid_evo.testing import controllers as kit
+from sysid_evo.testing import closed_loop as kit
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car
+from sysid_evo.types import Array
 from tests.broken import broken, sentence
 
 

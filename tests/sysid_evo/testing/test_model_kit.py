@@ -9,15 +9,15 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel, require_planar
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, RegistrationError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.kernels import Lifted as LiftedStep
+from sysid_evo.models import DynamicsModel, require_planar
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import check_model, run_checks
+from sysid_evo.types import Array
 
 
 class Fading(DynamicsModel):

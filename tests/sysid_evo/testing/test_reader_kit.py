@@ -11,10 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hardware.listener import Command
-from hardware.measurement import Measurement
-from hardware.recording.recorder import Recorder
-from sysid_evo.data.tables import Reader, Table
+from hardware.connection import Command, Measurement
+from hardware.recording.journal import Recorder
+from sysid_evo.data.readers import Reader, Table
 from sysid_evo.errors import ContractViolation, InvalidArgument, InvalidData
 from sysid_evo.registry import readers
 from sysid_evo.testing import check_reader, example_systems, run_reader_checks

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.errors import ContractViolation
 from sysid_evo.evolution import EvolutionStrategy, StrategyState
 from sysid_evo.registry import strategies
 from sysid_evo.testing import check_strategy, run_strategy_checks
-from sysid_evo.testing import strategies as kit
+from sysid_evo.testing import evolution as kit
+from sysid_evo.types import Array
 from tests.broken import broken, sentence
 
 

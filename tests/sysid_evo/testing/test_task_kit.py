@@ -9,16 +9,16 @@ from typing import Any, Self, cast
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array, BoolArray, IntArray, Seeds
 from sysid_evo.errors import ContractViolation, IncompatibleTask
 from sysid_evo.kernels import TaskKernel
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry import tasks
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, Task, TaskState
-from sysid_evo.tasks.scene import Scene
+from sysid_evo.tasks.task import Scene
 from sysid_evo.testing import check_task, example_systems, run_task_checks
-from sysid_evo.testing import tasks as kit
+from sysid_evo.testing import closed_loop as kit
+from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 from tests.broken import broken, sentence
 
 
@@ -203,7 +203,7 @@ def test_every_task_keeps_every_sentence(name: str) -> None:
 def test_the_shipped_task_keeps_every_sentence_under_switches_and_continuous_controls(system: System) -> None:
     results = list(run_task_checks("point_to_point", system, waypoint_radius=0.5, horizon=80))
     assert broken(results) == {}
-    assert len(results) == 1 + len(kit.CHECKS)
+    assert len(results) == 1 + len(kit.TASKS_CHECKS)
 
 
 def test_a_task_that_is_not_for_cars_finds_a_system_and_keeps_every_sentence(register: Callable[..., Any]) -> None:
@@ -211,7 +211,7 @@ def test_a_task_that_is_not_for_cars_finds_a_system_and_keeps_every_sentence(reg
     results = list(run_task_checks("upright"))
     assert broken(results) == {}
     left_out = {sentence(kit.the_compiled_form_is_the_reference), sentence(kit.a_tracked_pose_is_believed)}
-    assert len(results) == 1 + len(kit.CHECKS) - 2
+    assert len(results) == 1 + len(kit.TASKS_CHECKS) - 2
     assert not left_out & {result.sentence for result in results}
 
 
@@ -227,7 +227,7 @@ def test_a_broken_task_is_caught_with_the_one_sentence_it_breaks(
 
 
 def test_every_sentence_has_something_that_breaks_it() -> None:
-    assert {check for _, check, _ in BROKEN} == set(kit.CHECKS)
+    assert {check for _, check, _ in BROKEN} == set(kit.TASKS_CHECKS)
 
 
 def test_a_horizon_is_a_whole_number(register: Callable[..., Any]) -> None:

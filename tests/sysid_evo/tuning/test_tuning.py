@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.dynamics import DynamicsModel
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.hyperparameters import Limit, at_least
-from sysid_evo.registry import make_model, models, register_model
-from sysid_evo.searched import OneOf, Searched, Within
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import make_model
+from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, at_least
+from sysid_evo.registry import models, register_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tuning import Tuning, search_space, tune
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics
 from sysid_evo.engine import rollout
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.models import DelayedEstimate, Dynamics
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from sysid_evo.wrappers import DelayedEstimate
+from sysid_evo.types import Array
 from tests.sysid_evo.made_up import Climber, SluggishCar
 
 DT = 0.1

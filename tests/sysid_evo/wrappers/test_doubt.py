@@ -7,29 +7,30 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
 from sysid_evo.data.support import Support, recorded_pairs
-from sysid_evo.dynamics import Dynamics, DynamicsModel
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
+from sysid_evo.models import (
+    Cautious,
+    DelayedEstimate,
+    Doubt,
+    Dynamics,
+    DynamicsModel,
+    RadicalEnvelope,
+    Supported,
+    disturbed,
+)
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
+from sysid_evo.registry.registry import cautions
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from sysid_evo.wrappers import (
-    Cautious,
-    DelayedEstimate,
-    Discounted,
-    Doubt,
-    RadicalEnvelope,
-    Supported,
-    cautions,
-    disturbed,
-)
+from sysid_evo.types import Array
 from tests.sysid_evo.made_up import Climber, Constant, Ladder
 
 from .test_noise import started

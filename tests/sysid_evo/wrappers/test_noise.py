@@ -8,28 +8,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sysid_evo.arrays import Array
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.dynamics import Dynamics, DynamicsModel
 from sysid_evo.engine import rollout
-from sysid_evo.engine.compiled.single_step import kernel_step
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.models import (
+    DelayedEstimate,
+    Dynamics,
+    DynamicsModel,
+    NoisySensors,
+    Perturbed,
+    RadicalEnvelope,
+    disturbed,
+    state_spread,
+)
+from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import make_model
+from sysid_evo.registry.registry import noises
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.closed_loop import expect_engines_agree
 from sysid_evo.testing.examples import ExampleDynamics, pendulum
-from sysid_evo.wrappers import (
-    DelayedEstimate,
-    NoisySensors,
-    Perturbed,
-    RadicalEnvelope,
-    disturbed,
-    noises,
-    state_spread,
-)
+from sysid_evo.types import Array
 from tests.sysid_evo.made_up import Climber, SluggishCar
 
 SPREAD = np.array([0.5, 0.1, 1.0])

@@ -1,0 +1,283 @@
+"""Checks of one-step errors: noise, model structure, delayed controls, hidden states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.advice.evidence import Evidence, Remark
+from evaluation.formatting import percent
+from evaluation.prediction.residuals import LAGS
+from sysid_evo.data.advice import spell
+from sysid_evo.data.response import acting_controls
+from sysid_evo.types import Array, BoolArray, IntArray
+
+SHARE = 0.1
+"""Share of what a model leaves that the past must explain: a twentieth of the error, the least that a paired comparison
+of a few minutes can tell apart."""
+
+LOOKED_BACK = (1, 2, 3, 4, 6, 8, 12, LAGS)
+"""Lags beyond the memory of a model that are tried together."""
+
+NEARLY = 0.9
+"""Of what all lags explain, the part after which the rest is not waited for."""
+
+COUNTS = 0.1
+"""A channel whose squared error in standard deviations is less than this share of the largest does not count."""
+
+EARLIER = 4
+"""Earlier errors, from which whoever keeps track of a hidden state would know it."""
+
+FEWEST = 250
+
+
+def late_controls(evidence: Evidence) -> Remark | None:
+    """Return that controls act later than the model can know."""
+    memory = evidence.model.lags[1]
+    if not evidence.system.nu or memory >= LAGS:
+        return None
+    found = _beyond(evidence)
+    if found is None:
+        return None
+    base, left, controls, earlier = found
+    inputs = controls.shape[1] // (LAGS - memory)
+    counts = [count for count in LOOKED_BACK if count <= LAGS - memory]
+    tried = [controls[:, : inputs * count] for count in counts]
+    gains = [_gain(base, np.concatenate([base, some], axis=1), left)[0] for some in tried]
+    beside = np.concatenate([base, earlier], axis=1)
+    own = [_gain(beside, np.concatenate([beside, some], axis=1), left)[0] for some in tried]
+    best = max(gains)
+    if min(best, max(own)) < SHARE:
+        return None
+    latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= NEARLY * best)
+    _, channel = _gain(base, np.concatenate([base, tried[gains.index(best)]], axis=1), left)
+    dt = evidence.system.dt
+    knows = f"those of the last {spell(memory * dt)}" if memory else "only that of the moment"
+    remedy = (
+        f"fit it with control_lags={latest}"
+        if "control_lags" in evidence.model.get_params()
+        else "take a family with control_lags or with a hidden state"
+    )
+    return Remark(
+        "late controls",
+        f"Controls act up to {spell(latest * dt)} later: earlier ones explain {percent(best)} of what {evidence.name}, "
+        f"which knows {knows}, leaves of {evidence.system.state_names[channel]} one step ahead. To mend it, {remedy}.",
+        1.0 - np.sqrt(1.0 - best),
+        {"explained": best, "steps": float(latest)},
+    )
+
+
+def hidden_state(evidence: Evidence) -> Remark | None:
+    """Return that earlier errors tell more: of a state that is not measured, or of noise to be averaged out."""
+    white = evidence.residuals.white
+    found = _beyond(evidence)
+    if white.all() or found is None:
+        return None
+    base, left, controls, earlier = found
+    beside = np.concatenate([base, controls], axis=1)
+    known = beside if _gain(base, beside, left)[0] >= SHARE else base
+    gain, channel = _gain(known, np.concatenate([known, earlier], axis=1), left)
+    if gain < SHARE or white[channel]:
+        return None
+    size = float(evidence.residuals.autocorrelation[0, channel])
+    unseen = size > 0.0
+    wanted = evidence.model.lags[0] + 2
+    remedy = f"state_lags={wanted}" if "state_lags" in evidence.model.get_params() else "a family with state_lags"
+    why = (
+        "something that moves is not measured. Measure it if you can; else try"
+        if unseen
+        else "measured states are noisy, and several samples together tell them better. Try"
+    )
+    return Remark(
+        "hidden state" if unseen else "noisy states",
+        f"What {evidence.name} leaves of {evidence.system.state_names[channel]} one step ahead is not white "
+        f"(correlation {size:+.2f} from step to step), and earlier errors explain {percent(gain)} of it: {why} "
+        f"{remedy} or a family with a hidden state.",
+        1.0 - np.sqrt(1.0 - gain),
+        {"explained": gain, "autocorrelation": size},
+    )
+
+
+def _beyond(evidence: Evidence) -> tuple[Array, Array, Array, Array] | None:
+    """Return what the model knows, what it leaves, controls before its memory and earlier errors; None with few steps.
+
+    Rows are steps in order of time. Controls are those that act (`acting_controls`), in order of their lag.
+    """
+    steps, system = evidence.steps, evidence.system
+    state_lags, control_lags = evidence.model.lags
+    filled = np.nan_to_num(steps.states)
+    states, controls = system.regressors(filled), acting_controls(system, filled, steps.controls)
+    states[~np.isfinite(steps.states).all(axis=1)] = np.nan
+    rows = steps.scored
+    now = np.concatenate([states[rows], steps.controls[rows]], axis=1)
+    inside = np.concatenate(
+        [lagged(states, range(1, state_lags + 1), rows), lagged(controls, range(1, control_lags + 1), rows)], axis=1
+    )
+    older_controls = lagged(controls, range(control_lags + 1, LAGS + 1), rows)
+    earlier = lagged(steps.errors, range(1, EARLIER + 1), rows)
+    known = np.isfinite(np.concatenate([inside, older_controls, earlier], axis=1)).all(axis=1)
+    if known.sum() < FEWEST:
+        return None
+    base = np.concatenate([with_products(now[known]), inside[known]], axis=1)
+    return base, steps.errors[rows][known] / evidence.std, older_controls[known], earlier[known]
+
+
+def _gain(before: Array, after: Array, left: Array) -> tuple[float, int]:
+    """Return the share of what ``before`` leaves that ``after`` explains, in the channel where it is largest.
+
+    ``left`` (N, nx) is in standard deviations of the states; channels that are hardly wrong do not count.
+    """
+    remaining = np.minimum(unexplained(before, left), 1.0)
+    gains = 1.0 - unexplained(after, left) / np.maximum(remaining, 1e-12)
+    size = np.mean(left**2, axis=0)
+    gains = np.where(size >= COUNTS * size.max(), gains, -np.inf)
+    return float(gains.max()), int(gains.argmax())
+
+
+FOLDS, STRETCH = 5, 50
+"""Every fifth stretch of so many rows is held out in turn."""
+
+RIDGES = (1.0, 30.0, 1000.0)
+
+
+def explained(features: Array, targets: Array) -> float:
+    """Return the share of the variance of ``targets`` (N, k), each scaled alike, that ``features`` (N, m) explain.
+
+    Both are in order of time; each stretch is predicted from the others, by ridge regression with the best of three
+    ridges. 0 if nothing is explained, or there are fewer rows than would show it.
+    """
+    if len(targets) < FOLDS * STRETCH:
+        return 0.0
+    left = unexplained(features, targets)
+    return max(0.0, 1.0 - float(np.mean(left)))
+
+
+def unexplained(features: Array, targets: Array) -> Array:
+    """Return the share (k,) of the variance of each column of ``targets`` that is left, with the best ridge."""
+    x = standardised(features)
+    y = targets - targets.mean(axis=0)
+    total = np.mean(y**2, axis=0)
+    total = np.where(total > 0.0, total, np.inf)
+    fold = (np.arange(len(y)) // STRETCH) % FOLDS
+    squares = np.zeros((len(RIDGES), y.shape[1]))
+    whole = x.T @ x, x.T @ y
+    for number in range(FOLDS):
+        held = fold == number
+        gram, cross = whole[0] - x[held].T @ x[held], whole[1] - x[held].T @ y[held]
+        for place, ridge in enumerate(RIDGES):
+            weights = np.linalg.solve(gram + ridge * np.eye(len(gram)), cross)
+            squares[place] += ((y[held] - x[held] @ weights) ** 2).sum(axis=0)
+    shares = squares / len(y) / total
+    return np.asarray(shares[shares.mean(axis=1).argmin()])
+
+
+def standardised(features: Array) -> Array:
+    """Return each column with mean 0 and standard deviation 1; one that is constant becomes 0."""
+    std = features.std(axis=0)
+    return np.asarray((features - features.mean(axis=0)) / np.where(std > 0.0, std, np.inf))
+
+
+def with_products(features: Array) -> Array:
+    """Return the columns of ``features`` (N, m), standardised, and all products of two of them."""
+    x = standardised(features)
+    first, second = np.triu_indices(x.shape[1])
+    return np.concatenate([x, x[:, first] * x[:, second]], axis=1)
+
+
+def lagged(values: Array, lags: range, rows: BoolArray) -> Array:
+    """Return ``values`` (M, c) at each of ``lags`` before the ``rows`` (M,), side by side; nan where there is none."""
+    found = []
+    for lag in lags:
+        moved = np.full_like(values, np.nan)
+        moved[lag:] = values[: len(values) - lag]
+        found.append(moved[rows])
+    return np.concatenate(found, axis=1) if found else np.empty((int(rows.sum()), 0))
+
+
+LITTLE = 1.25
+"""A one-step error within this many times the noise cannot be lowered by a quarter: differences between families that
+people act on are larger."""
+
+FORM = 0.2
+"""Share of what a model leaves that a plain regression on the model's own inputs explains, from which on its form
+limits it: a tenth of the error."""
+
+NEIGHBOURS, APART = 4, 20
+"""A pair is a step and the nearest of so many that is more than so many steps away: noise that lasts is in both."""
+
+NOISE_FEWEST, MOST_PAIRS = 250, 4000
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The one-step error N, the ``floor`` that noise sets it, and the share that a plain regression still explains."""
+
+    n: float
+    floor: float
+    explained: float
+
+
+def noise_floor(evidence: Evidence) -> Remark | None:
+    """Return that little is left to gain one step ahead, or that the form of the model is what limits it."""
+    found = estimate_noise(evidence)
+    if found is None:
+        return None
+    figures = {"n": found.n, "noise": found.floor, "explained": found.explained}
+    if found.explained >= FORM:
+        return Remark(
+            "form",
+            f"The form of {evidence.name} limits it: a plain regression on the same inputs explains "
+            f"{percent(found.explained)} of what it leaves one step ahead. Try a family that is richer, or one with "
+            "more of the physics.",
+            1.0 - np.sqrt(1.0 - found.explained),
+            figures,
+        )
+    if found.n <= LITTLE * found.floor:
+        return Remark(
+            "noise",
+            f"One step ahead the error of {evidence.name}, N {found.n:.3f}, is {found.n / found.floor:.2f} times the "
+            f"noise, {found.floor:.3f}: little is left to gain there with these inputs.",
+            0.05,
+            figures,
+        )
+    return None
+
+
+def estimate_noise(evidence: Evidence) -> Noise | None:
+    """Compare what is left at the nearest inputs; None with too few steps.
+
+    Two steps from nearly the same inputs differ by their noise alone: half the mean squared difference of what the
+    model leaves at such pairs is the variance of the noise (the model takes out what changes between them), the idea of
+    Rice (1984) and of the gamma test. What counts as noise is all that the model's inputs do not determine.
+    """
+    steps, system = evidence.steps, evidence.system
+    rows = steps.scored
+    state_lags, control_lags = evidence.model.lags
+    states = system.regressors(np.nan_to_num(steps.states))
+    states[~np.isfinite(steps.states).all(axis=1)] = np.nan
+    now = np.concatenate([states[rows], steps.controls[rows]], axis=1)
+    earlier = np.concatenate(
+        [lagged(states, range(1, state_lags + 1), rows), lagged(steps.controls, range(1, control_lags + 1), rows)],
+        axis=1,
+    )
+    known = np.isfinite(earlier).all(axis=1)
+    if known.sum() < NOISE_FEWEST:
+        return None
+    left = steps.errors[rows][known] / evidence.std
+    now, earlier, places = now[known], earlier[known], np.flatnonzero(rows)[known]
+    some = np.linspace(0, len(left) - 1, min(len(left), MOST_PAIRS)).round().astype(np.int64)
+    pairs = _nearest(standardised(np.concatenate([now, earlier], axis=1))[some], places[some])
+    floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
+    features = np.concatenate([with_products(now), earlier], axis=1)
+    return Noise(float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left))
+
+
+def _nearest(points: Array, places: IntArray) -> IntArray:
+    """Return for each point the nearest that is more than `APART` steps away in time."""
+    from scipy.spatial import cKDTree
+
+    count = min(len(points), NEIGHBOURS + 2 * APART + 1)
+    near = np.asarray(cKDTree(points).query(points, k=count)[1], dtype=np.int64)
+    apart = np.abs(places[near] - places[:, None]) > APART
+    return np.asarray(near[np.arange(len(near)), apart.argmax(axis=1)])

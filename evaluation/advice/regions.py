@@ -1,0 +1,219 @@
+"""Checks of places: uncovered states and commands, dead commands, regions of large error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.advice.evidence import Evidence, Remark
+from evaluation.coverage import FEWEST as COVERAGE_FEWEST
+from evaluation.coverage import MOST_STEPS as COVERAGE_MOST_STEPS
+from evaluation.coverage import RARELY, Gap, _columns, _inside, _regions, largest_gap
+from evaluation.formatting import percent
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.regions import Region, candidate_regions, region_errors, worst_region
+from evaluation.steps import Steps
+from sysid_evo.data import Dataset
+from sysid_evo.data.response import Delay, find_delays
+from sysid_evo.motion import PlanarBody
+from sysid_evo.types import Array, BoolArray
+
+DEAD = 0.25
+"""An effect that is surely below a quarter of that elsewhere: lag and noise alone do not shrink it so far."""
+
+SURE = 3.0
+"""Standard errors of an effect; those of a regression on neighbouring samples are too small by about a half."""
+
+FEWEST, MOST_STEPS = 60, 20_000
+
+TRIED = 0.3
+"""Share of the spread that a command has elsewhere, below which nothing can be said of its effect."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How much a unit of a control changes a state's acceleration, and the standard error of that."""
+
+    size: float
+    error: float
+
+
+def dead_command(evidence: Evidence) -> Remark | None:
+    """Return the command and region where the data show none of the effect that it has elsewhere."""
+    found = []
+    delays = [delay for delay in find_delays(evidence.training) if delay.clear]
+    for control in dict.fromkeys(delay.control for delay in delays):
+        strongest = max((d for d in delays if d.control == control), key=lambda delay: abs(delay.strength))
+        found += _dead(evidence.training, strongest)
+    if not found:
+        return None
+    share, ratio, delay, region = max(found, key=lambda one: one[0] * (1.0 - one[1]))
+    return Remark(
+        "dead command",
+        f"{delay.control} has no effect on {delay.state} with {region.words} ({percent(share)} of the time; at most "
+        f"{percent(ratio)} of its effect elsewhere). See whether it is a dead band, a limit, or lost grip: models that "
+        "do not know it promise what the robot does not do. Record more there.",
+        share * (1.0 - ratio),
+        {"share": share, "ratio": ratio},
+    )
+
+
+def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Region]]:
+    """Return share of time, largest ratio of the effects, and region, of each where the command is dead."""
+    system, late = dataset.system, max(delay.steps, 0)
+    steps = Steps.of(system, [episode for episode in dataset if len(episode) > late])
+    moving = np.concatenate(
+        [rows[:-1] for rows, episode in zip(dataset.moving, dataset, strict=True) if len(episode) > late]
+    )
+    place, state = system.control_names.index(delay.control), system.state_names.index(delay.state)
+    control = np.concatenate(
+        [np.append(np.full(late, np.nan), e.controls[: len(e) - late, place]) for e in dataset if len(e) > late]
+    )
+    if delay.at_speed:
+        control = control * steps.before[:, _forward(dataset)]
+    usable = np.flatnonzero(moving & np.isfinite(control))
+    usable = usable[:: max(1, len(usable) // MOST_STEPS)]
+    change = system.acceleration(steps.before, steps.after)[usable, state]
+    before, now, control = system.wrapped(steps.before)[usable], steps.control[usable], control[usable]
+    others = np.concatenate([system.regressors(before), np.delete(now, place, axis=1)], axis=1)
+    now[:, place] = control
+    found = []
+    for region, inside in candidate_regions(system, before, now):
+        if region.channel in system.control_names and region.channel != delay.control:
+            continue
+        if (region.channel == delay.control and delay.at_speed) or region.kind == "at":
+            continue
+        here, elsewhere = _effect(change, control, others, inside), _effect(change, control, others, ~inside)
+        if here is None or elsewhere is None or abs(elsewhere.size) < SURE * elsewhere.error:
+            continue
+        ratio = (abs(here.size) + SURE * here.error) / abs(elsewhere.size)
+        tried = control[inside].std() >= TRIED * control[~inside].std()
+        if ratio <= DEAD and tried:
+            found.append((float(inside.mean()), float(ratio), delay, region))
+    return found
+
+
+def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> Effect | None:
+    """Regress the change on control and states; None with too few rows."""
+    if rows.sum() < FEWEST:
+        return None
+    x = np.concatenate([control[rows, None], others[rows], np.ones((int(rows.sum()), 1))], axis=1)
+    weights, _, rank, _ = np.linalg.lstsq(x, change[rows], rcond=None)
+    if rank < x.shape[1]:
+        return None
+    left = change[rows] - x @ weights
+    variance = (left @ left) / (len(left) - rank) * np.linalg.inv(x.T @ x)[0, 0]
+    return Effect(float(weights[0]), float(np.sqrt(variance)))
+
+
+def _forward(dataset: Dataset) -> int:
+    motion = dataset.system.motion
+    assert isinstance(motion, PlanarBody)
+    return motion.indices(dataset.system.state_names)[0]
+
+
+UNTRIED = 0.03
+"""And of the time of a state times that of a command, where no controllers are known."""
+
+
+def missing_excitation(evidence: Evidence) -> Remark | None:
+    """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
+    seen = Steps.moving(evidence.training).thinned(COVERAGE_MOST_STEPS)
+    if evidence.visited is None or len(evidence.visited) < COVERAGE_FEWEST:
+        return _untried(evidence, seen)
+    gap = largest_gap(seen, evidence.visited)
+    if gap is None:
+        return None
+    return Remark(
+        "excitation",
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
+        "models guess there. Record just that.",
+        gap.asked,
+        gap.figures,
+    )
+
+
+def other_states(evidence: Evidence) -> Remark | None:
+    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
+    if evidence.test is None:
+        return None
+    held_out = Steps.moving(evidence.test)
+    gap = largest_gap(Steps.moving(evidence.training), held_out)
+    if gap is not None:
+        return Remark(
+            "test part",
+            f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
+            "errors tell how models extrapolate. Hold out other recordings (--test), or record more there.",
+            gap.asked,
+            gap.figures,
+        )
+    if evidence.visited is None or len(evidence.visited) < COVERAGE_FEWEST:
+        return None
+    gap = largest_gap(held_out, evidence.visited)
+    if gap is None or missing_excitation(evidence) is not None:
+        return None
+    return Remark(
+        "test part",
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
+        "errors say nothing of what models do there. Hold out driving that comes there.",
+        0.5 * gap.asked,
+        gap.figures,
+    )
+
+
+def _untried(evidence: Evidence, seen: Steps) -> Remark | None:
+    """Return the state and command that each occur, and hardly together."""
+    if len(seen) < COVERAGE_FEWEST or not evidence.system.nu:
+        return None
+    regions = _regions(seen.system, _columns(seen))
+    inside = _inside(regions, seen.system, seen)
+    alone, together = inside.mean(axis=0), inside.T @ inside / len(inside)
+    expected = np.outer(alone, alone)
+    states = np.array([region.channel in evidence.system.state_names for region in regions])
+    pairs = states[:, None] & ~states[None, :] & (expected >= UNTRIED) & (together <= RARELY * expected)
+    if not pairs.any():
+        return None
+    size = np.where(pairs, expected, 0.0)
+    state, command = np.unravel_index(int(size.argmax()), size.shape)
+    gap = Gap((regions[command], regions[state]), float(expected[state, command]), float(together[state, command]))
+    return Remark(
+        "excitation",
+        f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
+        f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the "
+        "data: record it.",
+        0.5 * gap.asked,
+        gap.figures,
+    )
+
+
+def _share(share: float) -> str:
+    """Return a small share with a decimal."""
+    return "none" if share == 0.0 else percent(share)
+
+
+RESAMPLES = 300
+
+
+def weak_region(evidence: Evidence) -> Remark | None:
+    """Return the region where the error is clearly larger than elsewhere, see `region_errors`."""
+    lags = evidence.model.n_lags
+    protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags), resamples=RESAMPLES)
+    cases = measured_cases(evidence.training, evidence.judged, protocol)
+    steps = cases.near_horizon
+    if steps is None:
+        return None
+    predicted = evidence.model.simulate(*cases.history(lags), cases.windows.controls[:, :steps])
+    if not np.isfinite(predicted).all():
+        return None
+    worst = worst_region(region_errors(cases, predicted, steps))
+    if worst is None:
+        return None
+    return Remark(
+        "weak region",
+        f"{evidence.name} is worst with {worst.region.words}, {percent(worst.share)} of the windows: N {worst.n:.3f} "
+        f"after {steps * evidence.system.dt:g} s, {worst.ratio:.1f} times that of all. Record more there, and see what "
+        "is different.",
+        worst.share * (1.0 - 1.0 / worst.ratio),
+        {"ratio": worst.ratio, "share": worst.share},
+    )

@@ -1,0 +1,515 @@
+"""How a controller behaves in recorded trials: numbers, differences between systems, sentences.
+
+Names are those of channels and plain words; each number is of one trial, nan where the trial has none.
+
+A behaviour is a share of the time in [0, 1]: how long each state and each control is above and below neutral, and how
+long everything stands still. It is generic: channels are named as the system names them, and a task may add measures
+of its own (`Task.measures`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from evaluation.formatting import percent
+from evaluation.transfer.matrix import Trace, TransferMatrix
+from evaluation.transfer.uncertainty import PairedEstimate
+from sysid_evo.angles import TURN
+from sysid_evo.data import Trajectory
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array, BoolArray
+
+UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
+"""By the end of a measure's name; all others are shares."""
+
+USUAL = 0.75
+"""Share of the trials that are slower than what counts as fast: a single exploited model may be faster than all."""
+
+LEAST = 2
+"""Trials from which on a measure has an interval."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """The mean over ``trials`` that have the number, and its 90 % interval (nan for a single trial)."""
+
+    value: float
+    low: float
+    high: float
+    trials: int
+
+    def differs(self, other: Measure) -> bool:
+        """Whether the intervals of both lie apart."""
+        return self.low > other.high or self.high < other.low
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How ``controller`` went about its task on ``column`` in ``trials`` recorded trials, each number by its name."""
+
+    controller: str
+    column: str
+    trials: int
+    measures: Mapping[str, Measure]
+
+    def value(self, name: str) -> float:
+        """Return a measure's mean, nan if there is none."""
+        found = self.measures.get(name)
+        return float("nan") if found is None else found.value
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of the measure ``name``, empty for a share."""
+    return next((unit for end, unit in UNITS if name.endswith(end)), "")
+
+
+def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> Manner:
+    """Return the manner of these trials; ``fastest`` (nx,) is the largest size that each state has anywhere."""
+    found = [measured(trace, system, fastest) for trace in traces]
+    names = dict.fromkeys(name for one in found for name in one)
+    measures = {}
+    for name in names:
+        values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
+        if len(values):
+            enough = len(values) >= LEAST
+            low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
+            measures[name] = Measure(float(values.mean()), *_within(name, low, high), len(values))
+    return Manner(controller, column, len(traces), measures)
+
+
+def _within(name: str, low: float, high: float) -> tuple[float, float]:
+    """Return an interval without what no such number can be: below 0, or a share above 1."""
+    return float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
+
+
+def manners(matrix: TransferMatrix) -> tuple[Manner, ...]:
+    """Return the manner of every controller on the robots and on what it was evolved against, as far as recorded."""
+    system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
+    kept = {key: cell.traces for key, cell in matrix.cells.items() if cell.traces}
+    if system is None or not kept:
+        return ()
+    states = [trace.trajectory.states for traces in kept.values() for trace in traces]
+    fastest = np.quantile([np.quantile(np.abs(one), 0.99, axis=0) for one in states], USUAL, axis=0)
+    found = []
+    for champion in matrix.champions:
+        robots = [column for column in matrix.columns if column not in matrix.models]
+        for column in dict.fromkeys((*champion.against, *robots) if champion.against else matrix.columns):
+            traces = kept.get((champion.name, column), ())
+            if traces:
+                found.append(manner_of(champion.name, column, traces, system, fastest))
+    return tuple(found)
+
+
+NEAR = 2.5
+"""A marker is missed if a body that came towards it passes it this close, in radii of the marker, and goes away."""
+
+CAME = 0.5
+"""In radii: how much nearer it must have come before, and how much farther it must be after."""
+
+AFTER = 2.0
+"""Seconds after a miss that count as what follows it."""
+
+LONGEST = 10.0
+"""Seconds within which a full turn around a marker is an orbit."""
+
+Reaction: TypeAlias = Literal["drives on", "stops", "turns back"]
+
+REACTIONS: tuple[Reaction, ...] = ("drives on", "stops", "turns back")
+
+
+@dataclass(frozen=True)
+class Chase:
+    """One trial: how many markers came up and were ``reached``, and what followed each miss (``reactions``).
+
+    ``missed`` counts the markers that were missed at least once, ``after`` holds for every miss whose marker was then
+    reached how long that took (s), and ``orbiting`` is the share of the time spent in full turns around a marker.
+    """
+
+    markers: int
+    reached: int
+    missed: int
+    reactions: tuple[Reaction, ...]
+    after: tuple[float, ...]
+    orbiting: float
+
+
+def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float, *, still: float) -> Chase:
+    """Return how a body at ``place`` (T + 1, 2) m went for ``markers`` (k, 2), one after the other.
+
+    ``forward`` (T + 1,) is its signed speed, and it stands below ``still``, in m/s.
+    """
+    begin, reached, missed = 0, 0, 0
+    reactions: list[Reaction] = []
+    after: list[float] = []
+    around = np.zeros(len(place), dtype=bool)
+    for marker in markers:
+        off = place[begin:] - marker
+        distance = np.hypot(off[:, 0], off[:, 1])
+        inside = np.flatnonzero(distance[1:] < radius)
+        there = bool(len(inside))
+        end = begin + 1 + (int(inside[0]) if there else len(distance) - 2)
+        leg = slice(begin, end + 1)
+        misses = [begin + step for step in _misses(distance[: end - begin + 1], radius)]
+        for step in misses:
+            reactions.append(_reaction(forward[step : step + 1 + round(AFTER / dt)], still))
+            if there:
+                after.append((end - step) * dt)
+        missed += bool(misses)
+        around[leg] |= _orbits(off[: end - begin + 1], max(2, round(LONGEST / dt)))
+        reached += there
+        begin = end
+        if not there or begin >= len(place) - 1:
+            break
+    return Chase(
+        len(markers),
+        reached,
+        missed,
+        tuple(reactions),
+        tuple(after),
+        float(around[:-1].mean()) if len(around) > 1 else 0.0,
+    )
+
+
+def _misses(distance: Array, radius: float) -> list[int]:
+    """Return the steps at which a body that had come nearer passed by and went away again."""
+    found: list[int] = []
+    farthest, nearest, step, coming = distance[0], distance[0], 0, False
+    for k, now in enumerate(distance):
+        if not coming:
+            farthest = max(farthest, now)
+            if now < farthest - CAME * radius:
+                coming, nearest, step = True, now, k
+        elif now < nearest:
+            nearest, step = now, k
+        elif now > nearest + CAME * radius:
+            if radius <= nearest < NEAR * radius:
+                found.append(step)
+            coming, farthest = False, now
+    return found
+
+
+def _reaction(forward: Array, still: float) -> Reaction:
+    """Return what a body with these speeds does: it turns back once it moves the other way."""
+    moving = forward[np.abs(forward) > still]
+    if len(moving) and np.sign(moving[-1]) != np.sign(moving[0]):
+        return "turns back"
+    return "stops" if bool((np.abs(forward) <= still).any()) else "drives on"
+
+
+def _orbits(off: Array, longest: int) -> BoolArray:
+    """Return which samples lie within a full turn around the origin that takes at most ``longest`` steps."""
+    angle = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
+    marked = np.zeros(len(angle), dtype=bool)
+    if np.ptp(angle) < TURN:
+        return marked
+    for first in range(len(angle)):
+        turned = np.flatnonzero(np.abs(angle[first : first + longest] - angle[first]) >= TURN)
+        if len(turned):
+            marked[first : first + int(turned[0]) + 1] = True
+    return marked
+
+
+SWITCH = 0.1
+"""A control switches where it changes by more than this share of its range within one step."""
+
+LIMIT = 0.01
+"""It is at a limit within this share of its range."""
+
+MOVING = 0.1
+"""A body moves above this share of its largest speed, and turns above this share of its largest yaw rate."""
+
+STOP = 0.2
+"""Seconds at rest that make a stop."""
+
+SETTLED = 0.1
+"""A trial has settled if nothing leaves the tolerance in this last share of it."""
+
+NAN = float("nan")
+
+
+def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
+    """Return the numbers of one trial; ``fastest`` (nx,) is the largest size that each state has anywhere."""
+    found: dict[str, float] = {}
+    run = trace.trajectory
+    for j, channel in enumerate(system.controls):
+        found |= _control(channel, run.controls[:, j], run.dt)
+    for i, channel in enumerate(system.states):
+        if channel.bounded:
+            found[f"{channel.name} at a limit"] = float(_at_limit(channel, run.states[1:, i]).mean())
+    if trace.targets:
+        found |= _targets(trace)
+    if isinstance(system.motion, PlanarBody):
+        found |= _on_a_plane(trace, system, system.motion, fastest)
+    return found
+
+
+def _control(channel: Channel, values: Array, dt: float) -> dict[str, float]:
+    size = channel.high - channel.low if channel.bounded else np.ptp(values)
+    switches = np.abs(np.diff(values)) > SWITCH * size if size > 0 else np.zeros(len(values) - 1, dtype=bool)
+    found = {f"{channel.name} switches per second": float(switches.sum() / (len(values) * dt))}
+    if channel.bounded and channel.levels is None:
+        found[f"{channel.name} at a limit"] = float(_at_limit(channel, values).mean())
+    off = values != channel.neutral
+    found[f"{channel.name} above neutral"] = float((values[off] > channel.neutral).mean()) if off.any() else NAN
+    return found
+
+
+def _at_limit(channel: Channel, values: Array) -> BoolArray:
+    band = LIMIT * (channel.high - channel.low)
+    found: BoolArray = (values <= channel.low + band) | (values >= channel.high - band)
+    return found
+
+
+def _targets(trace: Trace) -> dict[str, float]:
+    """How long all states took to come within their tolerances for good, and how much of the time they are there."""
+    run = trace.trajectory
+    outside = np.zeros(len(run.states), dtype=bool)
+    for target in trace.targets:
+        error = run.states[:, target.place] - target.values
+        if target.channel.period is not None:
+            error -= target.channel.period * np.round(error / target.channel.period)
+        outside |= np.abs(error) > target.tolerance
+    late = np.flatnonzero(outside)
+    last = int(late[-1]) + 1 if len(late) else 0
+    settled = last <= (1.0 - SETTLED) * len(outside)
+    return {
+        "within tolerance": float(1.0 - outside.mean()),
+        "settled": float(settled),
+        "settling time": last * run.dt if settled else NAN,
+    }
+
+
+def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array) -> dict[str, float]:
+    run = trace.trajectory
+    forward, lateral, yaw = motion.indices(system.state_names)
+    ahead = run.states[:, forward]
+    speed = np.abs(ahead) if lateral is None else np.hypot(ahead, run.states[:, lateral])
+    still = MOVING * fastest[forward]
+    moving, turning = speed > still, np.abs(run.states[:, yaw]) > MOVING * fastest[yaw]
+    found = {
+        "speed": float(speed.mean()),
+        "backwards": float((ahead[moving] < 0.0).mean()) if moving.any() else NAN,
+        "turning left": float((run.states[turning, yaw] > 0.0).mean()) if turning.any() else NAN,
+        "stops per minute": 60.0 * _stops(~moving, max(1, round(STOP / run.dt))) / run.duration,
+        "standing": float((~moving).mean()),
+    }
+    if len(trace.waypoints) and run.pose is not None:
+        found |= _markers(trace, run.pose[:, :2], ahead, still)
+    return found
+
+
+def _stops(standing: BoolArray, least: int) -> int:
+    """Return how often it stands for ``least`` samples or more after it moved."""
+    moved = np.flatnonzero(~standing)
+    if not len(moved):
+        return 0
+    after = np.concatenate([[False], standing[moved[0] :], [False]]).astype(np.int64)
+    begins, ends = np.flatnonzero(np.diff(after) == 1), np.flatnonzero(np.diff(after) == -1)
+    return int((ends - begins >= least).sum())
+
+
+def _markers(trace: Trace, place: Array, forward: Array, still: float) -> dict[str, float]:
+    found = chase(place, trace.waypoints, trace.waypoint_radius, forward, trace.trajectory.dt, still=still)
+    came_up = min(found.markers, found.reached + 1)
+    misses = len(found.reactions)
+    return {
+        "missed at first": found.missed / came_up,
+        "misses per minute": 60.0 * misses / trace.trajectory.duration,
+        **{f"{what} after a miss": found.reactions.count(what) / misses if misses else NAN for what in REACTIONS},
+        "reached after a miss in": float(np.median(found.after)) if found.after else NAN,
+        "orbiting": found.orbiting,
+    }
+
+
+MOSTLY, HARDLY = 0.5, 0.1
+"""Shares from which on, and below which, something is worth its words."""
+
+SIDED = 0.75
+"""Share of the turns to one side from which on it is told."""
+
+APART = 0.15
+"""Difference of two shares, or of two rates as a share of the larger, that is told between two systems."""
+
+
+def describe(here: Manner, there: Sequence[Manner] = (), *, place: str = "") -> str:
+    """Return what a controller does on one system, and what it does otherwise on others.
+
+    ``place`` are the words for the system ("on the robot").
+    """
+    parts = [*_driving(here), *_chasing(here), *_settling(here), *_switching(here)]
+    text = f"{f'{place[0].upper()}{place[1:]}: ' if place else ''}{'; '.join(parts)}." if parts else ""
+    others = [said for other in there if (said := _otherwise(here, other))]
+    return " ".join(filter(None, (text, *others)))
+
+
+def described(manners: Sequence[Manner], robot: str | None) -> dict[str, str]:
+    """Return what each controller does: on the robot, or else where it was evolved, and what it does otherwise."""
+    found: dict[str, list[Manner]] = {}
+    for manner in manners:
+        found.setdefault(manner.controller, []).append(manner)
+    told = {}
+    for controller, several in found.items():
+        here = next((one for one in several if one.column == robot), several[0])
+        place = "on the robot" if here.column == robot else f"in {here.column}"
+        told[controller] = describe(here, [one for one in several if one is not here], place=place)
+    return {controller: text for controller, text in told.items() if text}
+
+
+def _driving(manner: Manner) -> list[str]:
+    speed, back, left = (manner.value(name) for name in ("speed", "backwards", "turning left"))
+    if not np.isfinite(speed):
+        return []
+    parts = []
+    if np.isfinite(back):
+        way = "backwards" if back > MOSTLY else "forwards"
+        parts.append(f"drives {way} {percent(max(back, 1.0 - back))} of the time at {speed:.2f} m/s")
+    else:
+        parts.append("hardly moves")
+    if np.isfinite(left) and max(left, 1.0 - left) >= SIDED:
+        parts.append(f"turns {'left' if left > MOSTLY else 'right'} in {percent(max(left, 1.0 - left))} of its turns")
+    stops, standing = manner.value("stops per minute"), manner.value("standing")
+    if stops >= 1.0:
+        parts.append(f"stops {stops:.0f} times a minute")
+    if standing >= HARDLY:
+        parts.append(f"stands {percent(standing)} of the time")
+    return parts
+
+
+def _chasing(manner: Manner) -> list[str]:
+    missed, orbiting = manner.value("missed at first"), manner.value("orbiting")
+    parts = []
+    if np.isfinite(missed):
+        if missed < HARDLY / 2:
+            parts.append("hardly ever misses a waypoint")
+        else:
+            parts.append(f"misses {percent(missed)} of the waypoints at first{_after(manner)}")
+    if np.isfinite(orbiting) and orbiting > HARDLY / 10:
+        parts.append(f"orbits a waypoint {percent(orbiting)} of the time")
+    return parts
+
+
+def _after(manner: Manner) -> str:
+    """Return what follows a miss, most often first."""
+    shares = {what: manner.value(f"{what} after a miss") for what in REACTIONS}
+    known = {what: share for what, share in shares.items() if np.isfinite(share) and share >= HARDLY}
+    told = [f"{what} ({percent(share)})" for what, share in sorted(known.items(), key=lambda pair: -pair[1])]
+    delay = manner.value("reached after a miss in")
+    back = f", and is there {delay:.1f} s later" if np.isfinite(delay) else ""
+    return f", then {' or '.join(told)}{back}" if told else ""
+
+
+def _settling(manner: Manner) -> list[str]:
+    settled, seconds, within = (manner.value(name) for name in ("settled", "settling time", "within tolerance"))
+    if not np.isfinite(settled):
+        return []
+    parts = [f"is within tolerance {percent(within)} of the time"]
+    if settled < HARDLY:
+        return [*parts, "never settles" if settled == 0.0 else f"settles in {percent(settled)} of the trials only"]
+    return [*parts, f"settles after {seconds:.1f} s in {percent(settled)} of the trials"]
+
+
+def _switching(manner: Manner) -> list[str]:
+    ending = " switches per second"
+    rates = {name.removesuffix(ending): one.value for name, one in manner.measures.items() if name.endswith(ending)}
+    parts = [f"{name} {rate:.1f} times" for name, rate in rates.items() if rate >= HARDLY]
+    told = [f"switches {' and '.join(parts)} a second"] if parts else []
+    for name in rates:
+        limit = manner.value(f"{name} at a limit")
+        if HARDLY <= limit < 1.0:
+            told.append(f"holds {name} at a limit {percent(limit)} of the time")
+    return told
+
+
+def _otherwise(here: Manner, other: Manner) -> str:
+    """Return what differs clearly on another system, the most different first; empty if nothing does."""
+    found = []
+    for name, one in other.measures.items():
+        own = here.measures.get(name)
+        if own is None or not one.differs(own):
+            continue
+        size = abs(one.value - own.value)
+        if unit_of(name):
+            size /= max(one.value, own.value)
+        if size >= APART:
+            found.append((size, f"{name} {_told(name, one.value)} instead of {_told(name, own.value)}"))
+    listed = [text for _, text in sorted(found, key=lambda pair: -pair[0])[:3]]
+    return f"In {other.column}: {', '.join(listed)}." if listed else ""
+
+
+def _told(name: str, value: float) -> str:
+    unit = unit_of(name)
+    if " per " in name:
+        return f"{value:.1f}"
+    return f"{value:.1f} {unit}" if unit else percent(value)
+
+
+STILL = "stand still"
+
+QUIET = 0.05
+"""A state counts as neutral within this share of the largest size it has in the data."""
+
+BEHAVIOUR_LEAST = 0.25
+"""Difference of two shares of time that is worth telling."""
+
+
+@dataclass(frozen=True)
+class BehaviourDifference:
+    """One behaviour: its share of the time in the model (``here``) and elsewhere (``there``)."""
+
+    name: str
+    here: float
+    there: float
+
+    @property
+    def size(self) -> float:
+        """How far apart the two shares are."""
+        return abs(self.here - self.there)
+
+    def told(self, elsewhere: str) -> str:
+        """Return the difference in words that go on after: its controllers ...; ``elsewhere`` says where that is."""
+        return f"{self.name} {percent(self.here)} of the time here, {percent(self.there)} {elsewhere}"
+
+
+def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array) -> Mapping[str, float]:
+    """Return each behaviour's share of the time over all ``trajectories``; empty without any.
+
+    ``largest`` (nx,) is the largest size off neutral that each state has in the training data.
+    """
+    if not trajectories:
+        return {}
+    states = np.concatenate([t.states[:-1] for t in trajectories])
+    controls = np.concatenate([t.controls for t in trajectories])
+    off = system.difference(states, np.broadcast_to(system.neutral_state, states.shape))
+    band = QUIET * largest
+    found = {STILL: float((np.abs(off) <= band).all(axis=1).mean())}
+    for i, channel in enumerate(system.states):
+        found[f"have {channel.name} above neutral"] = float((off[:, i] > band[i]).mean())
+        found[f"have {channel.name} below neutral"] = float((off[:, i] < -band[i]).mean())
+    for j, channel in enumerate(system.controls):
+        found[f"hold {channel.name} above neutral"] = float((controls[:, j] > channel.neutral).mean())
+        found[f"hold {channel.name} below neutral"] = float((controls[:, j] < channel.neutral).mean())
+    return found
+
+
+def behaviour_differences(
+    here: Mapping[str, float], there: Sequence[Mapping[str, float]]
+) -> tuple[BehaviourDifference, ...]:
+    """Return the behaviours that differ by a quarter of the time or more from the median of ``there``, most first.
+
+    Of a channel only the side that differs more is told.
+    """
+    known = [one for one in there if one]
+    if not here or not known:
+        return ()
+    elsewhere = {name: float(np.median([one[name] for one in known])) for name in here}
+    found = [BehaviourDifference(name, here[name], elsewhere[name]) for name in here]
+    told: dict[str, BehaviourDifference] = {}
+    for difference in sorted(found, key=lambda one: -one.size):
+        if difference.size >= BEHAVIOUR_LEAST:
+            told.setdefault(difference.name.rsplit(" ", 2)[0], difference)
+    return tuple(told.values())

@@ -1,0 +1,424 @@
+"""Cells whose result is a controller: evolve, select, polish, baseline; evolution settings, and the cells of a
+search procedure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, TypeAlias
+
+from evaluation.cells.models import file_digests, files_of, named_files
+from evaluation.cells.plants import BELIEVED, Column, believed, prediction_error
+from evaluation.experiment import Experiment
+from evaluation.transfer.forecast import RULE, worth_by
+from sysid_evo.artefacts import CheckpointFile
+from sysid_evo.engine import Runner
+from sysid_evo.errors import Blocked, InvalidArgument
+from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
+from sysid_evo.evolution.champion import load_champion, save_champion
+from sysid_evo.plan import Cell, Work, blocked_by, cell_seed
+from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
+from sysid_evo.registry.registry import cautions, noises
+from sysid_evo.system import System
+
+ROLLOUT_STEPS_PER_SECOND = 2e7
+
+RECOMMENDED = "recommended"
+"""What the controller of the recommended recipe is called."""
+
+
+def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
+    """Return how an ensemble and its champion are called: ``a+b``, or ``mean(a+b)`` for another rule."""
+    name = "+".join(members)
+    return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
+
+
+class ControllerFiles(Cell):
+    """A cell whose result is a controller."""
+
+    place = "controllers"
+
+    def save(self, value: Champion, path: Path) -> list[Path]:
+        return files_of(save_champion(value, path))
+
+    def load(self, path: Path) -> Champion:
+        return load_champion(path)
+
+
+def conditions(settings: ControllerEvolution) -> dict[str, Any]:
+    """Return under what conditions candidates are judged, as strict JSON."""
+    return {
+        "aggregate": aggregates.identity(settings.aggregate),
+        "trials": settings.trials,
+        "selection_trials": settings.selection_trials,
+        "estimator_delay": settings.estimator_delay,
+        "noise": noises.identity(settings.noise) if settings.noise else None,
+        "caution": cautions.identity(settings.caution) if settings.caution else None,
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class EvolveCell(ControllerFiles):
+    """Evolves one controller against all of ``members`` at once."""
+
+    kind = "evolve"
+    resumable = True
+
+    members: tuple[Column, ...]
+    settings: ControllerEvolution
+    seed: int
+
+    @property
+    def title(self) -> str:
+        return f"evolve {self.name}"
+
+    @property
+    def name(self) -> str:
+        return ensemble_name(tuple(member.label for member in self.members), self.settings.aggregate)
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return tuple(cell for member in self.members for cell in member.needs)
+
+    @property
+    def at_home(self) -> bool:
+        return any(named_files(self.settings.controller))
+
+    def inputs(self) -> dict[str, Any]:
+        settings = self.settings
+        return {
+            "members": [member.inputs() for member in self.members],
+            "controller": controllers.identity(settings.controller),
+            "task": tasks.identity(settings.task),
+            "strategy": strategies.identity(settings.strategy),
+            **conditions(settings),
+            "generations": settings.generations,
+            "runs": settings.runs,
+            "schedule": [self._stage(stage) for stage in settings.schedule],
+            "seed": self.seed,
+        }
+
+    def _stage(self, stage: Stage) -> dict[str, Any]:
+        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        labels = [member.label for member in self.members]
+        missing = [model for model in stage.models if model not in labels]
+        if missing:
+            raise InvalidArgument(
+                f"schedule: {missing[0]!r} is not among the models of {self.title}. With the recipe 'plain' "
+                "a controller is evolved on all its models at once"
+            )
+        return {
+            "task": None if stage.task is None else tasks.identity(stage.task),
+            "models": sorted(labels.index(model) for model in stage.models),
+            "until": stage.until,
+            "at_most": stage.at_most,
+            "over": stage.over,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
+        system = self.members[0].system(work)
+        names = "+".join(member.registered for member in self.members)
+        seed = cell_seed(self.seed, f"evolve {names}")
+        return evolve_controller(
+            self.name,
+            runners,
+            system,
+            self.settings,
+            seed=seed,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
+
+    def named(self, value: Champion) -> Champion:
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+
+    def seconds(self) -> float:
+        settings = self.settings
+        rollouts = settings.runs * settings.generations * settings.trials * len(self.members) * 100
+        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+
+
+@dataclass(frozen=True, eq=False)
+class ChooseCell(ControllerFiles):
+    """Chooses among the finalists of all ``contenders`` by their forecasts, see `worth_by`.
+
+    ``judges`` are the columns of models; a contender is judged where one of them is of another family than it was
+    evolved in. What failed among contenders and judges is left out.
+    """
+
+    kind = "choose"
+    tolerant = True
+
+    contenders: tuple[EvolveCell, ...]
+    judges: tuple[Column, ...]
+    trials: int
+    seed: int
+
+    @property
+    def members(self) -> tuple[Column, ...]:
+        """Everything that one of the contenders was evolved against."""
+        found = (member for contender in self.contenders for member in contender.members)
+        return tuple({member.label: member for member in found}.values())
+
+    @property
+    def title(self) -> str:
+        return f"choose {self.name}"
+
+    @property
+    def name(self) -> str:
+        if len(self.contenders) == 1:
+            return self.contenders[0].name
+        return f"best of {'+'.join(member.label for member in self.members)}"
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (*self.contenders, *(cell for judge in self.judges for cell in judge.believing))
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
+            "judges": [judge.registered for judge in self.judges],
+            "rule": [RULE.power, RULE.own],
+            "trials": self.trials,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
+        judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
+        contenders = []
+        for contender in self.contenders:
+            champion = work.result(contender)
+            if champion is not None:
+                own = {member.registered for member in contender.members}
+                contenders.append((champion, judging if any(judge.registered not in own for judge in fitted) else {}))
+        if not contenders:
+            raise Blocked(blocked_by(self.contenders[0]))
+        errors = {judge.label: prediction_error(judge, work) for judge in fitted}
+        families = {column.label: column.registered for column in (*self.members, *fitted)}
+        return choose(
+            contenders,
+            seed=cell_seed(self.seed, "choose"),
+            trials=self.trials,
+            judgement=worth_by(errors, families),
+        )
+
+    def named(self, value: Champion) -> Champion:
+        if len(self.contenders) > 1:
+            return value
+        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
+
+    def seconds(self) -> float:
+        return 0.1 * len(self.judges)
+
+
+@dataclass(frozen=True, eq=False)
+class PolishCell(ControllerFiles):
+    """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
+
+    Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `believed`.
+    """
+
+    kind = "polish"
+    resumable = True
+    tolerant = True
+
+    chosen: ChooseCell
+    members: tuple[Column, ...]
+    settings: ControllerEvolution
+    generations: int
+    starts: int
+    seed: int
+    label: str = RECOMMENDED
+    sift: bool = False
+
+    @property
+    def title(self) -> str:
+        return f"polish {self.name}"
+
+    @property
+    def name(self) -> str:
+        return self.label
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (self.chosen, *(cell for member in self.members for cell in self._needs(member)))
+
+    def _needs(self, member: Column) -> tuple[Cell, ...]:
+        return member.believing if self.sift else member.needs
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "members": [member.inputs() for member in self.members],
+            "believed": BELIEVED if self.sift else None,
+            **conditions(self.settings),
+            "generations": self.generations,
+            "starts": self.starts,
+            "seed": self.seed,
+        }
+
+    def compute(self, work: Work) -> Champion:
+        champion = work.result(self.chosen)
+        if champion is None:
+            raise Blocked(blocked_by(self.chosen))
+        fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
+        if self.sift:
+            fitted = list(believed(fitted, work))
+        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
+        return polish(
+            self.name,
+            champion,
+            runners,
+            self.settings,
+            seed=cell_seed(self.seed, "polish"),
+            starts=self.starts,
+            generations=self.generations,
+            checkpoint=CheckpointFile(work.checkpoint),
+            progress=work.progress,
+        )
+
+    def named(self, value: Champion) -> Champion:
+        labels = tuple(member.label for member in self.members)
+        return replace(value, name=self.name, against=labels if len(labels) == len(value.against) else value.against)
+
+    def seconds(self) -> float:
+        rollouts = self.starts * self.generations * self.settings.trials * len(self.members) * 50
+        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+
+
+ChampionCell: TypeAlias = EvolveCell | ChooseCell | PolishCell
+"""A cell that gives a controller; its ``members`` are what this one was evolved against."""
+
+MODEL = "model"
+"""The parameter by which a controller names the models inside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class HandWrittenCell(ControllerFiles):
+    """Makes a controller that is run as it is on ``system``; files that it names count by what is in them.
+
+    ``models`` are the cells of the models of the comparison that its parameter ``model`` names by their labels.
+    """
+
+    kind = "by_hand"
+    members: ClassVar[tuple[Column, ...]] = ()
+
+    spec: Spec
+    task: Spec
+    system: System
+    models: Mapping[str, Cell] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        return f"make {self.name}"
+
+    @property
+    def name(self) -> str:
+        return self.spec.label
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return tuple(self.models.values())
+
+    @property
+    def at_home(self) -> bool:
+        return bool(self.models) or any(named_files(self.spec))
+
+    def inputs(self) -> dict[str, Any]:
+        spec = named_models(self.spec, {label: cell.digest for label, cell in self.models.items()})
+        return {
+            "controller": controllers.identity(spec),
+            "files": file_digests(spec),
+            "task": tasks.identity(self.task),
+            "system": self.system.to_dict(),
+        }
+
+    def compute(self, work: Work) -> Champion:
+        files = {label: f"{work.where(cell).resolve()}.json" for label, cell in self.models.items()}
+        return Champion.hand_written(named_models(self.spec, files), self.task, self.system)
+
+    def named(self, value: Champion) -> Champion:
+        return replace(value, name=self.name)
+
+
+def labels_inside(spec: Spec, labels: Collection[str]) -> tuple[str, ...]:
+    """Return which of ``labels`` the parameter ``model`` of a controller names."""
+    value = spec.parameters.get(MODEL, ())
+    return tuple(name for name in ([value] if isinstance(value, str) else value) if name in labels)
+
+
+def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:
+    """Return ``spec`` with other ``names`` for the models inside."""
+    if not names:
+        return spec
+    value = spec.parameters[MODEL]
+    one = isinstance(value, str)
+    found = [names.get(name, name) for name in ([value] if one else value)]
+    return Spec(spec.name, {**spec.parameters, MODEL: found[0] if one else found}, spec.label)
+
+
+ALONE = "min"
+"""The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
+
+MEAN_OF_ONE = ("min", "mean", "median")
+"""Rules that give, where there is one model, the mean over its trials."""
+
+POLISHED = 2
+"""Finalists that the recommended recipe polishes."""
+
+
+def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> ControllerEvolution:
+    """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for.
+
+    Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
+    """
+    evolution = experiment.evolution
+    if len(members) == 1 and Spec.parse(evolution.aggregate).name in MEAN_OF_ONE:
+        evolution = replace(evolution, aggregate=ALONE)
+    if experiment.noise is None and any(member.robot is not None for member in members):
+        return replace(evolution, noise="")
+    return evolution
+
+
+def controller_cell(
+    experiment: Experiment,
+    members: tuple[Column, ...],
+    *,
+    judges: tuple[Column, ...],
+    label: str | None = None,
+    sift: bool = False,
+    further: tuple[EvolveCell, ...] = (),
+) -> ChampionCell:
+    """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
+
+    By the recommended one each member is searched alone, the best are chosen by their median on those of
+    ``judges`` that are models of other families and predict well, and polished on all members at once; with
+    ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members. The
+    finalists of ``further`` evolutions, in several models at once, can be chosen, too.
+    """
+    evolution = evolution_on(experiment, members)
+    if experiment.budget.recipe == "plain":
+        return EvolveCell(members, evolution, experiment.seed)
+    models = tuple(column for column in judges if column.robot is None)
+    singles = tuple(EvolveCell((one,), evolution_on(experiment, (one,)), experiment.seed) for one in members)
+    if len(members) == 1:
+        return chosen_cell(experiment, singles, models)
+    chosen = ChooseCell((*singles, *further), models, experiment.selection_trials, experiment.seed)
+    name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name, sift)
+
+
+def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
+    """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
+
+    What was evolved on a robot itself is chosen by that robot.
+    """
+    members = [member for cell in contenders for member in cell.members]
+    own = {member.registered for member in members}
+    known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
+    if len(contenders) == 1 and known:
+        return contenders[0]
+    return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)

@@ -1,0 +1,150 @@
+"""The data of a comparison as a cell: recorded on a robot, or given; split into training and test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sysid_evo.data import Dataset
+from sysid_evo.errors import LinkLost
+from sysid_evo.plan import Cell, Work
+from sysid_evo.registry import Spec, make_robot, robots
+
+TRAINING, TEST = "training", "test"
+
+MANY = 8
+"""Fewest episodes of which whole ones can be held back."""
+
+PREDICTABLE = 65
+"""Samples that are enough for the longest prediction, and the history before it."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The two parts of a data set; without ``test`` all of it is for training."""
+
+    training: Dataset
+    test: Dataset | None
+
+
+@dataclass(frozen=True)
+class Split:
+    """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test.
+
+    Where most of the time is in many episodes of which the last share is too short to predict anything, whole ones
+    are held back, that share of the time.
+    """
+
+    episodes: tuple[str, ...] | None = None
+    share: float = 0.25
+
+    def of(self, dataset: Dataset) -> Parts:
+        """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`."""
+        if self.episodes is None and self.share == 0.0:
+            return Parts(dataset, None)
+        if self.episodes is not None:
+            return Parts(*dataset.split(self.episodes))
+        return Parts(*dataset.split(whole_episodes(dataset, self.share) or self.share))
+
+    def inputs(self) -> dict[str, Any]:
+        """Return the split as strict JSON."""
+        return {"test": None if self.episodes is None else list(self.episodes), "share": self.share}
+
+
+def whole_episodes(dataset: Dataset, share: float) -> list[str]:
+    """Return the names of the episodes to hold back where parts of them would be too short, else none."""
+    short = sum(len(episode) for episode in dataset if share * len(episode) < PREDICTABLE)
+    if len(dataset) < MANY or short < 0.5 * dataset.n_steps:
+        return []
+    names, held, passed = [], 0, 0
+    for episode in dataset:
+        passed += len(episode)
+        if held + len(episode) <= share * passed:
+            names.append(episode.name)
+            held += len(episode)
+    return names
+
+
+class DataCell(Cell):
+    """A cell whose result is `Parts`, stored as two data sets."""
+
+    kind = "data"
+    place = "data"
+
+    def save(self, value: Parts, path: Path) -> list[Path]:
+        written = []
+        for name, part in ((TRAINING, value.training), (TEST, value.test)):
+            if part is not None:
+                folder = part.save(path / name)
+                written += sorted(file for file in folder.iterdir() if file.is_file())
+        return written
+
+    def load(self, path: Path) -> Parts:
+        test = path / TEST
+        return Parts(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenData(DataCell):
+    """Recordings that were read already."""
+
+    dataset: Dataset
+    split: Split
+
+    @property
+    def title(self) -> str:
+        return f"prepare {self.name}"
+
+    @property
+    def name(self) -> str:
+        return self.dataset.system.name or "data"
+
+    def inputs(self) -> dict[str, Any]:
+        named = [episode.condition for episode in self.dataset]
+        told = {"conditions": named} if any(named) else {}
+        return {"fingerprint": self.dataset.fingerprint, "split": self.split.inputs(), **told}
+
+    def compute(self, work: Work) -> Parts:
+        return self.split.of(self.dataset)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedData(DataCell):
+    """Manoeuvres driven on a robot for ``minutes``; the journals of a physical one are kept beside the data."""
+
+    robot: Spec
+    seed: int
+    minutes: float
+    split: Split
+
+    @property
+    def title(self) -> str:
+        return f"record {self.robot.label}"
+
+    @property
+    def name(self) -> str:
+        return self.robot.label
+
+    def inputs(self) -> dict[str, Any]:
+        return {
+            "robot": robots.identity(self.robot),
+            "seed": self.seed,
+            "minutes": self.minutes,
+            "split": self.split.inputs(),
+        }
+
+    def compute(self, work: Work) -> Parts:
+        robot = make_robot(self.robot)
+        recorded = robot.record(
+            seed=self.seed,
+            duration=60.0 * self.minutes,
+            folder=work.place / "journal" if robot.physical else None,
+            progress=work.progress,
+        )
+        if recorded.report.reason.is_fault:
+            raise LinkLost(f"{self.robot.label}: {recorded.report.sentence}")
+        return self.split.of(recorded.dataset)
+
+    def seconds(self) -> float:
+        return 60.0 * self.minutes if make_robot(self.robot).physical else 0.5 * self.minutes

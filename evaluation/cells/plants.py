@@ -1,0 +1,122 @@
+"""What controllers are evolved in and run on: a model, or a robot that is a program; which models are accurate
+enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from evaluation.prediction.scores import error_of
+from sysid_evo.engine import DynamicsRunner, Runner
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution import observed_late
+from sysid_evo.models import Dynamics
+from sysid_evo.plan import Cell, Work
+from sysid_evo.registry import Spec, make_robot, robots
+from sysid_evo.system import System
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the transfer matrix: the model that the cell ``model`` gives, or the ``robot``.
+
+    ``family`` is the registered name behind a model; that of a robot is its own. ``prediction`` is the cell of
+    how well the model predicts, where that is known.
+    """
+
+    label: str
+    family: str
+    model: Cell | None = None
+    robot: Spec | None = None
+    prediction: Cell | None = None
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        """The cell of the model, if it is one."""
+        return () if self.model is None else (self.model,)
+
+    @property
+    def believing(self) -> tuple[Cell, ...]:
+        """The cells that must be there to say whether the model is believed."""
+        return self.needs if self.prediction is None else (*self.needs, self.prediction)
+
+    @property
+    def registered(self) -> str:
+        """The registered name of the model's family or of the robot: it does not change with the label."""
+        return self.family if self.robot is None else self.robot.name
+
+    def inputs(self) -> dict[str, Any]:
+        """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
+        return {"robot": None if self.robot is None else robots.identity(self.robot)}
+
+    def is_same(self, other: Column) -> bool:
+        """Whether the same model or robot stands behind both, whatever their labels."""
+        return self.model == other.model and self.inputs() == other.inputs()
+
+    def system(self, work: Work) -> System:
+        """Return the system of the model or of the robot."""
+        if self.model is not None:
+            model: Dynamics = work.result(self.model)
+            return model.system
+        assert self.robot is not None
+        system: System = make_robot(self.robot).system
+        return system
+
+    def runner(self, work: Work, *, delay: float) -> Runner:
+        """Return how controllers are run here, with states observed ``delay`` s late."""
+        if self.model is not None:
+            return observed_late(self.label, DynamicsRunner(work.result(self.model)), delay)
+        assert self.robot is not None
+        return observed_late(self.label, runner_of(self.robot), delay)
+
+
+def runner_of(spec: Spec) -> Runner:
+    """Return how controllers are run on a robot that is a program. Raises `InvalidArgument` for a physical one."""
+    runner: Runner | None = make_robot(spec).runner()
+    if runner is None:
+        raise InvalidArgument(
+            f"{spec} is a physical robot: controllers are evolved in models and driven on it with sysid-evo drive"
+        )
+    return runner
+
+
+def emulated(spec: Spec) -> Dynamics:
+    """Return the dynamics of an emulated robot. Raises `InvalidArgument` for any other."""
+    runner_of(spec)
+    dynamics: Dynamics | None = make_robot(spec).dynamics
+    if dynamics is None:
+        raise InvalidArgument(f"{spec} is no model and no emulated robot: its equations are not known")
+    return dynamics
+
+
+BELIEVED = 1.5
+"""How many times the error of the best model a model may have to be believed."""
+
+FAMILIES = 2
+"""The best of this many families are always believed, so that there is one to judge what comes from the other."""
+
+
+def believed(columns: Sequence[Column], work: Work) -> tuple[Column, ...]:
+    """Return those of ``columns`` that predict well: N at most `BELIEVED` times that of the best.
+
+    A model that misses a lag or a force of the robot tells nothing about fast controllers, and several such models
+    agree on it: their median would overrate what exploits it. Robots, and models whose error is not known, are
+    believed. So are the best models of two families in any case.
+    """
+    errors = {column.label: error for column in columns if (error := prediction_error(column, work)) is not None}
+    if not errors:
+        return tuple(columns)
+    families: dict[str, float] = {}
+    for column in columns:
+        if column.label in errors:
+            families[column.registered] = min(families.get(column.registered, float("inf")), errors[column.label])
+    enough = sorted(families.values())[:FAMILIES][-1]
+    limit = max(enough, BELIEVED * min(errors.values()))
+    return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
+
+
+def prediction_error(column: Column, work: Work) -> float | None:
+    """Return N of a model on held-out data, None where it is not known."""
+    return None if column.prediction is None else error_of(work.result(column.prediction))

@@ -1,0 +1,200 @@
+"""What the recordings do not cover of where controllers drive: shares, gaps, boxes to record next."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.formatting import percent
+from evaluation.prediction.regions import LEVELS
+from evaluation.prediction.regions import Region as RegionsRegion
+from evaluation.steps import Steps
+from sysid_evo.data import Trajectory
+from sysid_evo.data.support import Support
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array, BoolArray
+
+MOST = 5
+"""Regions that are told."""
+
+LEAST_SHARE = 0.002
+"""A region that is visited less than this is not told."""
+
+PERIODIC_BINS, CONTROL_BINS = 12, 3
+
+ROUND = np.array([1.0, 2.0, 5.0, 10.0])
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box: the lowest and highest value of each state and control in their units, ``low`` and ``high`` (nx + nu,).
+
+    ``share`` of all steps that were driven lie in it, outside the data. A switch has one value.
+    """
+
+    channels: tuple[Channel, ...]
+    low: Array
+    high: Array
+    share: float
+
+    @property
+    def sentence(self) -> str:
+        """The region in words, and how much of the driving lies in it."""
+        return f"{self.words}: {percent(self.share)} of the steps"
+
+    @property
+    def words(self) -> str:
+        """The region in words."""
+        parts = []
+        for channel, low, high in zip(self.channels, self.low, self.high, strict=True):
+            unit = f" {channel.unit}" if channel.unit else ""
+            between = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+            parts.append(f"{channel.name} {between}{unit}")
+        return ", ".join(parts)
+
+
+def what_to_record(support: Support, trajectories: Iterable[Trajectory], *, most: int = MOST) -> tuple[Region, ...]:
+    """Return the boxes of states and controls in which ``trajectories`` are most often outside the data.
+
+    States are cut into boxes about one standard deviation of the data wide, at round numbers; a switch has a box for
+    each position, a continuous control three. The most visited box comes first; rare ones are left out.
+    """
+    system = support.system
+    steps = Steps.of(system, trajectories)
+    if not len(steps):
+        return ()
+    outside = support.distances(steps.before, steps.control) > support.limit
+    values = np.concatenate([steps.before, steps.control], axis=1)[outside]
+    for i, period in system.periods.items():
+        values[:, i] -= period * np.round(values[:, i] / period)
+    channels = (*system.states, *system.controls)
+    width, begin = _widths(support), _begins(channels)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        boxes = np.where(width > 0.0, np.floor((values - begin) / width + 1e-9), values)
+        last = np.where(width > 0.0, np.round((_ends(channels) - begin) / width) - 1.0, np.inf)
+    boxes = np.minimum(boxes, last)  # the end of a range belongs to its last box
+    found = []
+    for box, count in Counter(map(tuple, boxes.tolist())).most_common(most):
+        if count / len(steps) < LEAST_SHARE:
+            break
+        low = np.where(width > 0.0, begin + np.array(box) * width, box)
+        found.append(Region(channels, low.round(12) + 0.0, (low + width).round(12) + 0.0, count / len(steps)))
+    return tuple(found)
+
+
+def _widths(support: Support) -> Array:
+    """Return how wide the boxes are in each channel (nx + nu,), 0 for a switch."""
+    system = support.system
+    spread = dict(zip((*system.regressor_names, *system.control_names), support.scale, strict=True))
+    states = [c.period / PERIODIC_BINS if c.period else _rounded(spread[c.name]) for c in system.states]
+    return np.array([*states, *(_control_width(c, spread[c.name]) for c in system.controls)])
+
+
+def _begins(channels: tuple[Channel, ...]) -> Array:
+    """Return where the first box of each channel begins: at its lowest value, or so that one begins at 0."""
+    return np.array([c.low if np.isfinite(c.low) and not c.period else 0.0 for c in channels])
+
+
+def _ends(channels: tuple[Channel, ...]) -> Array:
+    """Return where the last box of each channel ends, infinity for no end."""
+    return np.array([np.inf if c.period else c.high for c in channels])
+
+
+def _control_width(channel: Channel, spread: float) -> float:
+    if channel.levels is not None:
+        return 0.0
+    span = channel.high - channel.low
+    return span / CONTROL_BINS if np.isfinite(span) else _rounded(spread)
+
+
+def _rounded(width: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above ``width``."""
+    power = 10.0 ** np.floor(np.log10(width))
+    return float(power * ROUND[width / power * (1.0 + 1e-9) >= ROUND].max())
+
+
+ASKED = 0.05
+"""Share of the time at one place from which on it matters: a twentieth."""
+
+RARELY = 0.1
+"""A place is missing if the data spend less than this part of that share there: a tenth of what uniform data would."""
+
+EDGES = (1.0, 20.0, 50.0, 80.0, 99.0)
+"""Percentiles of the data at which a continuous channel is cut."""
+
+FEWEST, MOST_STEPS = 200, 20_000
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A place, of one or two channels, where the share ``asked`` of steps lies and the share ``seen`` of the data."""
+
+    place: tuple[RegionsRegion, ...]
+    asked: float
+    seen: float
+
+    @property
+    def words(self) -> str:
+        return " and ".join(region.words for region in self.place)
+
+    @property
+    def figures(self) -> dict[str, float]:
+        return {"asked": self.asked, "seen": self.seen}
+
+
+def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
+    """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
+    system, seen, asked = seen.system, seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
+    if len(seen) < FEWEST or len(asked) < FEWEST:
+        return None
+    regions = _regions(system, _columns(seen))
+    shares = []
+    for steps in (asked, seen):
+        inside = _inside(regions, system, steps)
+        shares.append(inside.T @ inside / len(inside))
+    channels = np.array([region.channel for region in regions])
+    same = (channels[:, None] == channels[None, :]) & ~np.eye(len(regions), dtype=bool)
+    wanted, there = shares
+    missing = (wanted >= ASKED) & (there <= RARELY * wanted) & ~same
+    if not missing.any():
+        return None
+    size = np.where(missing, wanted, 0.0)
+    single = np.diag(size)
+    # a place of one channel says it more simply, if it is nearly as much
+    if single.max() >= 0.8 * size.max():
+        first = second = int(single.argmax())
+    else:
+        first, second = (int(place) for place in np.unravel_index(int(size.argmax()), size.shape))
+    place = (regions[first],) if first == second else (regions[first], regions[second])
+    return Gap(place, float(wanted[first, second]), float(there[first, second]))
+
+
+def _columns(steps: Steps) -> Array:
+    return np.concatenate([steps.system.wrapped(steps.before), steps.control], axis=1)
+
+
+def _inside(regions: Sequence[RegionsRegion], system: System, steps: Steps) -> Array:
+    """Return which steps lie in which region, (N, regions), as 0 and 1."""
+    columns = dict(zip((*system.state_names, *system.control_names), _columns(steps).T, strict=True))
+    inside: list[BoolArray] = [region.holds(columns[region.channel]) for region in regions]
+    return np.stack(inside, axis=1).astype(np.float64)
+
+
+def _regions(system: System, columns: Array) -> list[RegionsRegion]:
+    found = []
+    for channel, values in zip((*system.states, *system.controls), columns.T, strict=True):
+        found += _cuts(channel, values)
+    return found
+
+
+def _cuts(channel: Channel, values: Array) -> list[RegionsRegion]:
+    if channel.levels is not None or len(np.unique(values)) <= LEVELS:
+        levels = np.unique(values) if channel.levels is None else channel.levels
+        return [RegionsRegion(channel.name, channel.unit, "at", float(level)) for level in levels]
+    cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
+    below = [RegionsRegion(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
+    above = [RegionsRegion(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
+    return [region.within(channel.low, channel.high) for region in below + above]

@@ -1,0 +1,192 @@
+"""What a comparison is asked to do: the content of ``experiment.toml``, validated."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.evolution import ControllerEvolution, Stage
+from sysid_evo.files import write_atomically
+from sysid_evo.registry import Spec, tasks
+
+FILE = "experiment.toml"
+
+DEFAULT_ROBOT = "emulated_car"
+
+NONE = "none"
+"""As noise: none, also where the task has a usual one."""
+
+Positive = Annotated[int, Field(ge=1)]
+
+
+Recipe: TypeAlias = Literal["recommended", "plain"]
+"""How a controller comes about: searched in single models, chosen by others and polished on all, or evolved at once."""
+
+
+class Budget(BaseModel):
+    """How controllers are evolved, and how long evolution may think; see `ControllerEvolution`.
+
+    With the ``recipe`` "recommended" controllers are chosen by models of other families, and one more is made
+    of the best of all, by ``polish`` generations against all models at once.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    controller: str = "recurrent(hidden=10)"
+    strategy: str = "niches"
+    recipe: Recipe = "recommended"
+    generations: Positive
+    trials: Positive
+    runs: Positive
+    polish: Positive = 240
+
+
+BUDGETS: dict[str, Budget] = {
+    "quick": Budget(generations=900, trials=5, runs=1, polish=240),
+    "standard": Budget(generations=1200, trials=5, runs=1, polish=400),
+    "paper": Budget(
+        generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"
+    ),
+}
+"""Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
+
+
+class Experiment(BaseModel):
+    """A comparison: which models on which data, which controllers on which robot, how long, from which seed.
+
+    Everything that has a name is a text in the grammar of `Spec`. Without ``data`` (logs, or a folder
+    that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
+    back, by default the last ``held_back`` share of each. With ``leave_out`` every family is also fitted without each
+    condition of the recordings (`Dataset.labelled`) in turn, and tested there. Every model is an ensemble of one;
+    ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
+    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
+    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
+    holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
+    on the robot itself, one that is a program: what can be achieved there at all; None means where the program
+    records an emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
+    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
+    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; "none" for none. None as
+    ``noise`` is the `Task.usual_noise`, which only models meet: robots have their own.
+    ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
+    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    title: str | None = None
+    data: tuple[str, ...] | None = None
+    columns: str | None = None
+    test: tuple[str, ...] | None = None
+    leave_out: Literal["condition"] | None = None
+    held_back: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
+    robot: str | None = None
+    minutes: Annotated[float, Field(ge=0.1)] = 6.0
+    models: tuple[str, ...] | None = None
+    ensembles: tuple[str, ...] | None = None
+    preset: Literal["quick", "standard", "paper"] = "quick"
+    only: Literal["fit", "prediction"] | None = None
+    task: str = "point_to_point"
+    controller: str | None = None
+    by_hand: tuple[str, ...] = ()
+    strategy: str | None = None
+    recipe: Recipe | None = None
+    aggregate: str = "min"
+    noise: str | None = None
+    caution: str = ""
+    schedule: str = ""
+    generations: Positive | None = None
+    trials: Positive | None = None
+    runs: Positive | None = None
+    polish: Positive | None = None
+    selection_trials: Positive = 100
+    estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
+    transfer_trials: Positive = 100
+    traces: Annotated[int, Field(ge=0)] = 10
+    yardstick: bool | None = None
+    seed: Annotated[int, Field(ge=0)] = 0
+    plugins: tuple[str, ...] = ()
+    data_digest: str | None = None
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Experiment:
+        """Return the experiment with these settings. Raises `InvalidArgument` that names the wrong one."""
+        try:
+            return cls.model_validate(dict(settings))
+        except ValidationError as error:
+            raise InvalidArgument("; ".join(map(_sentence, error.errors()))) from error
+
+    @classmethod
+    def read(cls, path: str | Path) -> dict[str, Any]:
+        """Return the settings in a TOML file (or in that of a run folder), checked. Raises `InvalidArgument`."""
+        path = Path(path)
+        file = path / FILE if path.is_dir() else path
+        try:
+            settings = tomllib.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InvalidArgument(f"{file}: expected an experiment, found no such file") from None
+        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InvalidArgument(f"{file}: expected an experiment in TOML: {error}") from error
+        try:
+            cls.of(settings)
+        except InvalidArgument as error:
+            raise InvalidArgument(f"{file}: {error}") from error
+        return settings
+
+    def write(self, path: str | Path) -> Path:
+        """Write the experiment to a TOML file."""
+        text = tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
+        return write_atomically(Path(path), lambda file: file.write_text(text, encoding="utf-8"))
+
+    @property
+    def budget(self) -> Budget:
+        """The budget of the preset, where it is not overridden; a polish is no longer than the search before it."""
+        if self.preset not in BUDGETS:
+            raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
+        given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
+        found = BUDGETS[self.preset].model_copy(update=given)
+        if self.polish is None:
+            found = found.model_copy(update={"polish": min(found.polish, found.generations)})
+        return found
+
+    @property
+    def evolution(self) -> ControllerEvolution:
+        """How controllers are evolved. Raises what the registries say about wrong names and parameters."""
+        budget = self.budget
+        return ControllerEvolution(
+            generations=budget.generations,
+            trials=budget.trials,
+            runs=budget.runs,
+            aggregate=self.aggregate,
+            selection_trials=self.selection_trials,
+            estimator_delay=self.estimator_delay,
+            controller=Spec.parse(budget.controller),
+            task=Spec.parse(self.task),
+            strategy=Spec.parse(budget.strategy),
+            noise=self._noise,
+            caution=self.caution,
+            schedule=Stage.parse_many(self.schedule) if self.schedule else (),
+        )
+
+    @property
+    def _noise(self) -> str:
+        if self.noise is None:
+            return str(getattr(tasks.get(Spec.parse(self.task).name), "usual_noise", ""))
+        return "" if self.noise == NONE else self.noise
+
+
+def _sentence(error: Any) -> str:
+    """Return one finding of pydantic as: what, what is wrong, what came."""
+    where = ".".join(map(str, error["loc"]))
+    if error["type"] == "extra_forbidden":
+        import difflib
+
+        close = difflib.get_close_matches(where, Experiment.model_fields, n=1)
+        return f"{where} is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
+    message = error["msg"].replace("Input should be", "expected").replace("Value error, ", "")
+    return f"{where}: {message}, got {error['input']!r}"

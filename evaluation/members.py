@@ -1,0 +1,376 @@
+"""Models, robots and controllers that names, files and run folders stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.registry import Spec, make_robot, robot_spec, robots
+
+if TYPE_CHECKING:
+    from evaluation.cells.plants import Column
+    from evaluation.transfer.matrix import TransferMatrix
+    from sysid_evo.engine import Runner
+    from sysid_evo.evolution import Champion, ControllerEvolution
+    from sysid_evo.models import Dynamics
+    from sysid_evo.plan import Record, Store
+    from sysid_evo.system import System
+
+
+KINDS = ("by_hand", "evolve", "choose", "polish")
+"""Kinds of cells whose result is a controller; of the same name the later kind counts."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A system to run controllers on: its label in the matrix, and the run folder whose models it is one of."""
+
+    label: str
+    column: Column
+    store: Store
+
+    @property
+    def system(self) -> System:
+        return system_of(self.store, self.column)
+
+    @property
+    def runner(self) -> Runner:
+        """How controllers are run there. Raises `InvalidArgument` for a physical robot."""
+        from evaluation.cells.plants import runner_of
+        from sysid_evo.engine import DynamicsRunner
+
+        if self.column.robot is not None:
+            return runner_of(self.column.robot)
+        return DynamicsRunner(dynamics_of(self.store, self.column))
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A controller, and the run folder that it comes from; None if it comes from none."""
+
+    champion: Champion
+    run: Path | None = None
+
+
+def places(names: Sequence[str], run: Path | None) -> tuple[Place, ...]:
+    """Return the systems that ``names`` stand for: run folders, files of models, robots, models of ``run``.
+
+    A run folder stands for all its models. Raises `InvalidArgument` for what there is not.
+    """
+    from evaluation.run_folder import is_run, latest_run_folder
+    from sysid_evo.plan import Store
+
+    found: list[Place] = []
+    for name in names:
+        if Path(name).is_dir() and is_run(Path(name)):
+            store = Store(Path(name))
+            fitted = [one for one in store.records() if one.kind == "fit" and one.status == "done"]
+            if not fitted:
+                raise InvalidArgument(f"--on: the run {name} holds no fitted model")
+            found += [Place(one.name, column_of(store, one), store) for one in fitted]
+        else:
+            store = Store(latest_run_folder(run) if is_model_of_a_run(name) else run or Path())
+            column = find_column(store, name)
+            found.append(Place(column.label, column, store))
+    labels = _told_apart([(place.label, place.store.path.name) for place in found])
+    return tuple(replace(place, label=label) for place, label in zip(found, labels, strict=True))
+
+
+def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[Contender, ...]:
+    """Return the controllers that ``names`` stand for: run folders, files, specs of those written by hand.
+
+    A run folder stands for all its controllers. With ``task`` all of them do that one, else each the one it was made
+    for, and one written by hand that of the first. Raises `InvalidArgument` if these differ.
+    """
+    from evaluation.run_folder import is_run, owner_of
+    from sysid_evo.cli.robots import is_stored
+    from sysid_evo.evolution import Champion
+    from sysid_evo.evolution.champion import load_champion
+
+    found: list[Contender] = []
+    written: list[str] = []
+    for name in names:
+        if Path(name).is_dir() and is_run(Path(name)):
+            found += [Contender(champion, Path(name)) for champion in _of_run(Path(name))]
+        elif is_stored(name):
+            found.append(Contender(load_champion(name), owner_of(Path(name))))
+        else:
+            written.append(name)
+    if task is not None:
+        found = [replace(one, champion=replace(one.champion, task=Spec.parse(task))) for one in found]
+    goal = found[0].champion.task if found else Spec.parse(task or "point_to_point")
+    found += [Contender(Champion.hand_written(name, goal, system)) for name in written]
+    others = [one.champion for one in found if one.champion.task != goal]
+    if others:
+        raise InvalidArgument(
+            f"{found[0].champion.name} does {goal}, {others[0].name} does {others[0].task}: what they score cannot be "
+            "compared. Name one task for all with --task"
+        )
+    labels = _told_apart([(one.champion.name, one.run.name if one.run else "") for one in found])
+    return tuple(
+        replace(one, champion=replace(one.champion, name=label)) for one, label in zip(found, labels, strict=True)
+    )
+
+
+def check_fit(controllers: Sequence[Contender], systems: Sequence[Place]) -> None:
+    """Raise for the first controller that does not fit: `IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`."""
+    from sysid_evo.controllers.controller import make_controller
+    from sysid_evo.evolution import observed_late
+    from sysid_evo.tasks.task import make_task
+
+    for place in systems:
+        system, runner = place.system, place.runner
+        for one in controllers:
+            champion = one.champion
+            try:
+                champion.check_system(system)
+            except IncompatibleSystem as error:
+                raise IncompatibleSystem(f"{champion.name} cannot be run on {place.label}: {error}") from error
+            observed_late(place.label, runner, champion.estimator_delay)
+            law = make_controller(champion.controller).bind_to(make_task(champion.task).bind(system))
+            if law.n_parameters != len(champion.parameters):
+                raise InvalidArgument(
+                    f"{champion.name} cannot do {champion.task}: there it needs {law.n_parameters} parameters and it "
+                    f"has {len(champion.parameters)}, as it was evolved with other observations"
+                )
+
+
+def with_models(one: Contender, systems: Sequence[Place]) -> tuple[Champion, dict[str, str]]:
+    """Return the controller with what it was evolved against named as in ``systems``, and the families of the rest.
+
+    A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
+    """
+    from sysid_evo.plan import Store
+
+    against, families = [], {}
+    robots = {place.column.label: place.label for place in systems if place.column.robot is not None}
+    digests = {place.column.model.digest: place.label for place in systems if place.column.model is not None}
+    for label in one.champion.against:
+        record: Record | None = None
+        if one.run is not None and label not in robots:
+            try:
+                record = find_model(Store(one.run), label)
+            except InvalidArgument:  # a robot, or a model that was removed since
+                record = None
+        name = robots.get(label) if record is None else digests.get(record.digest)
+        if name is None:
+            name = f"{one.run.name if one.run else 'elsewhere'}/{label}"
+            families[name] = label if record is None else str(record.inputs["model"]["name"])
+        against.append(name)
+    return replace(one.champion, against=tuple(against)), families
+
+
+def _of_run(run: Path) -> list[Champion]:
+    """Return the controllers of a run: the rows of its matrix, and of what was evolved since what nothing needs."""
+    from evaluation.cells.controllers import EvolveCell
+    from evaluation.experiment import FILE
+    from evaluation.planning import comparison_of
+    from sysid_evo.plan import Store, StoredCell
+
+    store = Store(run)
+    matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
+    rows = [] if matrix is None else [cell for cell in matrix.champions if store.done(cell)]
+    made: list[Any] = [record for record in store.records() if record.kind in KINDS and record.status == "done"]
+    needed = {digest for record in made for digest in record.needs} | {cell.digest for cell in rows}
+    others = [record for record in made if record.digest not in needed]
+    found = [store.load(cell) for cell in rows]
+    found += [store.load(StoredCell(record, EvolveCell)) for record in sorted(others, key=_rank)]
+    if not found:
+        raise InvalidArgument(f"the run {run} holds no controller: evolve one first")
+    return found
+
+
+def _rank(record: Record) -> int:
+    return KINDS.index(record.kind)
+
+
+def _told_apart(names: Sequence[tuple[str, str]]) -> list[str]:
+    """Return each name alone if no other is like it, else behind its run, and numbered where that does not help."""
+    plain = [name for name, _ in names]
+    found = [name if plain.count(name) == 1 or not run else f"{run}/{name}" for name, run in names]
+    return [name if found.count(name) == 1 else f"{name}#{found[:i].count(name) + 1}" for i, name in enumerate(found)]
+
+
+def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
+    """Check that all members have one system, and that task and controller fit it. Raises what does not.
+
+    Returns why the task cannot be done well by the first of them whose equations are known, in sentences.
+    """
+    from sysid_evo.evolution.controller_evolution import farthest_driven
+
+    systems = {column.label: system_of(store, column) for column in columns}
+    (first, system), *others = systems.items()
+    for label, other in others:
+        differences = system.differences(other)
+        if differences:
+            raise IncompatibleSystem(f"--against: {first} and {label} have different systems: {'; '.join(differences)}")
+    task = evolution.make_task(system)
+    evolution.stages(task, tuple(systems))
+    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+    known = next((column for column in columns if has_dynamics(column)), None)
+    farthest = None if known is None else farthest_driven(dynamics_of(store, known))
+    return () if farthest is None else task.doubts(farthest)
+
+
+def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    """Return the models of the run that are of one system with ``columns`` and not among them."""
+    system = system_of(store, columns[0])
+    taken = {column.model.digest for column in columns if column.model is not None}
+    found = []
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and record.digest not in taken:
+            column = column_of(store, record)
+            if not system.differences(dynamics_of(store, column).system):
+                found.append(column)
+    return tuple(found)
+
+
+def is_file(name: str) -> bool:
+    """Whether ``name`` is the path of a stored model."""
+    from sysid_evo.artefacts import is_stored
+
+    return is_stored(name, "model")
+
+
+def is_robot(name: str) -> bool:
+    """Whether ``name`` is a spec of a registered robot, or a file that describes one."""
+    if name.endswith(".toml"):
+        return True
+    try:
+        return robot_spec(name).name in robots.names()
+    except InvalidArgument:
+        return False
+
+
+def is_model_of_a_run(name: str) -> bool:
+    """Whether ``name`` can only be a model in a run folder."""
+    return not is_file(name) and not is_robot(name)
+
+
+def find_column(store: Store, name: str) -> Column:
+    """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
+    from evaluation.cells.models import StoredModel
+    from evaluation.cells.plants import Column, runner_of
+    from sysid_evo.artefacts import stored_file
+
+    if is_file(name):
+        file = stored_file(name, "model")
+        own = record_of_file(store, file)
+        if own is not None:
+            return column_of(store, own)
+        model = StoredModel(file)
+        return Column(model.name, model.family, model=model)
+    if is_robot(name):
+        spec = robot_spec(name)
+        runner_of(spec)
+        return Column(spec.label, spec.label, robot=spec)
+    return column_of(store, find_model(store, name))
+
+
+def column_of(store: Store, record: Record) -> Column:
+    """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
+    from evaluation.cells.data import GivenData
+    from evaluation.cells.models import FitCell, PredictCell
+    from evaluation.cells.plants import Column
+    from sysid_evo.plan import StoredCell
+
+    model, family = StoredCell(record, FitCell), record.inputs["model"]["name"]
+    data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
+    if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
+        return Column(record.name, family, model=model)
+    prediction = PredictCell(record.name, family, StoredCell(data, GivenData), model)
+    return Column(record.name, family, model=model, prediction=prediction)
+
+
+def record_of_file(store: Store, file: Path) -> Record | None:
+    """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
+    stem = file.with_suffix("").resolve()
+    for record in store.records():
+        if record.kind == "fit" and record.status == "done" and (store.path / record.artefact).resolve() == stem:
+            return record
+    return None
+
+
+def find_model(store: Store, name: str) -> Record:
+    """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
+    stored = [record for record in store.records() if record.kind == "fit" and record.status == "done"]
+    files = {Path(record.artefact).name: record for record in stored}
+    if name in files:
+        return files[name]
+    fitting = [record for record in stored if record.name == name]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        several = ", ".join(Path(record.artefact).name for record in fitting)
+        raise InvalidArgument(f"{name!r} stands for several models of {store.path}: {several}; name one of these")
+    known = ", ".join(dict.fromkeys(record.name for record in stored)) or "none"
+    raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
+
+
+def has_dynamics(column: Column) -> bool:
+    """Whether the equations behind a column can be stepped: a model's and an emulated robot's, no environment's."""
+    return column.robot is None or make_robot(column.robot).dynamics is not None
+
+
+def system_of(store: Store, column: Column) -> System:
+    """Return the system of the model or robot behind a column."""
+    if column.robot is None:
+        return dynamics_of(store, column).system
+    system: System = make_robot(column.robot).system
+    return system
+
+
+def dynamics_of(store: Store, column: Column) -> Dynamics:
+    """Return the model or the emulated robot behind a column."""
+    from evaluation.cells.models import StoredModel
+    from evaluation.cells.plants import emulated
+
+    if column.robot is not None:
+        return emulated(column.robot)
+    assert column.model is not None
+    model: Dynamics = (
+        column.model.load(column.model.path) if isinstance(column.model, StoredModel) else store.load(column.model)
+    )
+    return model
+
+
+TRACES = 10
+
+
+def matrix_of(
+    drivers: Sequence[Contender], systems: Sequence[Place], *, seed: int, trials: int, traces: int = TRACES
+) -> TransferMatrix:
+    """Run every controller on every system in the same fresh trials, with a bar."""
+    from evaluation.transfer.matrix import TransferMatrix, run_cell, transfer_seeds
+    from sysid_evo.cli.progress import Bars
+    from sysid_evo.evolution import observed_late
+
+    families = {place.label: place.column.registered for place in systems}
+    champions = []
+    for one in drivers:
+        champion, elsewhere = with_models(one, systems)
+        champions.append(champion)
+        families |= elsewhere
+    robots = [place.label for place in systems if place.column.robot is not None]
+    seeds, cells = transfer_seeds(seed, trials), []
+    runners = {place.label: place.runner for place in systems}
+    title = f"run {len(champions)} controllers on {len(systems)} systems"
+    with Bars() as bars:
+        bars.begin(title)
+        for champion in champions:
+            for label, runner in runners.items():
+                late = observed_late(label, runner, champion.estimator_delay)
+                cells.append(run_cell(champion, label, late, seeds, traces=traces))
+                bars.advance(len(cells), len(champions) * len(systems))
+        bars.end(title, None)
+    return TransferMatrix.of(
+        champions,
+        tuple(runners),
+        cells,
+        families=families,
+        robot=robots[-1] if robots else None,
+        other_robots=robots[:-1],
+    )

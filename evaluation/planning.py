@@ -1,0 +1,543 @@
+"""From an experiment to its cells: default families and ensembles, every check that needs no computing; the same
+plan again from a run folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from evaluation.cells.assessment import AdviseCell, ExploitCell, Matrix, RunCell
+from evaluation.cells.controllers import (
+    RECOMMENDED,
+    ChampionCell,
+    EvolveCell,
+    HandWrittenCell,
+    chosen_cell,
+    controller_cell,
+    evolution_on,
+    labels_inside,
+)
+from evaluation.cells.data import GivenData, RecordedData, Split
+from evaluation.cells.models import ConditionsCell, FitCell, PredictCell
+from evaluation.cells.plants import Column, runner_of
+from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.transfer.matrix import FOLDER, Measured, kept_traces, load_measured
+from evaluation.transfer.summary import AT_REST
+from sysid_evo.data import Dataset, check_usable
+from sysid_evo.errors import (
+    ArtefactError,
+    IncompatibleSystem,
+    IncompatibleTask,
+    InvalidArgument,
+    InvalidData,
+    MissingExtra,
+    SysidEvoError,
+    UnknownName,
+)
+from sysid_evo.evolution import Champion, ControllerEvolution
+from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
+from sysid_evo.models import DynamicsModel
+from sysid_evo.plan import Again, Cell, Plan, Store, StoredCell
+from sysid_evo.registry import (
+    Registry,
+    Spec,
+    aggregates,
+    controllers,
+    distinct,
+    load_plugin,
+    make_robot,
+    models,
+    robot_spec,
+    robots,
+    tasks,
+)
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+AGAIN = "evaluation.planning:plan_again"
+"""What makes the plan of a comparison again in another process."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An experiment with everything settled, and the cells of which it is made.
+
+    ``experiment`` names all that was left open. Cells stand by the label of their model.
+    """
+
+    experiment: Experiment
+    plan: Plan
+    data: Cell
+    fits: dict[str, FitCell]
+    predictions: dict[str, PredictCell]
+    advice: AdviseCell
+    matrix: Matrix | None = None
+    exploitability: ExploitCell | None = None
+    conditions: Mapping[str, ConditionsCell] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What the report is called."""
+        models = ", ".join(self.fits) if len(self.fits) <= 7 else f"{len(self.fits)} models"
+        return self.experiment.title or f"{self.data.name}: {models}"
+
+
+def plan_comparison(
+    experiment: Experiment,
+    *,
+    dataset: Dataset | None = None,
+    stored: tuple[Cell, System] | None = None,
+    measured: Sequence[Measured] = (),
+) -> Comparison:
+    """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
+
+    ``stored`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
+
+    Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
+    and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
+    (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
+    """
+    remarks: list[str] = []
+    evolution = experiment.evolution
+    _constructible(evolution)
+    if experiment.by_hand and experiment.only is not None:
+        raise InvalidArgument(f"by_hand: no controller is run with only = {experiment.only!r}; leave one out")
+    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    if stored is not None:
+        data, system = stored
+    else:
+        system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+        data = _data(experiment, robot, dataset)
+    specs = models_of(experiment, system, remarks)
+    labels = tuple(spec.label for spec in specs)
+    ensembles = ensembles_of(experiment, labels)
+    column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
+    if experiment.only is None:
+        _check_control(evolution, system)
+        farthest = _farthest(dataset, robot)
+        if farthest is not None:
+            remarks += evolution.make_task(system).doubts(farthest)
+    fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
+    several = _conditions(experiment, dataset)
+    without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
+    predictions: dict[str, PredictCell] = {}
+    if experiment.only != "fit":
+        still = PredictCell.persistence(data)
+        predictions = {
+            still.label: still,
+            **{label: PredictCell(label, fit.spec.name, data, fit) for label, fit in fits.items()},
+        }
+    settled = experiment.model_copy(
+        update={
+            **experiment.budget.model_dump(),
+            "models": tuple(map(str, specs)),
+            "ensembles": tuple("+".join(members) for members in ensembles),
+            "robot": None if robot is None else experiment.robot or DEFAULT_ROBOT,
+            "data_digest": data.digest,
+        }
+    )
+    matrix, exploitability = None, None
+    if experiment.only is None:
+        columns = tuple(
+            Column(label, fit.spec.name, model=fit, prediction=predictions.get(label)) for label, fit in fits.items()
+        )
+        matrix = _matrix(
+            experiment,
+            evolution,
+            columns,
+            column,
+            ensembles,
+            tuple(measured),
+            _by_hand(experiment, evolution, system, fits, floor=column is not None),
+            recorded=_is_recorded(data),
+        )
+        exploitability = ExploitCell(matrix, data, experiment.seed)
+    advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
+    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values()]
+    if matrix is not None and exploitability is not None:
+        wanted += [*matrix.champions, *matrix.runs, exploitability]
+    wanted.append(advice)
+    again = Again(
+        AGAIN,
+        settled.model_dump(mode="json", exclude_none=True),
+        after=(data.digest,),
+        inside=(FOLDER.as_posix(),),
+        files=files_beside(settled),
+    )
+    plan = Plan.of(wanted, remarks=remarks, again=again)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
+
+
+def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return stored settings without what their preset brought, so that another preset brings its own.
+
+    Raises what the registry of models says about wrong names.
+    """
+    experiment = Experiment.of(settings)
+    budget = BUDGETS[experiment.preset].model_dump()
+    found = {name: value for name, value in settings.items() if name not in budget or value != budget[name]}
+    if experiment.models is not None and experiment.models != (ALL,):
+        specs = (without_preset(Spec.parse(text), experiment.preset) for text in experiment.models)
+        found["models"] = tuple(map(str, specs))
+    return found
+
+
+def _constructible(evolution: ControllerEvolution) -> None:
+    """Make what can be made without a system, so that wrong values are found now."""
+    for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
+        made(registry, spec)
+    made(aggregates, Spec.parse(evolution.aggregate))
+
+
+def _check_control(evolution: ControllerEvolution, system: System) -> None:
+    """Raise what keeps task, controller and strategy from ``system``, and say what can be done without them."""
+    try:
+        task = evolution.make_task(system)
+    except IncompatibleTask as error:
+        raise IncompatibleTask(f"{error}. Name a task that fits (--task), or compare --only prediction") from error
+    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+
+
+def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
+    """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet."""
+    if dataset is not None:
+        return farthest_recorded(dataset)
+    return None if robot is None else _farthest_driven(robots.get(robot.name), str(robot))
+
+
+@lru_cache(maxsize=64)
+def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
+    """Return how far the states go on ``robot``, once for all plans of a study; its factory tells namesakes apart."""
+    dynamics = make_robot(robot_spec(robot)).dynamics
+    return None if dynamics is None else farthest_driven(dynamics)
+
+
+def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
+    if experiment.yardstick and experiment.only is not None:
+        raise InvalidArgument(f"yardstick: no controller is evolved with only = {experiment.only!r}; leave one out")
+    if experiment.robot is None:
+        if experiment.yardstick and has_data:
+            raise InvalidArgument("yardstick: name the emulated robot that it is evolved on with --robot")
+        return None if has_data else robot_spec(DEFAULT_ROBOT)
+    return robot_spec(experiment.robot)
+
+
+def _system_of(robot: Spec) -> System:
+    system: System = make_robot(robot).system
+    return system
+
+
+def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Column | None:
+    """Return the column of the emulated robot; a physical one gets its column when it is driven."""
+    if robot is None:
+        return None
+    machine = make_robot(robot)
+    differences = system.differences(machine.system)
+    if differences:
+        raise IncompatibleSystem(
+            f"robot {robot.label!r} is not the one in the recordings: {'; '.join(differences)}. "
+            "Leave --robot out, or name the robot that was recorded"
+        )
+    if not machine.physical:
+        return Column(robot.label, robot.label, robot=robot)
+    if experiment.yardstick:
+        runner_of(robot)
+    remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
+    return None
+
+
+def check_experiment(experiment: Experiment) -> None:
+    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
+    _constructible(experiment.evolution)
+    robot = _robot(experiment, has_data=experiment.data is not None)
+    if robot is not None:
+        make_robot(robot)
+    asked = asked_models(experiment)
+    if asked is not None:
+        for spec in asked:
+            made_model(spec, experiment.preset)
+        ensembles_of(experiment, tuple(spec.label for spec in asked))
+
+
+def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
+    share = 0.0 if experiment.only == "fit" and experiment.test is None else experiment.held_back
+    split = Split(experiment.test, share)
+    if dataset is None:
+        if experiment.test is not None:
+            raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
+        if share == 0.0 and experiment.only != "fit":
+            raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
+        recorded = robot or robot_spec(DEFAULT_ROBOT)
+        make_robot(recorded).check()
+        return RecordedData(recorded, experiment.seed, experiment.minutes, split)
+    if share == 0.0 and experiment.test is None and experiment.only != "fit":
+        raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
+    parts = split.of(dataset)
+    check_usable(parts.training, name="the training data")
+    if parts.test is not None and experiment.only != "fit":
+        _check_predictable(parts.training, parts.test)
+    return GivenData(dataset, split)
+
+
+def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
+    """Return how many conditions are left out in turn, 0 for none. Raises `InvalidArgument` if there is only one."""
+    if experiment.leave_out is None:
+        return 0
+    if experiment.only == "fit":
+        raise InvalidArgument("leave_out: nothing is tested with only = 'fit'; leave one out")
+    found = () if dataset is None else dataset.conditions
+    if len(found) < 2:
+        raise InvalidArgument(
+            "leave_out: expected recordings of two or more conditions, got "
+            f"{len(found)}: name them with sysid-evo import --condition NAME=PATTERN, and give the data set with --data"
+        )
+    return len(found)
+
+
+def _is_recorded(data: Cell) -> bool:
+    """Whether the data are recorded here on a robot, or were when the run was made."""
+    return isinstance(data, RecordedData) or "robot" in data.inputs()
+
+
+def _check_predictable(training: Dataset, test: Dataset) -> None:
+    """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
+    cases = measured_cases(training, test, PredictionProtocol())
+    if not cases.horizons:
+        raise InvalidData(
+            f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+            "Record more, or name a longer episode with --test"
+        )
+
+
+def _by_hand(
+    experiment: Experiment,
+    evolution: ControllerEvolution,
+    system: System,
+    fits: Mapping[str, FitCell],
+    *,
+    floor: bool,
+) -> tuple[HandWrittenCell, ...]:
+    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
+
+    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Where fitness
+    may be negative and there is a robot, its ``floor``, controls at rest are among them: shares are measured from it.
+    """
+    specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    if floor and evolution.make_task(system).worst < 0.0 and all(spec.name != AT_REST for spec in specs):
+        specs = (*specs, Spec.parse(f"rest={AT_REST}"))
+    cells = []
+    for spec in specs:
+        controllers.check(spec)
+        inside = {label: fits[label] for label in labels_inside(spec, fits)}
+        if inside:
+            made(controllers, spec)
+        else:
+            try:
+                Champion.hand_written(spec, evolution.task, system)
+            except UnknownName as error:
+                raise UnknownName(f"by_hand: {spec}: {error}; the models compared are {', '.join(fits)}") from error
+        cells.append(HandWrittenCell(spec, evolution.task, system, inside))
+    return tuple(cells)
+
+
+def _matrix(
+    experiment: Experiment,
+    evolution: ControllerEvolution,
+    models: tuple[Column, ...],
+    robot: Column | None,
+    ensembles: tuple[tuple[str, ...], ...],
+    measured: tuple[Measured, ...],
+    by_hand: tuple[HandWrittenCell, ...],
+    *,
+    recorded: bool,
+) -> Matrix:
+    by_label = {column.label: column for column in models}
+    columns = models if robot is None else (*models, robot)
+    groups: list[tuple[Column, ...]] = [(column,) for column in models]
+    groups += [tuple(by_label[member] for member in members) for members in ensembles]
+    quick = robot is not None and robot.robot is not None and make_robot(robot.robot).dynamics is not None
+    usual = quick and recorded and experiment.budget.recipe == "recommended"
+    if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
+        groups.append((robot,))
+    evolved = tuple(EvolveCell(members, evolution_on(experiment, members), experiment.seed) for members in groups)
+    champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved
+    if experiment.budget.recipe == "recommended":
+        champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
+        if len(models) > 1:
+            several = tuple(cell for cell in evolved if len(cell.members) > 1)
+            champions += (
+                controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True, further=several),
+            )
+    champions += by_hand
+    names = [champion.name for champion in champions]
+    taken = [cell.name for cell in by_hand if names.count(cell.name) > 1]
+    if taken:
+        raise InvalidArgument(
+            f"by_hand: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
+        )
+    runs = tuple(
+        RunCell(
+            champion,
+            column,
+            delay=evolution.estimator_delay,
+            trials=experiment.transfer_trials,
+            traces=kept_traces(experiment.traces, own=column == robot or any(map(column.is_same, champion.members))),
+            seed=experiment.seed,
+        )
+        for champion in champions
+        for column in columns
+    )
+    return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
+
+
+def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
+    """Return the comparison whose data stand in the folder ``run``, and remarks on what is damaged there.
+
+    Raises `ArtefactError` if the data are missing or damaged.
+    """
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
+    store = Store(run)
+    record = store.find(experiment.data_digest or "")
+    data = None if record is None else StoredCell(record, GivenData)
+    if data is None or not store.done(data):
+        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
+    measured, damaged = load_measured(run)
+    system = store.load(data).training.system
+    return plan_comparison(experiment, stored=(data, system), measured=measured), tuple(damaged)
+
+
+def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
+    """Return the plan of the comparison with these settings."""
+    return comparison_again(Experiment.of(settings), run)[0].plan
+
+
+PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
+
+OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
+"""What is compared when no family is named; with the preset ``paper`` only the paper's own."""
+
+TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
+"""What is compared where a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
+
+DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
+"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+
+ALL = "all"
+
+
+def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
+    """Return the specs of the models that are asked for by name, None if the choice is left open."""
+    if experiment.models is None or experiment.models == (ALL,):
+        return None
+    if not experiment.models:
+        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
+    return distinct(tuple(Spec.parse(text) for text in experiment.models))
+
+
+def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
+    """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
+    asked = asked_models(experiment)
+    if asked is not None:
+        return tuple(_usable(spec, experiment.preset, system) for spec in asked)
+    usual: tuple[str, ...] = PAPER_FAMILIES if experiment.preset == "paper" else OTHER_FAMILIES
+    if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
+        usual = TURNING_FAMILIES
+        turning = ", ".join(channel.name for channel in system.states if channel.period)
+        remarks.append(f"evolved3 is left out: it predicts badly where {turning} comes round. Name it to have it")
+    found = []
+    for name in models.names() if experiment.models == (ALL,) else usual:
+        try:
+            found.append(_usable(Spec(name), experiment.preset, system))
+        except (MissingExtra, IncompatibleSystem) as error:
+            remarks.append(f"{name} is left out: {error}")
+    if not found:
+        raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
+    return tuple(found)
+
+
+def _usable(spec: Spec, preset: str, system: System) -> Spec:
+    """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
+    whole, model = made_model(spec, preset)
+    model.check_system(system)
+    return whole
+
+
+def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
+    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
+    models.check(spec)
+    lacking = models.lacking(spec.name)
+    if lacking is not None:
+        raise lacking
+    whole = with_preset(spec, preset)
+    model: DynamicsModel = made(models, whole)
+    return whole, model
+
+
+def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+    """Return the members of each ensemble; those that are asked for in two orders are one."""
+    if experiment.only is not None:
+        return ()
+    if experiment.ensembles is None:
+        chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))
+        return chosen or ((labels,) if len(labels) > 1 else ())
+    asked = [_ensemble(text, labels) for text in experiment.ensembles]
+    return tuple({frozenset(members): members for members in reversed(asked)}.values())[::-1]
+
+
+def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
+    members = tuple(member.strip() for member in text.split("+"))
+    if len(members) < 2:
+        raise InvalidArgument(
+            f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
+            "every model alone is compared anyway"
+        )
+    unknown = [member for member in members if member not in labels]
+    if unknown:
+        raise InvalidArgument(f"ensemble {text!r} names {', '.join(unknown)}, but the models are {', '.join(labels)}")
+    if len(set(members)) < len(members):
+        raise InvalidArgument(f"ensemble {text!r} names a model twice")
+    return members
+
+
+def made(registry: Registry[Any], spec: Spec) -> Any:
+    try:
+        return registry.make(spec)
+    except SysidEvoError:
+        raise
+    except Exception as error:  # a constructor may fail in any way when its values are wrong
+        raise InvalidArgument(f"{registry.kind} {spec}: {type(error).__name__}: {error}") from error
+
+
+def with_preset(spec: Spec, preset: str) -> Spec:
+    """Return the spec of a model with what the preset of its family changes; its own parameters win."""
+    family: Any = models.get(spec.name)
+    return spec.with_parameters(**family.presets.get(preset, {}))
+
+
+def without_preset(spec: Spec, preset: str) -> Spec:
+    """Return the spec of a model without the values that its family has from ``preset``."""
+    family: Any = models.get(spec.name)
+    brought = family.presets.get(preset, {})
+    own = {key: value for key, value in spec.parameters.items() if key not in brought or value != brought[key]}
+    return Spec(spec.name, own, spec.label)
+
+
+def files_beside(experiment: Experiment) -> dict[str, tuple[str, ...]]:
+    """Return the texts of an experiment that name plugins and robots in files, with their files."""
+    found = (*experiment.plugins, *((experiment.robot,) if experiment.robot else ()))
+    return {text: (text,) for text in found if Path(text).is_file()}
+
+
+def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
+    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
+
+    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
+    """
+    comparison, damaged = comparison_again(Experiment.of(Experiment.read(run)), run)
+    return comparison, (*comparison.plan.remarks, *damaged)

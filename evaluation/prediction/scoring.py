@@ -1,0 +1,361 @@
+"""Simulates the cases with a model and scores it; persistence; errors within and across conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
+from evaluation.prediction.regions import region_errors
+from evaluation.prediction.residuals import analyse, step_errors
+from evaluation.prediction.scores import (
+    PERSISTENCE,
+    ConditionErrors,
+    Coverage,
+    Divergence,
+    EpisodeError,
+    ErrorScore,
+    ModelPrediction,
+    Prediction,
+)
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.models import DynamicsModel
+from sysid_evo.progress import Progress
+from sysid_evo.types import Array, BoolArray, IntArray
+from sysid_evo.validation import measures
+from sysid_evo.validation.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
+from sysid_evo.validation.measures import mean_over_channels
+
+
+def assess_prediction(
+    models: Mapping[str, DynamicsModel],
+    training: Dataset,
+    test: Dataset,
+    *,
+    protocol: PredictionProtocol | None = None,
+    families: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+) -> Prediction:
+    """Measure the prediction error of fitted ``models`` on ``test``; persistence is the first row.
+
+    ``training`` gives the guard. ``families`` names the family of each model (default: its class).
+    A model that fails is a row with its reason. Raises `InvalidData` if the test set is of no use.
+    """
+    if PERSISTENCE in models:
+        raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the yardstick")
+    cases = measured_cases(training, test, protocol or PredictionProtocol())
+    still = Persistence().fit(training, rng=np.random.default_rng(0))
+    rows = [assess_model(PERSISTENCE, still, cases, family=PERSISTENCE)]
+    families = families or {}
+    for name, model in models.items():
+        rows.append(assess_model(name, model, cases, family=families.get(name)))
+        if progress is not None:
+            progress(len(rows) - 1, len(models))
+    return Prediction(cases, tuple(rows))
+
+
+def assess_model(
+    name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
+) -> ModelPrediction:
+    """Measure one model, see `score_model`; whatever it raises becomes the reason of a failed row."""
+    family = family or type(model).__name__
+    try:
+        return score_model(name, model, cases, family=family)
+    except Exception as error:  # a plugin may fail in any way; the other rows must go on
+        return ModelPrediction(name, family, reason=f"{type(error).__name__}: {error}")
+
+
+def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
+    """Simulate the measured cases with one model and condense the errors."""
+    forecasts = forecast(model.without_noise(), cases)
+    notes = [f"{name} {model.fit_note}"] if model.fit_note else []
+    notes += _short_of_history(name, model, cases)
+    curve, curve_interval = _curve(forecasts, cases)
+    horizon = cases.near_horizon
+    return ModelPrediction(
+        name=name,
+        family=family,
+        at=tuple(_at_horizon(forecasts, cases, horizon) for horizon in cases.horizons),
+        free_run=_free_run(forecasts, cases),
+        curve=curve,
+        curve_interval=curve_interval,
+        divergence=_divergence(forecasts, cases),
+        residuals=analyse(step_errors(model.without_noise(), cases.test, first=cases.protocol.first)),
+        regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
+        episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
+        coverage=interval_coverage(model, cases),
+        free_states=forecasts.free_runs,
+        notes=tuple(notes),
+    )
+
+
+def _short_of_history(name: str, model: DynamicsModel, cases: MeasuredCases) -> list[str]:
+    """Return what there is to say where fewer samples were given than the model wants."""
+    limit, padded = cases.protocol.history, "was padded with the first state and neutral controls"
+    if limit is not None:
+        few = model.n_lags > limit
+        return [f"{name} wants {model.n_lags} earlier samples and got {limit}: the rest {padded}"] if few else []
+    early = int((cases.windows.start < model.n_lags).sum())
+    if model.n_lags <= cases.protocol.first:
+        return []
+    return [
+        f"{name} wants {model.n_lags} earlier samples: for {early} of {len(cases.windows)} windows and the free runs, "
+        f"which begin earlier in their record, the rest {padded}"
+    ]
+
+
+def _at_horizon(forecasts: Forecasts, cases: MeasuredCases, horizon: int) -> ErrorScore:
+    true, predicted = cases.windows.states[:, horizon - 1], forecasts.windows[:, horizon - 1]
+    return _score(horizon, true, predicted, cases.moving[:, horizon - 1], cases.window_block, cases)
+
+
+def _free_run(forecasts: Forecasts, cases: MeasuredCases) -> ErrorScore | None:
+    moving = [run.moving for run in cases.free_runs]
+    if not any(rows.any() for rows in moving):
+        return None
+    blocks, offset = [], 0
+    for rows in moving:
+        blocks.append(offset + np.arange(len(rows), dtype=np.int64) // cases.protocol.block_samples)
+        offset = int(blocks[-1][-1]) + 1
+    true = np.concatenate([run.states for run in cases.free_runs])
+    predicted = np.concatenate(forecasts.free_runs)
+    return _score(None, true, predicted, np.concatenate(moving), np.concatenate(blocks), cases)
+
+
+def _score(
+    horizon: int | None, true: Array, predicted: Array, scored: BoolArray, blocks: IntArray, cases: MeasuredCases
+) -> ErrorScore:
+    """Score the rows ``scored`` (N,) of (N, nx); blocks without such a row are not drawn."""
+    protocol = cases.protocol
+    truth = true[scored]
+    guess = cases.system.near(predicted[scored], truth)
+    errors = BlockErrors.of(guess - truth, blocks[scored])
+    resampled = errors.resampled_n(cases.std, protocol.resamples, protocol.seed)
+    return ErrorScore(
+        horizon=horizon,
+        samples=len(truth),
+        rmse=measures.rmse(truth, guess),
+        error_std=measures.error_std(truth, guess),
+        relative_percent=measures.relative_percent(truth, guess, rms=cases.rms),
+        nrmse=measures.nrmse(truth, guess, std=cases.std),
+        interval=interval(resampled, protocol.confidence),
+        resampled_n=resampled,
+    )
+
+
+def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
+    """Return N (H,) after every step, nan at a step where no target moves, and its interval (2, H)."""
+    errors = cases.system.difference(forecasts.windows, cases.windows.states)
+    squares = np.where(cases.moving[:, :, None], errors**2, 0.0)
+    steps, nx = squares.shape[1:]
+    columns = np.concatenate([squares, cases.moving[:, :steps, None]], axis=2)
+    sums = block_sums(columns.reshape(len(squares), steps * (nx + 1)), cases.window_block)
+    scale = np.where(cases.std > 0, cases.std, np.nan)
+
+    def curves(summed: Array) -> Array:
+        parts = summed.reshape(len(summed), steps, nx + 1)
+        squares, counts = parts[..., :-1], parts[..., -1:]
+        mean = np.divide(squares, counts, out=np.full(squares.shape, np.nan), where=counts > 0)
+        return mean_over_channels(np.sqrt(mean) / scale)
+
+    picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
+    drawn = curves(resampled_sums(sums, picks))
+    band = [interval(column, cases.protocol.confidence) for column in drawn.T]
+    return curves(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
+
+
+def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:
+    dt = cases.system.dt
+    hit = forecasts.touched[forecasts.touched != NEVER]
+    return Divergence(
+        share=len(hit) / len(forecasts.touched) if len(forecasts.touched) else 0.0,
+        median_time=float(np.median(hit) * dt) if len(hit) else None,
+        free_run_times=tuple(None if step == NEVER else float(step * dt) for step in forecasts.free_touched),
+    )
+
+
+def within_and_across(
+    model: DynamicsModel,
+    learn: Callable[[Dataset], DynamicsModel],
+    training: Dataset,
+    test: Dataset,
+    protocol: PredictionProtocol,
+) -> tuple[ConditionErrors, ...]:
+    """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
+    found = []
+    horizon = _seconds(protocol, test.system.dt)
+    for condition in test.conditions:
+        here = test.of_condition(condition)
+        others = [episode for episode in training if episode.condition != condition]
+        within = _error(model, training, here, protocol, horizon)
+        across = None
+        if others and within is not None:
+            rest = training.with_episodes(others)
+            across = _error(learn(rest), rest, here, protocol, horizon)
+        found.append(ConditionErrors(condition, horizon, within, across))
+    return tuple(found)
+
+
+def _seconds(protocol: PredictionProtocol, dt: float) -> int:
+    """Return the horizon nearest to one second."""
+    return min(protocol.horizons, key=lambda horizon: abs(horizon * dt - 1.0))
+
+
+def _error(
+    model: DynamicsModel, training: Dataset, test: Dataset, protocol: PredictionProtocol, horizon: int
+) -> float | None:
+    try:
+        score = score_model("", model, measured_cases(training, test, protocol), family="").score(horizon)
+    except InvalidData:
+        return None
+    return None if score is None else score.n
+
+
+SHARE = 0.9
+"""What the intervals are to hold."""
+
+SAMPLES = 100
+
+MOST_WINDOWS = 400
+
+PIECE = 50
+"""Windows that are simulated together."""
+
+
+def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Coverage, ...]:
+    """Return the coverage of the central 90 % of 100 samples at every horizon; nothing of a model without noise.
+
+    Of many windows 400 are taken, evenly spread. Only targets that move count. The draws are the same every time.
+    """
+    if not (model.n_noise or model.n_draws) or not len(cases.windows):
+        return ()
+    windows = cases.windows
+    few = np.unique(np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64))
+    pieces = np.array_split(few, -(-len(few) // PIECE))
+    held = np.concatenate([_held(model, cases, rows) for rows in pieces], axis=1)
+    found = []
+    for place, horizon in enumerate(cases.horizons):
+        rows = cases.moving[few, horizon - 1]
+        if rows.any():
+            found.append(Coverage(horizon, int(rows.sum()), SHARE, held[place][rows].mean(axis=0)))
+    return tuple(found)
+
+
+def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
+    """Return whether each target lies inside, (horizons, N, nx), for the windows ``rows``."""
+    windows = cases.windows[rows]
+    past_states, past_controls = cases.history(model.n_lags)
+    drawn = model.simulate(
+        past_states[rows],
+        past_controls[rows],
+        windows.controls,
+        samples=SAMPLES,
+        rng=np.random.default_rng(int(rows[0])),
+    )
+    ends = [horizon - 1 for horizon in cases.horizons]
+    low, high = np.quantile(drawn[:, :, ends], [0.5 - SHARE / 2, 0.5 + SHARE / 2], axis=0, method="weibull")
+    truth = cases.system.near(windows.states[:, ends], 0.5 * (low + high))
+    return ((truth >= low) & (truth <= high)).transpose(1, 0, 2).astype(np.float64)
+
+
+def episode_errors(cases: MeasuredCases, windows: Array, free_runs: Sequence[Array]) -> tuple[EpisodeError, ...]:
+    """Return the errors of each test episode; ``windows`` (N, H, nx) and ``free_runs`` are what was predicted."""
+    fits = {
+        run.episode: _fit(cases, run.states, predicted)
+        for run, predicted in zip(cases.free_runs, free_runs, strict=True)
+    }
+    errors = cases.system.difference(windows, cases.windows.states)
+    nothing = np.full(cases.system.nx, np.nan)
+    return tuple(
+        EpisodeError(
+            name,
+            np.array([_n(errors, cases, cases.windows.episode == number, horizon) for horizon in cases.horizons]),
+            fits.get(name, nothing),
+        )
+        for number, name in enumerate(cases.test.names)
+    )
+
+
+def _n(errors: Array, cases: MeasuredCases, inside: np.ndarray, horizon: int) -> float:
+    scored = errors[inside & cases.moving[:, horizon - 1], horizon - 1]
+    if not len(scored):
+        return float("nan")
+    std = np.where(cases.std > 0, cases.std, np.nan)
+    return float(mean_over_channels(np.sqrt(np.mean(scored**2, axis=0)) / std))
+
+
+def _fit(cases: MeasuredCases, measured: Array, predicted: Array) -> Array:
+    if not len(measured):
+        return np.full(cases.system.nx, np.nan)
+    guess = cases.system.near(predicted, measured)
+    return measures.fit_percent(measured, guess, std=cases.system.spread(measured))
+
+
+NEVER = -1
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each free run, clipped to the guard.
+
+    ``touched`` (N,) and ``free_touched`` (number of free runs,) are the first step (from 1) at which
+    a simulation reached the model's envelope or the guard, or stopped being a number; -1 for never.
+    """
+
+    windows: Array
+    touched: IntArray
+    free_runs: tuple[Array, ...]
+    free_touched: IntArray
+
+
+def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
+    """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
+    windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
+    free_runs, free_touched = [], []
+    for run, history in zip(cases.free_runs, cases.free_history(model.n_lags), strict=True):
+        states, first = _simulate(model, *history, run.controls[None], cases.guard)
+        free_runs.append(states[0])
+        free_touched.append(int(first[0]))
+    return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
+
+
+def _simulate(
+    model: DynamicsModel, past_states: Array, past_controls: Array, controls: Array, guard: Array
+) -> tuple[Array, IntArray]:
+    if not len(controls):
+        return np.empty((*controls.shape[:2], past_states.shape[2])), np.empty(0, dtype=np.int64)
+    states = model.simulate(past_states, past_controls, controls)
+    hit = ~np.isfinite(states).all(axis=2) | _at_limit(states, guard)
+    if model.envelope is not None:
+        hit |= _at_limit(states, model.envelope)
+    touched = np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, NEVER).astype(np.int64)
+    low, high = guard
+    return np.clip(np.where(np.isfinite(states), states, np.where(np.isfinite(high), high, 0.0)), low, high), touched
+
+
+def _at_limit(states: Array, limits: Array) -> BoolArray:
+    """Say where a state (..., nx) lies on or beyond a limit; a channel whose limits coincide has none."""
+    low, high = limits
+    slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
+    with np.errstate(invalid="ignore"):
+        reached = ((states <= low + slack) | (states >= high - slack)) & (high - low > 1e-12)
+    return np.asarray(reached.any(axis=-1))
+
+
+class Persistence(DynamicsModel):
+    """The next state is the present one; there is nothing to learn."""
+
+    knowledge = "none"
+
+    def __init__(self) -> None:
+        """Take no arguments."""
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return carry

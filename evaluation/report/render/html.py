@@ -1,0 +1,37 @@
+"""The report as one HTML page that needs nothing else: styles and pictures are inside."""
+
+from __future__ import annotations
+
+import re
+
+from evaluation.plot_style import style_sheet
+from evaluation.report.elements import Cards, Picture, Replay, Story
+
+TEMPLATE = "page.html.j2"
+
+JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
+"""Where a long name may break."""
+
+
+def page_of(story: Story) -> str:
+    """Return the page that tells a story."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup, escape
+
+    environment = Environment(
+        loader=PackageLoader("evaluation.report", "page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
+    environment.filters["raw"] = Markup
+    environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["cards"] = lambda item: isinstance(item, Cards)
+    environment.tests["replay"] = lambda item: isinstance(item, Replay)
+    page: str = environment.get_template(TEMPLATE).render(
+        story=story,
+        colours=Markup(style_sheet()),
+    )
+    return page

@@ -1,0 +1,78 @@
+"""The report as Markdown: answers, tables, and links to the figures beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from evaluation.report.elements import Cards, Picture, Section, Sheet, Story
+
+SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
+
+
+def story_to_markdown(story: Story, *, figures: str = "") -> str:
+    """Return a story as Markdown, see `to_markdown`."""
+    return "\n\n".join(_parts(story, figures)) + "\n"
+
+
+def sheet_to_markdown(sheet: Sheet) -> str:
+    """Return one table; the lines of a cell stand below each other, as far as Markdown allows."""
+    code = _code if sheet.code else _cell
+    heads = [_cell(head, " ") for head in sheet.columns]
+    rule = [":--" if place == 0 or sheet.prose or sheet.code else "--:" for place in range(len(heads))]
+    rows = [[_cell(row[0]), *map(code, row[1:])] for row in sheet.rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rule, *rows))
+
+
+def _parts(story: Story, figures: str) -> Iterator[str]:
+    yield f"# {_text(story.title)}"
+    for one in story.headlines:
+        yield f"**{_text(one.question)}** {_text(one.answer)}. {_text(one.sentence)}"
+        if one.command:
+            yield f"    {one.command}"
+    for finding in story.findings:
+        yield f"**{_text(finding.question)}**"
+        yield "\n".join(f"- {_text(answer)}" for answer in finding.answers)
+    if story.overview is not None:
+        yield from _sheet(story.overview, "##")
+    for section in story.sections:
+        yield from _section(section, figures)
+
+
+def _section(section: Section, figures: str) -> Iterator[str]:
+    yield f"## {_text(section.title)}"
+    yield from (_text(paragraph) for paragraph in (*section.paragraphs, *section.absent))
+    for item in section.items:
+        if isinstance(item, Sheet):
+            yield from _sheet(item, "###")
+        elif isinstance(item, Cards):
+            yield f"### {_text(item.title)}"
+            for card in item.cards:
+                yield f"**{_text(card.title)}** {_text(card.verdict)}"
+                if card.sentences:
+                    yield "\n".join(f"- {_text(sentence)}" for sentence in card.sentences)
+        elif isinstance(item, Picture) and figures:
+            yield f"### {_text(item.title)}"
+            yield "\n".join(
+                f"![{_text(panel.title or item.title)}]({figures}/{panel.wide.key}.svg)" for panel in item.panels
+            )
+            yield _text(item.caption)
+
+
+def _sheet(sheet: Sheet, level: str) -> Iterator[str]:
+    yield f"{level} {_text(sheet.title)}"
+    yield sheet_to_markdown(sheet)
+    if sheet.note:
+        yield _text(sheet.note)
+
+
+def _cell(text: str, joint: str = "<br>") -> str:
+    return joint.join(_text(line) for line in text.split("\n"))
+
+
+def _code(text: str) -> str:
+    return "`" + text.replace("|", "\\|") + "`"
+
+
+def _text(text: str) -> str:
+    return SPECIAL.sub(r"\\\1", text)

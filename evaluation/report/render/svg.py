@@ -1,0 +1,224 @@
+"""A figure as SVG, with the values that a reader can point at."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.typing import ColorType
+
+from evaluation.plot_style import THEME, Band, to_svg
+from sysid_evo.types import Array
+
+DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
+
+DIGITS = 4
+
+
+@dataclass(frozen=True)
+class Key:
+    """One entry of a legend: a line in ``colour`` (CSS) with ``dashes`` (SVG), or a ``dot``, filled or a ring."""
+
+    label: str
+    colour: str
+    dashes: str = ""
+    dot: str = ""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One named line or row of points: its values (n,), where they are, and their intervals where there are any.
+
+    ``artists`` are what is drawn of it. Of points with bars to the side ``at`` is the row, a whole number.
+    """
+
+    name: str
+    at: Array
+    value: Array
+    low: Array | None
+    high: Array | None
+    key: Key
+    artists: tuple[Artist, ...] = field(repr=False)
+
+
+def series_of(ax: Axes) -> list[Series]:
+    """Return the named series of one axes, in the order in which they were drawn."""
+    bands = {band.name: band for band in ax.collections if isinstance(band, Band)}
+    bars = [container for container in ax.containers if isinstance(container, ErrorbarContainer)]
+    found = [_of_line(line, bands.get(str(line.get_label()))) for line in ax.get_lines() if _is_named(line)]
+    return [*found, *(_of_bars(container) for container in bars)]
+
+
+def is_sideways(ax: Axes) -> bool:
+    """Whether the values lie along the x-axis, a row of names along the other."""
+    return any(isinstance(container, ErrorbarContainer) for container in ax.containers)
+
+
+def names_of(figure: Figure) -> tuple[str, ...]:
+    """Return the names of all series of a figure, each once."""
+    return tuple(dict.fromkeys(series.name for ax in figure.axes for series in series_of(ax)))
+
+
+def mark_series(figure: Figure) -> None:
+    """Give what is drawn of each series an id that says which one it is."""
+    names = names_of(figure)
+    for ax in figure.axes:
+        for series in series_of(ax):
+            for artist in series.artists:
+                artist.set_gid(f"{MARK}{names.index(series.name)}")
+
+
+def legend_of(figure: Figure) -> tuple[Key, ...]:
+    """Return an entry for each series of a figure."""
+    keys = {series.name: series.key for ax in figure.axes for series in series_of(ax)}
+    return tuple(keys[name] for name in names_of(figure))
+
+
+def chart_document(figure: Figure, narrow: Figure | None) -> str:
+    """Return what the page's script needs to read values off a figure, as JSON for a script element.
+
+    ``narrow`` is the same figure for a phone. Both must have been drawn, so that they are laid out.
+    """
+    names = names_of(figure)
+    axes = [ax for ax in figure.axes if series_of(ax)]
+    document = {
+        "names": names,
+        "axes": [_axes(ax, names) for ax in axes],
+        "frames": [_frame(ax, figure) for ax in axes],
+        "narrow": None if narrow is None else [_frame(ax, narrow) for ax in narrow.axes if series_of(ax)],
+    }
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
+
+
+def _axes(ax: Axes, names: Sequence[str]) -> dict[str, Any]:
+    sideways = is_sideways(ax)
+    named = [label.get_text().replace("\n", "") for label in ax.get_yticklabels()] if sideways else None
+    value, place = (ax.get_xlabel(), ax.get_ylabel()) if sideways else (ax.get_ylabel(), ax.get_xlabel())
+    if not place:
+        place = next((other.get_xlabel() for other in reversed(ax.figure.axes) if other.get_xlabel()), "")
+    return {
+        "sideways": sideways,
+        "rows": named,
+        "value": value,
+        "place": place,
+        "series": [
+            {
+                "n": names.index(series.name),
+                "at": _short(series.at),
+                "value": _short(series.value),
+                "low": None if series.low is None else _short(series.low),
+                "high": None if series.high is None else _short(series.high),
+            }
+            for series in series_of(ax)
+        ],
+    }
+
+
+def _frame(ax: Axes, figure: Figure) -> dict[str, Any]:
+    """Return where an axes lies in the drawing (left, top, width, height in points), and what its edges mean."""
+    width, height = (72.0 * size for size in figure.get_size_inches())
+    box = ax.get_position()
+    return {
+        "box": [round(v, 2) for v in (box.x0 * width, (1.0 - box.y1) * height, box.width * width, box.height * height)],
+        "x": {"ends": _short(np.array(ax.get_xlim())), "log": ax.get_xscale() == "log"},
+        "y": {"ends": _short(np.array(ax.get_ylim())), "log": ax.get_yscale() == "log"},
+    }
+
+
+def _is_named(line: Line2D) -> bool:
+    return not str(line.get_label()).startswith("_")
+
+
+def _of_line(line: Line2D, band: Band | None) -> Series:
+    at, value = (np.asarray(values, dtype=float) for values in line.get_data())
+    key = Key(str(line.get_label()), variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
+    artists = (line,) if band is None else (line, band)
+    low, high = (None, None) if band is None else (band.low, band.high)
+    return Series(key.label, at, value, low, high, key, artists)
+
+
+def _of_bars(container: ErrorbarContainer) -> Series:
+    points, caps, bars = container.lines
+    assert points is not None
+    value, at = (np.asarray(values, dtype=float) for values in points.get_data())
+    ends = np.array([segment[:, 0] for segment in bars[0].get_segments()])
+    filled = str(points.get_markerfacecolor()) != "none"
+    key = Key(str(container.get_label()), variable(points.get_markeredgecolor()), dot="filled" if filled else "ring")
+    return Series(key.label, np.round(at), value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
+
+
+def variable(colour: ColorType) -> str:
+    """Return a colour of the theme as the variable of the page's style sheet, any other as it is."""
+    value = to_hex(colour)
+    return VARIABLES.get(value, value)
+
+
+def _short(values: Array) -> list[float | None]:
+    """Return numbers with few digits; what is no number is None."""
+    return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in values]
+
+
+VARIABLES = {colour.light: colour.variable for colour in THEME}
+
+LEFT_OUT = re.compile(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", re.DOTALL)
+
+FONT = re.compile(r" font-family: [^;\"]*;")
+
+PAINT = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
+
+MARK = "series-"
+
+MARKED = re.compile(r' id="series-(\d+)"')
+
+NAMED = re.compile(r' id="([^"]*)"')
+
+MENTIONED = re.compile(r'(?:href="#|url\(#)([^")]*)')
+
+PATH = re.compile(r' d="([^"]*)"')
+
+DECIMALS = re.compile(r"(\.\d\d)\d+")
+
+SPACE = re.compile(r">\s+<")
+
+
+def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) -> str:
+    """Return a figure as an ``svg`` element that is as wide as its place.
+
+    ``key`` makes its ids differ from those of other figures of the page; ``label`` is read aloud. Coordinates
+    are rounded to a hundredth of a point. Colours of the theme become the variables of its style sheet. What was
+    marked by `mark_series` carries the number of its series; those that are ``off`` are hidden.
+    """
+    text = to_svg(figure)
+    text = LEFT_OUT.sub("", text[text.index("<svg") :]).replace("xlink:href", "href")
+    text = FONT.sub("", text)
+    text = PAINT.sub(lambda found: f"{found[1]}: {VARIABLES.get(found[2], found[2])}", text)
+    mentioned = set(MENTIONED.findall(text))
+    text = MARKED.sub(lambda found: _series(int(found[1]), off), text)
+    text = NAMED.sub(lambda found: f' id="{key}-{found[1]}"' if found[1] in mentioned else "", text)
+    text = MENTIONED.sub(lambda found: found[0].replace("#", f"#{key}-"), text)
+    text = PATH.sub(lambda found: f' d="{_inline_short(found[1])}"', text)
+    text = SPACE.sub("><", text).strip()
+    box = re.search(r'viewBox="[^"]*"', text)
+    assert box is not None
+    start = f'<svg {box[0]} role="img" aria-label="{html.escape(label)}">'
+    return start + text[text.index(">") + 1 :]
+
+
+def _inline_short(path: str) -> str:
+    return " ".join(DECIMALS.sub(r"\1", path).split())
+
+
+def _series(number: int, off: Collection[int]) -> str:
+    return f' data-series="{number}"' + (' class="off"' if number in off else "")

@@ -1,0 +1,90 @@
+"""The report for a terminal of 80 columns or more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from evaluation.formatting import folded
+from evaluation.report.elements import Finding, Sheet
+
+WIDTH = 80
+
+GAP = 2
+
+NAMES = (28, 20, 13)
+"""Widths to which the names of rows are folded: the first that saves dividing the table."""
+
+DIVIDED = 20
+"""And the width in a table that is divided all the same."""
+
+
+def to_rich(sheet: Sheet) -> list[RenderableType]:
+    """Return ``sheet`` as one table, or as several with the same rows where it is wider than 80 columns."""
+    parts: list[RenderableType] = []
+    names, groups = _layout(sheet)
+    for number, group in enumerate(groups):
+        continued = " (continued)" if number else ""
+        parts.append(Text(sheet.title + continued, style="bold"))
+        table = Table(box=None, padding=(0, 1))
+        chosen = [0, *group]
+        for column in chosen:
+            # names and prose may wrap; numbers never do
+            wraps = column == 0 or _width(sheet, column, names) > WIDTH // 2
+            table.add_column(
+                Text(sheet.columns[column]),
+                justify="left" if wraps or sheet.prose else "right",
+                no_wrap=not wraps,
+                overflow="fold",
+                vertical="top",
+            )
+        for row in sheet.rows:
+            table.add_row(Text(folded(row[0], names)), *(Text(row[column]) for column in group))
+        parts.append(table)
+    if sheet.note:
+        parts.append(Padding(Text(sheet.note, style="dim"), (0, 0, 1, 1)))
+    return parts
+
+
+def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:
+    """Return questions and their answers."""
+    return [
+        Group(Text(finding.question, style="bold cyan"), *(_indented(answer) for answer in finding.answers))
+        for finding in findings
+    ]
+
+
+def _indented(text: str) -> Padding:
+    return Padding(Text(text), (0, 0, 0, 2))
+
+
+def _layout(sheet: Sheet) -> tuple[int, list[list[int]]]:
+    """Return the width of the names, and the other columns in groups that fit beside them: one, if possible."""
+    for names in NAMES:
+        groups = _column_groups(sheet, names)
+        if len(groups) == 1:
+            return names, groups
+    return DIVIDED, _column_groups(sheet, DIVIDED)
+
+
+def _column_groups(sheet: Sheet, names: int) -> list[list[int]]:
+    head = _width(sheet, 0, names) + GAP
+    groups: list[list[int]] = [[]]
+    used = head
+    for column in range(1, len(sheet.columns)):
+        width = min(_width(sheet, column, names), WIDTH // 2) + GAP
+        if groups[-1] and used + width > WIDTH:
+            groups.append([])
+            used = head
+        groups[-1].append(column)
+        used += width
+    return groups
+
+
+def _width(sheet: Sheet, column: int, names: int) -> int:
+    rows = [folded(row[0], names) if column == 0 else row[column] for row in sheet.rows]
+    return max(len(line) for cell in (sheet.columns[column], *rows) for line in cell.split("\n"))

@@ -1,0 +1,70 @@
+"""How controllers were found: fitness curves, seeds, kinds of behaviour."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from evaluation.formatting import lines, number
+from evaluation.plots import plot_fitness
+from evaluation.report.elements import THIRD, Drawing, Panel, Picture, Sheet
+from evaluation.transfer.matrix import TransferMatrix
+from sysid_evo.evolution import Champion, Finalist, worth
+
+
+def _champion(champion: Champion) -> dict[str, Any]:
+    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
+    return {**known, "parameters": champion.parameters, "history": champion.history}
+
+
+def fitness_picture(matrix: TransferMatrix) -> Picture | None:
+    """Fitness over generations, one panel for each champion; None if there is no history."""
+    champions = [champion for champion in matrix.champions if len(champion.history)]
+    if not champions:
+        return None
+    everything = np.concatenate([champion.history for champion in champions])
+    margin = 0.05 * (float(np.ptp(everything)) or 1.0)
+    panels: list[Panel] = []
+    for place, champion in enumerate(champions):
+
+        def draw(figure: Figure, champion: Champion = champion) -> None:
+            ax = plot_fitness(champion, figure.add_subplot(), unit=matrix.unit)
+            ax.set_ylim(everything.min() - margin, everything.max() + margin)
+
+        label = f"fitness of {champion.name} over generations"
+        panels.append(Panel(Drawing(f"fitness-{place}", label, draw, THIRD, 2.1, keyed=True), title=champion.name))
+    return Picture(
+        "Fitness over generations",
+        "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
+        "in the trials of that generation.",
+        tuple(panels),
+        columns=3,
+    )
+
+
+def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
+    """The best of each niche, what it claims, and what all models say together; None without niches."""
+    rows = []
+    for champion in matrix.champions:
+        best: dict[str, Finalist] = {}
+        for finalist in champion.finalists:
+            kind = finalist.niche.partition(" #")[0]
+            if kind not in best or worth(finalist) > worth(best[kind]):
+                best[kind] = finalist
+        for kind, finalist in best.items():
+            chosen = np.array_equal(finalist.parameters, champion.parameters)
+            elsewhere = "–" if finalist.elsewhere is None else number(finalist.elsewhere)
+            rows.append((champion.name, lines(kind, "(chosen)" if chosen else ""), number(finalist.fitness), elsewhere))
+    if not any(kind for _, kind, _, _ in rows):
+        return None
+    return Sheet(
+        title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
+        columns=("controller", "niche", "claimed", "forecast"),
+        rows=tuple(rows),
+        note=(
+            "niche: the side of a channel on which a search was kept more than half of the time; the best of its "
+            "starts. forecast: what all models say of it together, by which it was chosen."
+        ),
+    )

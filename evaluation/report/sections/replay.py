@@ -1,0 +1,292 @@
+"""One trial of each controller on every system, to watch."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from evaluation.plots import plot_state, plot_trace, plotted_places
+from evaluation.report.elements import QUARTER, THIRD, Drawing, Panel, Picture, Replay, Section, present, trial_name
+from evaluation.report.sections.exploitability import worst_trials
+from evaluation.results import Report
+from evaluation.transfer.matrix import Trace, TransferMatrix
+from sysid_evo.angles import wrap
+from sysid_evo.evolution import Champion
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+
+MOST_NUMBERS = 1_200_000
+"""Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
+
+NO_NUMBER = 65535
+
+APART = 0.1
+"""Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
+
+
+ON_A_PLANE = (
+    "Blue: forwards, orange: backwards; positions from above. The outline is the robot at the same time, the cross "
+    "where the model has left its path by a tenth of its extent."
+)
+
+OVER_TIME = (
+    "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
+    "model has left the robot by a tenth of the range of a state."
+)
+
+CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named."
+
+
+def replay(
+    matrix: TransferMatrix, *, first: str | None = None, watched: Mapping[str, int] | None = None
+) -> Replay | None:
+    """Return the first trial of every cell that kept one; None if there is none.
+
+    The controller ``first`` is the one shown at the start (default: the first row). Of the controllers that are
+    ``watched`` another trial is shown too, by its number from 0, where it was kept.
+    """
+    system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
+    kept = [trace for cell in matrix.cells.values() for trace in cell.traces[:1]]
+    if system is None or not kept:
+        return None
+    paths = all(is_planar(trace) and not trace.targets for trace in kept)
+    rows: dict[str, None] = {}
+    runs: list[dict[str, Any]] = []
+    numbers = left_out = 0
+    for champion, trial in _trials(matrix, watched or {}):
+        row = trial_name(champion.name, trial)
+        traces = {column: _kept(matrix, champion.name, column, trial) for column in _ordered(matrix, champion)}
+        robot = traces.get(matrix.robot or "")
+        for column, trace in traces.items():
+            if trace is None:
+                continue
+            own, on_robot = column in champion.against, column == matrix.robot
+            if numbers > MOST_NUMBERS and not (own or on_robot):
+                left_out += 1
+                continue
+            numbers += _numbers(trace, paths=paths)
+            other = None if on_robot else robot
+            apart = None if other is None else parting(trace, other, system, paths=paths)
+            told = {"row": row, "column": column, "own": own, "robot": on_robot}
+            runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+            rows[row] = None
+    document = {
+        "unit": matrix.unit,
+        "first": first if first in rows else next(iter(rows)),
+        "paths": paths,
+        "states": [channel.to_dict() for channel in system.states],
+        "controls": [channel.to_dict() for channel in system.controls],
+        "shown": list(plotted_places(kept[0], system)),
+        "runs": runs,
+    }
+    text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return Replay(tuple(rows), text.replace("<", "\\u003c"), paths, left_out)
+
+
+def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
+    """Yield each controller with its first trial, and where one more is watched with that."""
+    for champion in matrix.champions:
+        yield champion, 0
+        if watched.get(champion.name):
+            yield champion, watched[champion.name]
+
+
+def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:
+    """Return the columns, the robot first, then those that a controller was evolved on."""
+    robots = [column for column in matrix.columns if column == matrix.robot]
+    return tuple(dict.fromkeys((*robots, *(c for c in matrix.columns if c in champion.against), *matrix.columns)))
+
+
+def _kept(matrix: TransferMatrix, row: str, column: str, trial: int) -> Trace | None:
+    traces = matrix.cell(row, column).traces
+    return traces[trial] if trial < len(traces) else None
+
+
+def is_planar(trace: Trace) -> bool:
+    """Tell whether the trial has the pose of a body on a plane."""
+    pose = trace.trajectory.pose
+    return pose is not None and pose.shape[1] == 3
+
+
+def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
+    """Return the seconds after which a trial is apart from the one on the robot for the first time; None if never.
+
+    Of bodies on a plane the positions are compared, of other systems the states that are drawn. Apart is a tenth of
+    the extent of the robot's path, or of the range of a state (its target counts) in the robot's trial.
+    """
+    steps = min(len(trace.trajectory.states), len(robot.trajectory.states))
+    if paths:
+        assert trace.trajectory.pose is not None
+        assert robot.trajectory.pose is not None
+        here, there = trace.trajectory.pose[:steps, :2], robot.trajectory.pose[:steps, :2]
+        extent = np.array([np.ptp(there, axis=0).max()])
+        distance = np.hypot(*(here - there).T)[:, None]
+    else:
+        places = list(plotted_places(robot, system))
+        here, there = trace.trajectory.states[:steps, places], robot.trajectory.states[:steps, places]
+        channels = [system.states[place] for place in places]
+        distance = np.abs(_shortest(here - there, channels))
+        extent = np.array([_range(robot, place, there[:, i], system) for i, place in enumerate(places)])
+    apart = (distance > APART * np.where(extent > 0.0, extent, np.inf)).any(axis=1)
+    return float(np.argmax(apart) * trace.trajectory.dt) if apart.any() else None
+
+
+def _range(trace: Trace, place: int, values: Array, system: System) -> float:
+    """Return how far a state goes in a trial, its target included; a periodic one at most one period."""
+    wanted = [target.values for target in trace.targets if target.place == place]
+    spread = float(np.ptp(np.concatenate([values, *wanted])))
+    period = system.states[place].period
+    return spread if period is None else min(spread, period)
+
+
+def _shortest(difference: Array, channels: list[Channel]) -> Array:
+    """Return differences of states (n, k), periodic ones the shorter way round."""
+    columns = [
+        difference[:, i] if channel.period is None else wrap(difference[:, i], channel.period)
+        for i, channel in enumerate(channels)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
+    trajectory = trace.trajectory
+    return {
+        "dt": trajectory.dt,
+        "fitness": round(trace.fitness, 4) if np.isfinite(trace.fitness) else None,
+        "states": None if paths else _packed(trajectory.states),
+        "controls": _packed(trajectory.controls),
+        "pose": _packed(trajectory.pose) if paths and trajectory.pose is not None else None,
+        "markers": trace.waypoints.round(3).tolist(),
+        "radius": trace.waypoint_radius,
+        "walls": [wall.round(3).tolist() for wall in trace.walls],
+        "targets": [
+            {"place": target.place, "tolerance": target.tolerance, "values": _packed(target.values)}
+            for target in trace.targets
+        ],
+    }
+
+
+def _numbers(trace: Trace, *, paths: bool) -> int:
+    trajectory = trace.trajectory
+    shown = trajectory.pose if paths and trajectory.pose is not None else trajectory.states
+    return int(shown.size + trajectory.controls.size)
+
+
+def _packed(values: Array) -> dict[str, Any]:
+    """Return numbers (n, k) as k columns of n steps from the lowest, 16 bit each in base 64, little-endian.
+
+    A number is that many times ``step`` above ``low``, to a 65534th of the range of its column; the highest number
+    stands for what is no number.
+    """
+    table = np.asarray(values, dtype=np.float64)
+    table = table[:, None] if table.ndim == 1 else table
+    known = np.where(np.isfinite(table), table, np.nan)
+    low = [float(np.nanmin(column)) if np.isfinite(column).any() else 0.0 for column in known.T]
+    high = [float(np.nanmax(column)) if np.isfinite(column).any() else 0.0 for column in known.T]
+    step = [(top - bottom) / (NO_NUMBER - 1) for top, bottom in zip(high, low, strict=True)]
+    scaled = (known - low) / np.where(np.array(step) > 0.0, step, 1.0)
+    steps = np.where(np.isfinite(scaled), np.round(scaled), NO_NUMBER).astype("<u2")
+    data = base64.b64encode(np.ascontiguousarray(steps).tobytes()).decode("ascii")
+    return {"low": low, "step": step, "data": data}
+
+
+def section(report: Report) -> Section | None:
+    """Return the replay and the traces; None without controllers."""
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None:
+        return None
+    shown = replay(matrix, first=summary.pick, watched=worst_trials(report.exploitability, matrix))
+    items = [] if shown is None else present(shown, traces_picture(matrix))
+    return Section("Replay", items, absent=of_replay(report, shown))
+
+
+def of_replay(report: Report, shown: Replay | None) -> list[str]:
+    """Say what cannot be watched."""
+    if shown is None:
+        return ["Nothing can be replayed: no trial of any controller was kept (traces in experiment.toml)."]
+    found = []
+    if report.matrix is not None and report.matrix.robot is None:
+        found.append("There is no robot beside the models, and so no moment where they part.")
+    if not shown.paths:
+        found.append("There is no path to watch, since nothing moves on a plane here: states are shown over time.")
+    return found
+
+
+SQUARE = (0.19, 0.17, 0.79, 0.79)
+"""Left, bottom, width and height of the axes of a trace, as shares of its drawing."""
+
+SHOWN_TRACES = 24
+
+PICTURES_OVER_TIME = "Blue: what the states did, grey: what they were to do, with the tolerance"
+
+
+def traces_picture(matrix: TransferMatrix) -> Picture | None:
+    """What each controller did in its own model and on the robot, in the first trial: its path, or its states."""
+    found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
+    if not found:
+        return None
+    paths = all(is_planar(trace) and not trace.targets for _, _, trace in found)
+    panels = []
+    for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
+        label = f"{name} on {column}"
+        drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
+        panels.append(Panel(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
+    left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
+    drawn = _path_words([trace for _, _, trace in found]) if paths else PICTURES_OVER_TIME
+    return Picture(
+        "Traces",
+        f"{drawn}; the first trial, the same for all.{left_out}",
+        tuple(panels),
+        columns=4 if paths else 3,
+    )
+
+
+def _path_words(traces: Sequence[Trace]) -> str:
+    walls = ", between the walls (grey)" if any(trace.walls for trace in traces) else ""
+    waypoints = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for t in traces) else ""
+    return f"Blue: forwards, orange: backwards; from the dot{walls}{waypoints}. Positions in metres"
+
+
+def _path(number: int, label: str, trace: Trace) -> Drawing:
+    def draw(figure: Figure) -> None:
+        figure.set_layout_engine("none")
+        plot_trace(trace, figure.add_axes(SQUARE))
+
+    return Drawing(f"trace-{number}", f"path of {label}", draw, QUARTER, QUARTER)
+
+
+def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> Drawing:
+    system = champion.system
+    assert system is not None
+    places = plotted_places(trace, system)
+
+    def draw(figure: Figure) -> None:
+        for place, ax in zip(places, figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0], strict=True):
+            plot_state(trace, system, place, ax)
+            ax.label_outer()
+
+    height = 0.5 + 1.3 * len(places)
+    return Drawing(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)
+
+
+def _champion(name: str, matrix: TransferMatrix) -> Champion:
+    return next(champion for champion in matrix.champions if champion.name == name)
+
+
+def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
+    """Return the first trace of a champion on a model it was evolved against, and on the robot."""
+    champion = _champion(name, matrix)
+
+    def first(column: str) -> Trace | None:
+        traces = matrix.cell(name, column).traces
+        shown = bool(traces) and (is_planar(traces[0]) or champion.system is not None)
+        return traces[0] if shown else None
+
+    own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
+    columns = [column for column in (own, matrix.robot) if column is not None]
+    return [(column, trace) for column in columns if (trace := first(column)) is not None]

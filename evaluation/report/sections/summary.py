@@ -1,0 +1,56 @@
+"""First screen: title, facts, the three answers, what failed."""
+
+from __future__ import annotations
+
+from evaluation.report.elements import Finding, Headline
+from evaluation.report.sections.advice import limits_question
+from evaluation.report.sections.controllers import _taken, recommended, transferring, unknown, why_chosen
+from evaluation.report.sections.exploitability import _trusted
+from evaluation.report.sections.prediction import _predicting, predicting, scored
+from evaluation.results import Report
+
+SAID = 2
+"""Remarks of the advice that the verdict repeats."""
+
+
+def verdict(report: Report) -> tuple[Finding, ...]:
+    """Answer which models predict, which controllers transfer, what to use, and what stays open."""
+    findings = []
+    if tells_nothing(report):
+        findings.append(Finding("What was found?", (_nothing(report),)))
+    if report.prediction is not None:
+        findings.append(Finding("Which models predict?", predicting(report.prediction)))
+    if report.matrix is not None:
+        findings.append(Finding("Which controllers transfer?", transferring(report.matrix, report.transfer)))
+        if report.transfer is not None and not all(cell.failed for cell in report.matrix.cells.values()):
+            findings.append(Finding("What to use?", recommended(report.matrix, report.transfer, why_chosen(report))))
+            if open_questions := unknown(report.transfer):
+                findings.append(Finding("What is not known?", open_questions))
+    if report.advice is not None and report.advice.remarks:
+        said = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
+        findings.append(Finding(limits_question(report.advice), said))
+    if report.all_failures:
+        count = len(report.all_failures)
+        findings.append(
+            Finding("What failed?", (f"{count} {'part' if count == 1 else 'parts'}; the reasons are listed below.",))
+        )
+    return tuple(findings)
+
+
+def tells_nothing(report: Report) -> bool:
+    """Whether no model has a score and no controller was run anywhere."""
+    prediction, matrix = report.prediction, report.matrix
+    has_score = prediction is not None and any(scored(prediction, horizon) for horizon in prediction.horizons)
+    return not has_score and (matrix is None or all(cell.failed for cell in matrix.cells.values()))
+
+
+def _nothing(report: Report) -> str:
+    if report.prediction is None and report.matrix is None:
+        return "Nothing was compared."
+    both = "" if report.matrix is None else " and no controller could be run"
+    return f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
+
+
+def headlines(report: Report) -> tuple[Headline, ...]:
+    """Return the three answers that the page begins with."""
+    return _predicting(report), _trusted(report), _taken(report)

@@ -1,0 +1,192 @@
+"""What a report holds; everything else in this package only renders it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from evaluation.advice.evidence import ModelAdvice
+from evaluation.behaviour import Manner, manners
+from evaluation.exploitability.results import ModelExploitability
+from evaluation.planning import Comparison
+from evaluation.prediction.scores import ConditionErrors, Prediction, error_of
+from evaluation.transfer.forecast import Forecast, ModelForecast, forecasts, model_forecasts
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidData
+from sysid_evo.models import DynamicsModel
+from sysid_evo.plan import Store
+from sysid_evo.system import System
+from sysid_evo.version import versions
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """One episode: ``duration`` in s, ``moving`` is the share of its samples that do not stand still."""
+
+    name: str
+    steps: int
+    duration: float
+    moving: float
+
+
+@dataclass(frozen=True)
+class DataSummary:
+    """The data set that models were fitted to and tested on, and what its preparation noted."""
+
+    name: str
+    system: System
+    training: tuple[EpisodeSummary, ...]
+    test: tuple[EpisodeSummary, ...]
+    notes: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, training: Dataset, test: Dataset, *, name: str = "") -> DataSummary:
+        """Summarise both parts of a data set; ``fingerprint`` is that of the training set."""
+        notes = tuple(dict.fromkeys((*training.notes, *test.notes)))
+        return cls(name, training.system, _episodes(training), _episodes(test), notes, training.fingerprint)
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """One model: its family, how much prior ``knowledge`` it holds, and its hyper-parameters."""
+
+    name: str
+    family: str
+    knowledge: str
+    parameters: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
+        """Summarise ``model``; ``family`` is its registered name (default: its class)."""
+        return cls(name, family or type(model).__name__, model.knowledge, model.get_params(deep=False))
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Something that could not be computed, and why; the rest of the report does without it."""
+
+    what: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything a comparison found. Parts that were not computed are None or empty.
+
+    ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
+    are in seconds and the only thing that differs between two equal runs. ``controllers`` gives the file
+    of each controller, relative to the folder of the run. ``conditions`` are the errors of each model within and
+    across conditions, if these were left out.
+    """
+
+    title: str
+    data: DataSummary
+    models: tuple[ModelSummary, ...] = ()
+    prediction: Prediction | None = None
+    matrix: TransferMatrix | None = None
+    exploitability: tuple[ModelExploitability, ...] = ()
+    advice: ModelAdvice | None = None
+    failures: tuple[Failure, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    timings: Mapping[str, float] = field(default_factory=dict)
+    controllers: Mapping[str, str] = field(default_factory=dict)
+    conditions: Mapping[str, tuple[ConditionErrors, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, comparison: Comparison, store: Store) -> Report:
+        """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
+
+        Raises `InvalidData` if there are no data, or no model was fitted.
+        """
+        from evaluation.running import _controllers, _failures, _prediction
+
+        parts = store.outcome(comparison.data)
+        if parts.value is None:
+            raise InvalidData(f"{comparison.data.title}: {parts.reason}")
+        training, test = parts.value.training, parts.value.test
+        fitted = {label: store.outcome(fit) for label, fit in comparison.fits.items()}
+        models = {label: outcome.value for label, outcome in fitted.items() if outcome.value is not None}
+        if not models:
+            reasons = "; ".join(f"{label}: {outcome.reason}" for label, outcome in fitted.items())
+            raise InvalidData(f"no model could be fitted: {reasons}")
+        matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
+        found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
+        return cls(
+            title=comparison.title,
+            data=DataSummary.of(training, training if test is None else test),
+            models=tuple(
+                ModelSummary.of(label, model, family=comparison.fits[label].spec.name)
+                for label, model in models.items()
+            ),
+            prediction=_prediction(comparison, store),
+            matrix=matrix,
+            exploitability=() if found is None or matrix is None else found,
+            advice=store.outcome(comparison.advice).value,
+            failures=tuple(_failures(comparison, store)),
+            settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
+            versions=versions(),
+            controllers=_controllers(comparison, store),
+            conditions={
+                label: outcome.value
+                for label, cell in comparison.conditions.items()
+                if (outcome := store.outcome(cell)).value is not None
+            },
+            timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
+        )
+
+    @cached_property
+    def transfer(self) -> TransferSummary | None:
+        """Claimed and achieved fitness of every controller, and which one to drive, by its forecast."""
+        if self.matrix is None or not self.matrix.champions:
+            return None
+        return chosen_by(summarise(self.matrix), self.forecasts)
+
+    @cached_property
+    def forecasts(self) -> Mapping[str, Forecast]:
+        """What every controller is expected to achieve on the robot, by its name."""
+        if self.matrix is None:
+            return {}
+        models = () if self.prediction is None else self.prediction.models
+        return forecasts(self.matrix, {model.name: error_of(model) for model in models})
+
+    @cached_property
+    def model_forecasts(self) -> Mapping[str, ModelForecast]:
+        """What controllers evolved in each model are expected to achieve, by the name of the model."""
+        return {} if self.matrix is None else model_forecasts(self.matrix, self.forecasts)
+
+    @cached_property
+    def manners(self) -> tuple[Manner, ...]:
+        """How every controller goes about its task, on robots and where it was evolved."""
+        return () if self.matrix is None else manners(self.matrix)
+
+    @property
+    def all_failures(self) -> tuple[Failure, ...]:
+        """Everything that failed, in the order in which it would have been computed."""
+        found = list(self.failures)
+        if self.prediction is not None:
+            found += [Failure(f"prediction of {m.name}", m.reason) for m in self.prediction.models if m.failed]
+        if self.matrix is not None:
+            found += [Failure(f"{cell.champion} on {cell.column}", cell.reason) for cell in self.matrix.failures()]
+        return tuple(found)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the data, the prediction test and its models have to say."""
+        found = list(self.data.notes)
+        if self.prediction is not None:
+            found += self.prediction.cases.notes
+            found += [note for model in self.prediction.models for note in model.notes]
+        return tuple(dict.fromkeys(found))
+
+
+def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
+    return tuple(
+        EpisodeSummary(episode.name, len(episode), episode.duration, float(moving.mean()))
+        for episode, moving in zip(dataset.episodes, dataset.moving, strict=True)
+    )

@@ -1,0 +1,229 @@
+"""One controller evolved, or one exploit searched, on members of a run: its plan and its result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evaluation.members import dynamics_of, find_column, is_file, other_models, record_of_file
+from sysid_evo.cli.options import load_plugins
+from sysid_evo.errors import InvalidArgument
+
+if TYPE_CHECKING:
+    from evaluation.cells.assessment import RunCell
+    from evaluation.cells.controllers import ChampionCell
+    from evaluation.cells.plants import Column
+    from evaluation.coverage import Region
+    from evaluation.experiment import Experiment
+    from evaluation.exploitability.results import ModelExploitability
+    from evaluation.transfer.forecast import Forecast
+    from evaluation.transfer.matrix import TransferMatrix
+    from sysid_evo.data import Trajectory
+    from sysid_evo.data.support import Support
+    from sysid_evo.evolution import Champion
+    from sysid_evo.models import Dynamics
+    from sysid_evo.plan import Again, Plan, Store
+
+
+TRIALS = 10
+
+
+def regions_of(
+    champion: Champion, models: Mapping[str, Dynamics], support: Support | None = None
+) -> tuple[Region, ...]:
+    """Return where ``champion`` drives outside the data, in all of ``models`` that were fitted to some.
+
+    Without ``support`` the data are those of the first model.
+    """
+    from evaluation.coverage import what_to_record
+    from evaluation.transfer.matrix import transfer_seeds
+    from sysid_evo.controllers.controller import make_controller
+    from sysid_evo.data.support import Support, split_pairs
+    from sysid_evo.engine import DynamicsRunner
+    from sysid_evo.evolution import observed_late
+    from sysid_evo.models import DynamicsModel
+    from sysid_evo.tasks.task import make_task
+
+    fitted = {
+        label: model
+        for label, model in models.items()
+        if isinstance(model, DynamicsModel) and getattr(model, "pairs_", None) is not None
+    }
+    if not fitted:
+        return ()
+    first = next(iter(fitted.values()))
+    if support is None:
+        support = Support.of(first.system, *split_pairs(first.system, first.pairs_))
+    task, law, seeds = make_task(champion.task), make_controller(champion.controller), transfer_seeds(0, TRIALS)
+    driven: list[Trajectory] = []
+    for label, model in fitted.items():
+        runner = observed_late(label, DynamicsRunner(model), champion.estimator_delay)
+        driven += runner.run(law, champion.parameters[None], task, seeds, record=True).trajectories
+    return what_to_record(support, driven)
+
+
+def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ...]]:
+    """Return the name of the controller in a file of a run, and where it drives outside the data in its models.
+
+    Raises `InvalidArgument` if the models that it was evolved in are not in its run.
+    """
+    from evaluation.run_folder import owner_of
+    from sysid_evo.evolution.champion import load_champion
+    from sysid_evo.plan import Store
+
+    champion = load_champion(controller)
+    champion.check_system(support.system)
+    folder = owner_of(controller)
+    if folder is None:
+        raise InvalidArgument(
+            f"--controller: expected a file in controllers/ of a run, which holds its models too, got {controller}"
+        )
+    store = Store(folder)
+    models = {label: dynamics_of(store, find_column(store, label)) for label in champion.against}
+    return champion.name, regions_of(champion, models, support)
+
+
+def by_label(columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Return the models among ``columns``, of those with one label the first."""
+    return tuple({column.label: column for column in reversed(columns) if column.robot is None}.values())[::-1]
+
+
+def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> Forecast | None:
+    """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
+    from evaluation.prediction.scores import error_of
+    from evaluation.transfer.forecast import forecasts
+    from evaluation.transfer.matrix import TransferMatrix
+
+    found = {run.column.label: (run.column, cell) for run in runs if (cell := store.outcome(run).value) is not None}
+    predicted = {
+        label: None if column.prediction is None else store.outcome(column.prediction).value
+        for label, (column, _) in found.items()
+    }
+    matrix = TransferMatrix.of(
+        [champion],
+        tuple(found),
+        [cell for _, cell in found.values()],
+        families={label: column.registered for label, (column, _) in found.items()},
+    )
+    errors = {label: error_of(prediction) for label, prediction in predicted.items()}
+    return forecasts(matrix, errors).get(champion.name)
+
+
+def forecast_sentence(found: Forecast, unit: str, *, chosen: int) -> str:
+    """Say what is expected on the robot, by how many models, and how many finalists were chosen from by that."""
+    size = f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f}) {unit}".rstrip()
+    among = f"; it was chosen among {chosen} finalists by their forecasts" if chosen > 1 else ""
+    return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
+
+
+CLAIM_TRIALS = 100
+
+AGAIN = "evaluation.run_evolution:plan_again"
+"""What makes the plan of a command again in another process."""
+
+
+def cells_of(
+    experiment: Experiment, store: Store, columns: tuple[Column, ...]
+) -> tuple[ChampionCell, tuple[RunCell, ...], tuple[RunCell, ...]]:
+    """Return the cell of the controller against ``columns``, those of its claims there, and on the run's other models.
+
+    What is evolved on a robot is run nowhere else: there is nothing to forecast.
+    """
+    from evaluation.cells.assessment import RunCell
+    from evaluation.cells.controllers import controller_cell
+
+    others = other_models(store, columns)
+    champion = controller_cell(experiment, columns, judges=columns + others)
+    delay = experiment.evolution.estimator_delay
+
+    def on(column: Column) -> RunCell:
+        return RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed)
+
+    labels = {column.label for column in columns}
+    models = [] if any(column.robot is not None for column in columns) else by_label(others)
+    return champion, tuple(map(on, columns)), tuple(on(column) for column in models if column.label not in labels)
+
+
+def plan_of(
+    champion: ChampionCell, claims: Sequence[RunCell], elsewhere: Sequence[RunCell], again: Again | None = None
+) -> Plan:
+    """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere."""
+    from sysid_evo.plan import Plan
+
+    judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
+    predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
+    return Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
+
+
+def chosen_from(champion: ChampionCell, store: Store) -> int:
+    """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
+    from evaluation.cells.controllers import ChooseCell, PolishCell
+
+    choice = champion.chosen if isinstance(champion, PolishCell) else champion
+    if not isinstance(choice, ChooseCell):
+        return 0
+    return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
+
+
+def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
+    """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
+    from evaluation.cells.models import files_of
+    from sysid_evo.artefacts import stored_file
+    from sysid_evo.plan import Again
+
+    records = {record.digest: record for record in store.records() if record.status == "done"}
+    fits = [record for record in records.values() if record.kind == "fit"]
+    data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
+    texts = (*settings.get("plugins", ()), *members)
+    files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
+    names = []
+    for member in members:
+        manifest = stored_file(member, "model") if is_file(member) else None
+        own = None if manifest is None else record_of_file(store, manifest)
+        if manifest is not None and own is None:
+            files[member] = tuple(map(str, files_of(manifest)))
+        names.append(member if own is None else Path(own.artefact).name)
+    after = (*data, *(record.digest for record in fits))
+    return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
+
+
+def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
+    """Return the plan of the same command again, for another process."""
+    from evaluation.experiment import Experiment
+    from sysid_evo.plan import Store
+
+    experiment = Experiment.of(made_of["settings"])
+    load_plugins([Path(plugin) for plugin in experiment.plugins])
+    store = Store(run)
+    return plan_of(*cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"])))
+
+
+def _looked_at(
+    champion: Champion, target: Column, columns: tuple[Column, ...], store: Store, seed: int, on_robot: bool
+) -> tuple[TransferMatrix, ModelExploitability | None]:
+    """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to."""
+    from evaluation.cells.data import GivenData
+    from evaluation.exploitability.assessment import assess_exploitability
+    from evaluation.transfer.matrix import transfer
+    from sysid_evo.engine import DynamicsRunner
+    from sysid_evo.plan import StoredCell
+
+    models = {column.label: dynamics_of(store, column) for column in columns}
+    robot = columns[-1].label if on_robot else None
+    matrix = transfer(
+        [champion],
+        {label: DynamicsRunner(dynamics) for label, dynamics in models.items()},
+        seed=seed,
+        families={column.label: column.registered for column in columns},
+        robot=robot,
+    )
+    records = store.records()
+    own = next((one for one in records if target.model is not None and one.digest == target.model.digest), None)
+    data = next((one for one in records if own is not None and one.digest in own.needs and one.status == "done"), None)
+    if data is None:
+        return matrix, None
+    parts = store.load(StoredCell(data, GivenData))
+    fitted = {label: dynamics for label, dynamics in models.items() if label != robot}
+    looked = assess_exploitability(matrix, parts.training, parts.test, models=fitted, seed=seed)
+    return matrix, next(one for one in looked if one.model == target.label)

@@ -1,0 +1,106 @@
+"""The layout of a run folder: is it one, the newest, what is in it, what can be deleted."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from evaluation.experiment import FILE, Experiment
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.plan import CHECKPOINT, Store
+
+
+def check_run_folder(out: str | Path | None) -> Path:
+    """Return ``out``, or a new ``runs/<time>``, if it can be written and is new, empty or a run; nothing is made.
+
+    Raises `InvalidArgument`.
+    """
+    folder = Path(out) if out is not None else Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S")
+    standing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not standing.is_dir():
+        raise InvalidArgument(f"--out: expected a folder, but {standing} is a file")
+    try:
+        with tempfile.TemporaryFile(dir=standing):
+            inside = sorted(path.name for path in folder.iterdir()) if standing == folder else []
+    except OSError as error:
+        raise InvalidArgument(
+            f"--out: expected a folder that can be written, got {folder}: {error.strerror}"
+        ) from error
+    if inside and not is_run(folder):
+        raise InvalidArgument(
+            f"--out: expected a new folder, an empty one, or a run; {folder} holds {inside[0]!r} and is no run"
+        )
+    return folder
+
+
+def is_run(folder: Path) -> bool:
+    """Whether ``folder`` is a run folder."""
+    return (folder / FILE).is_file() or (folder / "cells").is_dir()
+
+
+def seed_of_run(run: Path | None) -> int:
+    """Return the seed of the experiment in a run folder, 0 if there is none: everybody meets the same trials."""
+    if run is None or not (run / FILE).is_file():
+        return 0
+    return Experiment.of(Experiment.read(run)).seed
+
+
+def owner_of(controller: Path) -> Path | None:
+    """Return the run folder that a controller's file lies in, if it does."""
+    folder = controller.resolve().parent
+    return folder.parent if folder.name == "controllers" else None
+
+
+def latest_run_folder(run: Path | None) -> Path:
+    """Return ``run``, or the newest folder in ``runs/`` that holds models. Raises `InvalidArgument`."""
+    if run is not None:
+        if not run.is_dir():
+            raise InvalidArgument(f"--run: expected a run folder, found none at {run}")
+        return run
+    found = sorted(Path("runs").glob("*/models"), key=lambda path: path.stat().st_mtime)
+    if not found:
+        raise InvalidArgument("no run folder given, and runs/ holds none with models: fit some first, or use --run")
+    return found[-1].parent
+
+
+def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
+    name = file.relative_to(run)
+    if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
+        return False
+    if file.suffix == CHECKPOINT:
+        owner = store.find(file.stem)
+        return owner is not None and owner.status == "done"
+    if name.parts[0] != "cells":
+        return name.as_posix() not in kept
+    record = store.find(file.stem) if file.suffix == ".json" else None
+    return record is None or record.status == "failed"
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    found = [path for path in folder.glob("*") if path.is_dir() and is_run(path)]
+    return sorted(found, key=lambda path: path.stat().st_mtime)
+
+
+def _summary(run: Path) -> dict[str, Any]:
+    records = _store(run).records()
+    return {
+        "run": str(run),
+        "done": sum(record.status == "done" for record in records),
+        "failed": sum(record.status == "failed" for record in records),
+        "seconds": round(sum(record.seconds for record in records), 1),
+        "models": sorted({record.name for record in records if record.kind == "fit"}),
+        "report": (run / "report.html").is_file(),
+    }
+
+
+def _store(run: Path) -> Store:
+    if not is_run(run):
+        raise InvalidArgument(f"expected a run folder, found none at {run}")
+    return Store(run)
+
+
+def _settings(run: Path) -> dict[str, Any]:
+    _store(run)
+    return Experiment.read(run) if (run / FILE).is_file() else {}

@@ -1,0 +1,222 @@
+"""A comparison or a study in one call: plan, compute, gather, write the report."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from evaluation.experiment import FILE, Experiment
+from evaluation.planning import Comparison, check_experiment, comparison_of, plan_comparison
+from evaluation.prediction.cases import measured_cases
+from evaluation.prediction.scores import ModelPrediction, Prediction
+from evaluation.report.report import save_report
+from evaluation.report.study import save_study
+from evaluation.results import Failure, Report
+from evaluation.run_folder import check_run_folder
+from evaluation.study.planning import PlannedStudy, plan_study
+from evaluation.study.results import StudyResults, gather, save_parquet
+from evaluation.study.study import FILE as STUDY_FILE
+from evaluation.study.study import Study
+from evaluation.transfer.matrix import Measured, load_measured, save_measured
+from sysid_evo.cli.console import out, session, tell
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
+from sysid_evo.plan.store import WAITING
+from sysid_evo.registry import load_plugin
+
+
+def run_study(
+    study: Study | str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    observer: Observer | None = None,
+    jobs: int | None = None,
+    scheduler: Scheduler | None = None,
+) -> StudyResults:
+    """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
+
+    ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
+    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for::
+
+        from evaluation import run_study
+
+        found = run_study({
+            "title": "Two families on two cars",
+            "experiment": {"models": ["linear", "nearest_neighbour"], "minutes": 1.0, "generations": 20},
+            "grid": {"robot": ["emulated_car", "emulated_car(seed=1)"], "seed": "0..1"},
+        }, out="runs/two_families")
+        print([(row.point, row.controller, row.achieved) for row in found.controllers])
+
+    Raises what `plan_study` does, before any work.
+    """
+    found = study if isinstance(study, Study) else Study.of(study) if isinstance(study, Mapping) else Study.read(study)
+    if out is None and not isinstance(study, (str, Path)):
+        raise InvalidArgument("out: expected a folder for a study that is not in a file")
+    folder = study_folder(out, Path(str(study)))
+    planned = plan_study(found)
+    found.write(folder / STUDY_FILE)
+    execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
+    return finish(planned, folder)
+
+
+def study_folder(out: str | Path | None, file: Path) -> Path:
+    """Return ``out``, else ``runs/<name of the file>``, if it is new, empty or a run. Raises `InvalidArgument`."""
+    return check_run_folder(Path("runs") / file.stem if out is None else out)
+
+
+def finish(planned: PlannedStudy, folder: Path) -> StudyResults:
+    """Return what stands in ``folder``, and write tables, document and page there."""
+    results = gather(planned, folder)
+    save_parquet(results, folder)
+    save_study(results, folder)
+    return results
+
+
+def compare(
+    data: Dataset | str | Path | Iterable[str | Path] | None = None,
+    *,
+    out: str | Path | None = None,
+    observer: Observer | None = None,
+    jobs: int | None = None,
+    scheduler: Scheduler | None = None,
+    **settings: Any,
+) -> Report:
+    """Fit models, evolve controllers in them, and compare both; return the report.
+
+    ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
+    run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
+    written there too. Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler``
+    have room for, see `execute`. ``settings`` are those of `Experiment`::
+
+        from evaluation import compare
+
+        report = compare(
+            "logs/",
+            test=["last_drive"],
+            models=["linear", "near2=nearest_neighbour(state_lags=2)", "parametrised"],
+            ensembles=["near2+parametrised"],
+            task="point_to_point(arena_radius=1.0)",
+            seed=1,
+        )
+        print(report.transfer.pick, report.prediction.ranking(20)[0].name)
+
+    Raises what `plan_comparison` does, before any work.
+    """
+    folder = check_run_folder(out)
+    dataset = data if isinstance(data, Dataset) else None
+    if data is not None and not isinstance(data, Dataset):
+        listed = [data] if isinstance(data, (str, Path)) else list(data)
+        settings = {**settings, "data": tuple(str(Path(path).resolve()) for path in listed)}
+    experiment = Experiment.of({name: _plain(value) for name, value in settings.items()})
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
+    check_experiment(experiment)
+    if dataset is None and experiment.data is not None:
+        dataset = Dataset.read(experiment.data, columns=experiment.columns)
+    measured, _ = load_measured(folder)
+    comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
+    comparison.experiment.write(folder / FILE)
+    store = Store(folder)
+    execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
+    return finished(comparison, store)
+
+
+def finished(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
+    """Return the report of what ``store`` holds, and write it into the run folder.
+
+    A page that shows just that already is drawn again only if it is wanted ``afresh``.
+    """
+    report = Report.of(comparison, store)
+    results = [(cell.digest, None if record is None else (record.status, record.files))
+               for cell in comparison.plan for record in [store.find(cell.digest)]]  # fmt: skip
+    save_report(report, store.path, of=hashlib.sha256(json.dumps(results).encode()).hexdigest(), afresh=afresh)
+    return report
+
+
+def _plain(value: Any) -> Any:
+    """Return lists as tuples and paths as text, so that the experiment can be stored."""
+    if isinstance(value, (list, tuple)):
+        return tuple(_plain(item) for item in value)
+    return str(value) if isinstance(value, Path) else value
+
+
+HELD_BY_THE_MATRIX = ("run",)
+"""Kinds of cells whose failures the transfer matrix tells itself."""
+
+
+def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
+    """Return where the file of each controller stands, relative to the run folder."""
+    if comparison.matrix is None:
+        return {}
+    return {
+        cell.name: f"{store.where(cell).relative_to(store.path).as_posix()}.json"
+        for cell in comparison.matrix.champions
+        if store.find(cell.digest) is not None
+    }
+
+
+def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
+    """Return the prediction errors of all models, those that failed with their reason."""
+    if not comparison.predictions:
+        return None
+    parts = store.outcome(comparison.data).value
+    rows = []
+    for label, cell in comparison.predictions.items():
+        outcome = store.outcome(cell)
+        if outcome.value is not None:
+            rows.append(outcome.value)
+        elif label not in comparison.fits or store.outcome(comparison.fits[label]).value is not None:
+            rows.append(ModelPrediction(label, cell.family, reason=outcome.reason or ""))
+    protocol = next(iter(comparison.predictions.values())).protocol
+    return Prediction(measured_cases(parts.training, parts.test, protocol), tuple(rows))
+
+
+def _failures(comparison: Comparison, store: Store) -> list[Failure]:
+    """Return the cells that failed themselves; those that only needed one of them are left out."""
+    found = []
+    for cell in comparison.plan:
+        record = store.find(cell.digest)
+        told = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
+        if record is not None and record.status == "failed" and not told:
+            found.append(Failure(cell.title, record.reason or ""))
+        elif record is None and not told and not _blocked(cell, store):
+            found.append(Failure(cell.title, store.outcome(cell).reason or ""))
+    return found
+
+
+def _blocked(cell: Cell, store: Store) -> bool:
+    return any(store.outcome(needed).value is None for needed in cell.needs)
+
+
+def append(folder: Path, *measured: Measured) -> None:
+    """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
+    for item in measured:
+        save_measured(folder, item)
+    if (folder / FILE).is_file() and report_again(folder) is not None:
+        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+    else:
+        tell(f"stored in {folder}, which has no report (compare makes one)")
+
+
+def report_again(run: Path) -> Report | None:
+    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+
+    Raises `InvalidArgument` if ``run`` is no comparison's run.
+    """
+    comparison, remarks = comparison_of(run)
+    session.run = run
+    store = Store(run)
+    for remark in remarks:
+        tell(remark, label="note: ", style="dim")
+    if not any(store.done(fit) for fit in comparison.fits.values()):
+        return None
+    for assess in (*comparison.predictions.values(), comparison.exploitability, comparison.advice):
+        if assess is not None:
+            tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
+            if all(needed.digest in tried for needed in assess.needs):
+                execute(Plan.of([assess]), store, only=[assess])
+    return finished(comparison, store, afresh=True)

@@ -1,0 +1,388 @@
+"""Means over robots and seeds with intervals: controllers, models, exploits, forecasts.
+
+Robots are drawn with replacement, then seeds of each. The percentiles of so few draws are too narrow: of five robots
+with five seeds those for 95 % hold the truth in about 85 %. They are expanded as Hesterberg (2015, The American
+Statistician 69, section 4.3) proposes: as many times as Student's quantile is beyond the normal one, and the spread of
+a sample below that of what it comes from. Then it is 94 % and more; ``docs/study.md`` has a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import methodcaller
+from typing import TypeAlias
+
+import numpy as np
+from scipy.special import ndtr, stdtrit
+
+from evaluation.study.results import ControllerRow, ModelRow, PointRow, StudyResults
+from evaluation.study.study import CONTROLLER, group_name
+from evaluation.transfer.summary import rank_correlation
+from sysid_evo.types import Array
+
+CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
+"""Rows of their own: what the program picks in each point without the robot, and what would have been best."""
+
+
+@dataclass(frozen=True)
+class ControllerFigures:
+    """One row: a controller in the points of one ``group``, over robots and seeds.
+
+    ``share`` of the yardstick that is achieved, ``gap`` claimed minus achieved in the unit of fitness, ``difference``
+    the share of the reference minus that of this one, paired by robot and seed; None where there is nothing to tell.
+    ``planned`` is the number of points that could have it, ``failed`` that of those in which it could not be made.
+    """
+
+    group: tuple[str, ...]
+    controller: str
+    kind: str
+    share: Spread | None
+    gap: Spread | None
+    difference: Spread | None
+    planned: int
+    failed: int
+    is_reference: bool = False
+
+    def name(self, axes: Sequence[str]) -> str:
+        """Return the controller, and behind it its group by these axes."""
+        group = group_name(axes, self.group)
+        return f"{self.controller} ({group})" if group else self.controller
+
+
+def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
+    """Return a row for each controller of each group; of each group the best on average first."""
+    rows = dict(_rows(results))
+    reference = _reference(results, list(rows))
+    compared = {} if reference is None else _by_point(results, rows[reference], lambda row: row.share)
+    found = []
+    for key, own in rows.items():
+        group, name = key
+        share = _by_point(results, own, lambda row: row.share)
+        difference = {} if key == reference else paired(compared, share)
+        failed = sum(bool(row.reason) for row in own)
+        if not share and not failed:
+            continue  # evolved, but not run on the robot yet
+        kinds = {row.kind for row in own}
+        found.append(
+            ControllerFigures(
+                group=group,
+                controller=name,
+                kind=next(iter(kinds)) if len(kinds) == 1 else "",
+                share=Spread.of(share),
+                gap=Spread.of(_by_point(results, own, _gap)),
+                difference=Spread.of(difference),
+                planned=len(own),
+                failed=failed,
+                is_reference=key == reference,
+            )
+        )
+    order = list(dict.fromkeys(figures.group for figures in found))
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), -(one.share.mean if one.share else -1e9))))
+
+
+def _rows(results: StudyResults) -> Iterator[tuple[tuple[tuple[str, ...], str], list[ControllerRow]]]:
+    """Yield the rows of each controller of each group, then of those that are picked in each point."""
+    groups: dict[tuple[str, ...], dict[str, list[ControllerRow]]] = {}
+    places = {point.name: point for point in results.points}
+    by_point: dict[str, list[ControllerRow]] = {}
+    for row in results.controllers:
+        point = places[row.point]
+        name = "the robot itself" if row.kind == "robot" else row.controller
+        groups.setdefault(point.group, {}).setdefault(name, []).append(row)
+        by_point.setdefault(row.point, []).append(row)
+    for group, controllers in groups.items():
+        for name, rows in controllers.items():
+            yield (group, name), rows
+        own = [by_point[point.name] for point in results.finished if point.group == group and point.name in by_point]
+        chosen = [row for rows in own for row in rows if row.chosen]
+        if chosen:
+            yield (group, CHOSEN), chosen
+            yield (group, HINDSIGHT), [best for rows in own if (best := _best(rows)) is not None]
+
+
+def _best(rows: Sequence[ControllerRow]) -> ControllerRow | None:
+    """Return the controller that achieves most of those that were evolved in models."""
+    known = [row for row in rows if row.in_models and row.share is not None]
+    return max(known, key=lambda row: row.share or 0.0, default=None)
+
+
+def _reference(
+    results: StudyResults, keys: Sequence[tuple[tuple[str, ...], str]]
+) -> tuple[tuple[str, ...], str] | None:
+    """Return which row others are compared with: the one that the study names, else the first recommended one."""
+    asked: Mapping[str, str] = results.study.reference
+    axes = results.study.group_axes
+    fitting = [
+        (group, name)
+        for group, name in keys
+        if all(asked.get(axis, label) == label for axis, label in zip(axes, group, strict=True))
+    ]
+    kinds = {row.controller: row.kind for row in results.controllers}
+    wanted: Callable[[str], bool] = lambda name: kinds.get(name) == "recommended"  # noqa: E731
+    if CONTROLLER in asked:
+        fitting = [(group, name) for group, name in fitting if name == asked[CONTROLLER]]
+        return next(iter(fitting), None)
+    recommended = [(group, name) for group, name in fitting if wanted(name)]
+    return next(iter(recommended or [key for key in fitting if key[1] == CHOSEN]), None)
+
+
+def _by_point(
+    results: StudyResults, rows: Sequence[ControllerRow], figure: Callable[[ControllerRow], float | None]
+) -> Repeats:
+    places: dict[str, PointRow] = {point.name: point for point in results.points}
+    found = {}
+    for row in rows:
+        value = figure(row)
+        if value is not None:
+            point = places[row.point]
+            found[point.where, point.seed] = value
+    return found
+
+
+def _gap(row: ControllerRow) -> float | None:
+    """Return what is claimed too much; what was evolved on the robot itself claims nothing about it."""
+    if row.claimed is None or row.achieved is None or not row.in_models:
+        return None
+    return row.claimed - row.achieved
+
+
+FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {
+    "forecast": lambda row: row.forecast,
+    "claim": lambda row: row.claimed,
+    "prediction error": lambda row: None if row.error is None else -row.error,
+}
+"""By what a controller could be chosen without the robot; more is better."""
+
+FITNESS = ("forecast", "claim")
+"""Those that are a fitness, so that one can say by how much they miss."""
+
+
+@dataclass(frozen=True)
+class ForecastFigures:
+    """One row: ranking and choosing by one ``figure`` within the points of one group, over robots and seeds.
+
+    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the yardstick by which the controller
+    that is chosen falls short of the best, ``rmse`` by how much a fitness misses, over all ``controllers``;
+    ``inside`` the share of 90 % intervals that hold what is achieved, of forecasts alone.
+    """
+
+    group: tuple[str, ...]
+    figure: str
+    correlation: Spread | None
+    loss: Spread | None
+    rmse: float | None
+    inside: Spread | None
+    controllers: int
+
+
+def forecast_figures(results: StudyResults) -> tuple[ForecastFigures, ...]:
+    """Return a row for each figure of each group, over its finished points."""
+    by_point: dict[str, list[ControllerRow]] = {}
+    for row in results.controllers:
+        if row.in_models and row.achieved is not None and row.forecast is not None:
+            by_point.setdefault(row.point, []).append(row)
+    groups: dict[tuple[str, ...], list[tuple[PointRow, list[ControllerRow]]]] = {}
+    for point in results.finished:
+        if point.name in by_point:
+            groups.setdefault(point.group, []).append((point, by_point[point.name]))
+    return tuple(_figures(group, name, own) for group, own in groups.items() for name in FIGURES)
+
+
+def _figures(
+    group: tuple[str, ...], name: str, points: Sequence[tuple[PointRow, list[ControllerRow]]]
+) -> ForecastFigures:
+    figure = FIGURES[name]
+    correlations: dict[tuple[str, str], float] = {}
+    losses: dict[tuple[str, str], float] = {}
+    inside: dict[tuple[str, str], float] = {}
+    misses: list[float] = []
+    for point, rows in points:
+        key = (point.where, point.seed)
+        known = [(value, row) for row in rows if (value := figure(row)) is not None]
+        pairs = [(value, row.achieved) for value, row in known if row.achieved is not None]
+        correlation = rank_correlation(pairs)
+        if correlation is not None:
+            correlations[key] = correlation
+        shares = [(value, row.share) for value, row in known if row.share is not None]
+        if shares:
+            losses[key] = max(share for _, share in shares) - max(shares, key=lambda pair: pair[0])[1]
+        held = [row.expected for _, row in known if row.expected is not None]
+        if held:
+            inside[key] = float(np.mean(held))
+        misses += [value - achieved for value, achieved in pairs]
+    return ForecastFigures(
+        group=group,
+        figure=name,
+        correlation=Spread.of(correlations),
+        loss=Spread.of(losses),
+        rmse=float(np.sqrt(np.mean(np.square(misses)))) if misses and name in FITNESS else None,
+        inside=_if(name == "forecast", inside),
+        controllers=sum(len(rows) for _, rows in points),
+    )
+
+
+def _if(wanted: bool, repeats: Repeats) -> Spread | None:
+    return Spread.of(repeats) if wanted else None
+
+
+HORIZONS = (10, 20, 60)
+"""Steps ahead at which errors are shown."""
+
+
+@dataclass(frozen=True)
+class PredictionFigures:
+    """One row: N of a model at each of ``HORIZONS`` and the seconds of a fit, over robots and seeds."""
+
+    group: tuple[str, ...]
+    model: str
+    n: Mapping[int, Spread | None]
+    seconds: Spread | None
+    fits: int
+    failed: int
+
+
+@dataclass(frozen=True)
+class ExploitFigures:
+    """One row: in how many of the ``judged`` points a model is ``exploited``, and the share of claims that is kept."""
+
+    group: tuple[str, ...]
+    model: str
+    exploited: int
+    judged: int
+    kept: Spread | None
+
+
+def prediction_axes(results: StudyResults) -> tuple[str, ...]:
+    """Return the axes along which a model's errors differ; the others need no rows of their own."""
+    axes = results.study.group_axes
+    telling = []
+    for place, axis in enumerate(axes):
+        seen: dict[tuple[object, ...], set[tuple[object, ...]]] = {}
+        for point, row in _placed(results):
+            rest = (point.where, point.seed, row.model, *point.group[:place], *point.group[place + 1 :])
+            seen.setdefault(rest, set()).add(tuple(error.n for error in row.errors))
+        if any(len(values) > 1 for values in seen.values()):
+            telling.append(axis)
+    return tuple(telling)
+
+
+def prediction_figures(results: StudyResults) -> tuple[PredictionFigures, ...]:
+    """Return a row for each model, in groups of the axes of `prediction_axes`; the lowest error at 20 steps first."""
+    axes = prediction_axes(results)
+    places = [results.study.group_axes.index(axis) for axis in axes]
+    rows = _grouped(results, lambda point: tuple(point.group[place] for place in places))
+    found = []
+    for (group, model), own in rows.items():
+        once = {(point.where, point.seed): row for point, row in own}
+        found.append(
+            PredictionFigures(
+                group=group,
+                model=model,
+                n={h: _spread(once, methodcaller("n", h)) for h in HORIZONS},
+                seconds=_spread(once, lambda row: row.seconds),
+                fits=len(once),
+                failed=sum(bool(row.reason) for row in once.values()),
+            )
+        )
+    order = list(dict.fromkeys(one.group for one in found))
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), _mean(one.n[20]))))
+
+
+def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
+    """Return a row for each model of each group in which some controller was evolved alone."""
+    found = []
+    for (group, model), own in _grouped(results, lambda point: point.group).items():
+        judged = [row.exploited for _, row in own if row.exploited is not None]
+        if judged:
+            once = {(point.where, point.seed): row for point, row in own}
+            kept = _spread(once, lambda row: row.kept)
+            found.append(ExploitFigures(group, model, sum(judged), len(judged), kept))
+    order = list(dict.fromkeys(one.group for one in found))
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), one.exploited / one.judged)))
+
+
+def _placed(results: StudyResults) -> list[tuple[PointRow, ModelRow]]:
+    places = {point.name: point for point in results.points}
+    return [(places[row.point], row) for row in results.models]
+
+
+def _grouped(
+    results: StudyResults, group: Callable[[PointRow], tuple[str, ...]]
+) -> dict[tuple[tuple[str, ...], str], list[tuple[PointRow, ModelRow]]]:
+    found: dict[tuple[tuple[str, ...], str], list[tuple[PointRow, ModelRow]]] = {}
+    for point, row in _placed(results):
+        found.setdefault((group(point), row.model), []).append((point, row))
+    return found
+
+
+def _spread(rows: Mapping[tuple[str, str], ModelRow], figure: Callable[[ModelRow], float | None]) -> Spread | None:
+    values = {key: figure(row) for key, row in rows.items()}
+    return Spread.of({key: value for key, value in values.items() if value is not None})
+
+
+def _mean(spread: Spread | None) -> float:
+    return float("inf") if spread is None else spread.mean
+
+
+RESAMPLES = 4000
+
+SHARE = 0.95
+
+FEWEST = 3
+"""Robots, or seeds of a single one, below which there is no interval."""
+
+Repeats: TypeAlias = Mapping[tuple[str, str], float]
+"""A number by robot and seed."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The mean over ``robots``, of the mean over the seeds of each, and its 95 % interval, None where there is none.
+
+    ``lowest`` and ``highest`` are those of single points, ``points`` how many there are.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    lowest: float
+    highest: float
+    robots: int
+    points: int
+
+    @classmethod
+    def of(cls, repeats: Repeats, *, seed: int = 0) -> Spread | None:
+        """Return the spread of numbers by robot and seed, None for none; what is no number is left out."""
+        known = {key: value for key, value in repeats.items() if np.isfinite(value)}
+        if not known:
+            return None
+        by_robot: dict[str, list[float]] = {}
+        for (robot, _), value in known.items():
+            by_robot.setdefault(robot, []).append(value)
+        groups = [np.array(values) for values in by_robot.values()]
+        low, high = _interval(groups, seed)
+        values = np.array(list(known.values()))
+        mean = float(np.mean([group.mean() for group in groups]))
+        return cls(mean, low, high, float(values.min()), float(values.max()), len(groups), len(values))
+
+
+def paired(first: Repeats, second: Repeats) -> Repeats:
+    """Return the first minus the second for each robot and seed that both have."""
+    return {key: first[key] - second[key] for key in first if key in second}
+
+
+def _interval(groups: list[Array], seed: int) -> tuple[float | None, float | None]:
+    """Return the expanded percentiles of the means of drawn robots and seeds."""
+    count = len(groups) if len(groups) > 1 else len(groups[0])
+    if count < FEWEST:
+        return None, None
+    rng = np.random.default_rng(seed)
+    means = np.stack(
+        [group[rng.integers(0, len(group), (RESAMPLES, len(groups), len(group)))].mean(2) for group in groups]
+    )
+    robots = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
+    drawn = means[robots, np.arange(RESAMPLES)[:, None], np.arange(len(groups))].mean(axis=1)
+    tail = float(ndtr(stdtrit(count - 1, 0.5 - 0.5 * SHARE) * np.sqrt(count / (count - 1))))
+    low, high = np.quantile(drawn, [tail, 1.0 - tail])
+    return float(low), float(high)

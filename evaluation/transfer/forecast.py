@@ -1,0 +1,209 @@
+"""The fitness expected on the robot, from all models weighted by their prediction error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.transfer.matrix import TransferMatrix
+from evaluation.transfer.uncertainty import Estimate
+from sysid_evo.evolution import Champion, Judgement
+from sysid_evo.evolution.aggregates import make_aggregate
+from sysid_evo.types import Array, BoolArray
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What ``controller`` is expected to achieve on the robot, and a 90 % interval, in units of fitness.
+
+    ``weights`` says how much each model counts; they add up to 1. Nothing that was measured on the robot is in it,
+    but for the recordings that the models were fitted to and tested on.
+    """
+
+    controller: str
+    value: float
+    low: float
+    high: float
+    weights: Mapping[str, float]
+
+    def holds(self, achieved: Estimate) -> bool:
+        """Whether what was measured on the robot is in the interval, made wider by the error of the measurement."""
+        error = achieved.standard_error if np.isfinite(achieved.standard_error) else 0.0
+        below, above = np.hypot(self.value - self.low, 2.0 * error), np.hypot(self.high - self.value, 2.0 * error)
+        return bool(self.value - below <= achieved.value <= self.value + above)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How what models say of a controller becomes one number with an interval; nothing in it has a unit.
+
+    The credibility of a model falls with its prediction error to the ``power``. A model of a family that the
+    controller was evolved in counts ``own`` times that: its claim may be exploited. The unit of the interval has two
+    parts. One is how far models lie from the forecast, over the number of models that count to the power ``apart``: not
+    a half, since models of the same data share some of their errors. The other is the standard error of the trials,
+    which all models share. It reaches from ``low`` to ``high`` such units, by the quantiles of what was missed on cars.
+    """
+
+    power: float = 2.0
+    own: float = 0.5
+    apart: float = 0.25
+    low: float = -2.3
+    high: float = 1.3
+    share: float = 0.9
+
+
+RULE = Rule()
+"""Calibrated on five cars of the emulated family; ``python -m tests.benchmarks.forecast`` prints the constants.
+
+``low`` and ``high`` are near the 5 and 95 % quantiles of what was missed: -2.4 and 1.3 by 550 controllers with nine
+families, -2.1 and 1.2 by 1247 with all 22. The others are round numbers on a plateau, chosen with the same cars.
+"""
+
+
+def forecasts(matrix: TransferMatrix, errors: Mapping[str, float | None], *, rule: Rule = RULE) -> dict[str, Forecast]:
+    """Return the forecast of every controller that ran in two models or more, by its name.
+
+    ``errors`` are the prediction errors of the models by their columns, see `error_of`. What was evolved on a robot
+    itself has none, nor has somebody who drives by hand: neither comes from models.
+    """
+    found = (_of_champion(champion, matrix, errors, rule) for champion in matrix.champions)
+    return {one.controller: one for one in found if one is not None}
+
+
+def forecast_of(
+    fitness: Sequence[Array], errors: Sequence[float | None], own: Sequence[bool], *, rule: Rule = RULE
+) -> tuple[float, float, float]:
+    """Return value, low and high of a controller from its fitness in the trials (E,) of each model, two or more.
+
+    ``own`` says which models are of a family that it was evolved in. The interval has no width where all models and
+    all trials say the same.
+    """
+    weights = credibilities(errors, np.array(own), rule=rule)
+    return _joined(np.array([one.mean() for one in fitness]), fitness, weights, rule)
+
+
+def _joined(means: Array, fitness: Sequence[Array], weights: Array, rule: Rule) -> tuple[float, float, float]:
+    value = float(weighted_median(means, weights))
+    apart = float(weights @ np.abs(means - value)) * float((weights**2).sum()) ** rule.apart
+    error = float(weights @ np.array([one.std() / np.sqrt(len(one)) for one in fitness]))
+    unit = float(np.hypot(apart, error))
+    return value, value + rule.low * unit, value + rule.high * unit
+
+
+def _of_champion(
+    champion: Champion, matrix: TransferMatrix, errors: Mapping[str, float | None], rule: Rule
+) -> Forecast | None:
+    robots = {matrix.robot, *matrix.other_robots}
+    cells = [matrix.cell(champion.name, model) for model in matrix.models]
+    cells = [cell for cell in cells if not cell.failed]
+    if len(cells) < 2 or robots & set(champion.against) or champion.system is None:
+        return None
+    families = {matrix.families.get(model, model) for model in champion.against}
+    own = np.array([matrix.families[cell.column] in families for cell in cells])
+    weights = credibilities([errors.get(cell.column) for cell in cells], own, rule=rule)
+    one_number = make_aggregate(champion.aggregate)
+    means = np.array([float(one_number(cell.fitness[None, None])[0]) for cell in cells])
+    value, low, high = _joined(means, [cell.fitness for cell in cells], weights, rule)
+    columns = (cell.column for cell in cells)
+    return Forecast(champion.name, value, low, high, dict(zip(columns, weights.tolist(), strict=True)))
+
+
+def highest(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
+    """Return which of ``names`` has the highest forecast, of equals the first; None where none has one."""
+    return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
+
+
+def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: Rule = RULE) -> Judgement:
+    """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
+
+    def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
+        met = {families.get(model, model) for model in champion.against}
+        own = np.array([families.get(model, model) in met for model in models])
+        return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
+
+    return worth
+
+
+LEAST_ERROR = 0.01
+"""Errors below this, in standard deviations of the data, are told apart no more."""
+
+
+def credibilities(errors: Sequence[float | None], own: BoolArray, *, rule: Rule = RULE) -> Array:
+    """Return the weight of each model, (M,), that add up to 1.
+
+    ``errors`` are those of `error_of`; a model whose error is not known counts as much as the best one. ``own`` (M,)
+    says which are of a family that the controller was evolved in.
+    """
+    known = [max(error, LEAST_ERROR) for error in errors if error is not None and np.isfinite(error)]
+    best = min(known, default=1.0)
+    weights = np.array([_weight(best, error, rule.power) for error in errors])
+    weights = np.where(own, rule.own, 1.0) * weights
+    total = float(weights.sum())
+    return weights / total if total > 0.0 else np.full(len(weights), 1.0 / max(1, len(weights)))
+
+
+def weighted_median(values: Array, weights: Array) -> Array:
+    """Return the median (...) of ``values`` (M, ...) with these weights (M,), between two of them as they weigh.
+
+    Each value stands at the middle of its weight, and what lies between two is interpolated: of equal weights it is
+    the usual median.
+    """
+    order = np.argsort(values, axis=0, kind="stable")
+    ranked, weight = np.take_along_axis(values, order, axis=0), weights[order]
+    middle = np.cumsum(weight, axis=0) - 0.5 * weight
+    flat, at = ranked.reshape(len(values), -1), middle.reshape(len(values), -1)
+    found = [np.interp(0.5 * weights.sum(), at[:, i], flat[:, i]) for i in range(flat.shape[1])]
+    return np.array(found).reshape(values.shape[1:])
+
+
+def _weight(best: float, error: float | None, power: float) -> float:
+    """Return the weight of a model beside that of the best, which is 1."""
+    if error is None:
+        return 1.0
+    return float((best / max(error, LEAST_ERROR)) ** power) if np.isfinite(error) else 0.0
+
+
+@dataclass(frozen=True)
+class ModelForecast:
+    """What ``controllers``, evolved in ``model`` alone, are expected to achieve on the robot, with a 90 % interval.
+
+    ``claimed`` is what they claim; all are means over the controllers.
+    """
+
+    model: str
+    controllers: tuple[str, ...]
+    claimed: float
+    value: float
+    low: float
+    high: float
+
+    @property
+    def kept(self) -> tuple[float, float, float] | None:
+        """The share of the claim that is expected to be kept, and its interval; None where nothing is claimed."""
+        if self.claimed <= 0.0:
+            return None
+        return self.value / self.claimed, self.low / self.claimed, self.high / self.claimed
+
+
+def model_forecasts(matrix: TransferMatrix, found: Mapping[str, Forecast]) -> dict[str, ModelForecast]:
+    """Return the forecast of every model in which a controller with a forecast was evolved alone.
+
+    The interval is the mean of theirs, no narrower: what models miss together, they miss for all of them.
+    """
+    made = {}
+    for model in matrix.models:
+        alone = [champion for champion in matrix.champions if champion.against == (model,) and champion.name in found]
+        alone = [champion for champion in alone if not matrix.cell(champion.name, model).failed]
+        if not alone:
+            continue
+        own = [found[champion.name] for champion in alone]
+        claims = [
+            float(make_aggregate(champion.aggregate)(matrix.cell(champion.name, model).fitness[None, None])[0])
+            for champion in alone
+        ]
+        value, low, high = (float(np.mean([getattr(one, name) for one in own])) for name in ("value", "low", "high"))
+        names = tuple(champion.name for champion in alone)
+        made[model] = ModelForecast(model, names, float(np.mean(claims)), value, low, high)
+    return made

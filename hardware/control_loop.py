@@ -1,0 +1,248 @@
+"""The 20 Hz loop: frames in, estimate, decision of a pilot, command out; what it demands of a system."""
+
+from __future__ import annotations
+
+import gc
+import math
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from hardware.connection import TIME_TO_LIVE, Command, Connection, Listener, Measurement, RobotStatus
+from hardware.estimator import Estimate, Estimator, PoseEstimator
+from hardware.gate import PoseGate
+from hardware.run_report import LoopReport, Reason, Stops
+from sysid_evo.errors import IncompatibleSystem, LinkLost
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+STALE = 0.1  # s: an older pose means neutral
+
+LOST = 0.5  # s: an older pose ends the run
+
+FIRST_POSE = 1.0  # s within which the first estimate must exist
+
+POLL = 0.02  # s: the longest the loop waits without looking up
+
+SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
+
+CLOCK_TOLERANCE = 1e-9  # s
+
+
+class ControlLoop:
+    """Drives ``connection`` by a pilot, one decision every ``system.dt``, and tells the listeners.
+
+    Deadlines are absolute: tick k is due k dt after the first, and one that is late by dt or more is
+    skipped, so that the loop never drifts or catches up. Time passes only in `Connection.measure`, so
+    it runs unchanged in simulated time. The calling thread does everything. A run starts in neutral
+    until poses give an estimate; a tick whose newest pose is older than 100 ms sends neutral without
+    asking the pilot (and neutral does not wait for the tick), a pose older than 500 ms ends the run.
+    Every command is checked and valid for 150 ms. Without a ``gate`` of its own the body of the first
+    frame is followed, within the connection's ``gate_limits``.
+
+    Raises `IncompatibleSystem` for a system that it cannot drive (`check_loop`).
+
+    A run that ends as it should leaves the robot in neutral, the connection open, poses and gate as
+    they are; any other way out, exceptions included, closes the connection first.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        system: System,
+        *,
+        listeners: Sequence[Listener] = (),
+        estimator: Estimator | None = None,
+        gate: PoseGate | None = None,
+        stops: Stops | None = None,
+    ) -> None:
+        check_loop(system)
+        self.connection = connection
+        self.system = system
+        self.stops = Stops() if stops is None else stops
+        self._listeners = tuple(listeners)
+        self._estimator: Estimator = PoseEstimator(system) if estimator is None else estimator
+        self._gate = gate
+        self._driving = False
+        self._status: RobotStatus | None = None
+        self._rejected: Counter[str] = Counter()
+        self._ticks: list[tuple[float, float]] = []
+        self._skipped = self._stale = self._tick = 0
+        self._opened = 0.0
+        self._seen: float | None = None
+
+    def run(self, pilot: Pilot, *, samples: int | None = None) -> LoopReport:
+        """Drive until ``samples`` are over or ``pilot`` or a fault ends it, and return how it went.
+
+        Raises what ``pilot`` or a listener raises, and `InvalidArgument` if the pilot decides on an
+        illegal control.
+        """
+        self._rejected.clear()
+        self._ticks, self._skipped, self._stale = [], 0, 0
+        gc.freeze()  # a collection that looks at all that was ever imported takes up to a tenth of a second
+        try:
+            try:
+                reason, detail = self._drive(pilot, samples)
+                if not reason.is_fault:
+                    self._send(self.system.neutral_control, self.connection.time)
+            except LinkLost as error:
+                reason, detail = Reason.LINK_LOST, str(error)
+        except BaseException:
+            self.connection.close()
+            raise
+        finally:
+            gc.unfreeze()
+        if reason.is_fault:
+            self.connection.close()
+        sent = np.array(self._ticks).reshape(-1, 2)
+        return LoopReport(
+            reason=reason,
+            detail=detail,
+            lateness=sent[:, 1] - sent[:, 0],
+            gaps=np.diff(sent[:, 1]),
+            skipped=self._skipped,
+            stale=self._stale,
+            rejected=dict(self._rejected),
+        )
+
+    def _drive(self, pilot: Pilot, samples: int | None) -> tuple[Reason, str]:
+        """Send a command for every tick until something ends the run; return what."""
+        neutral, dt = self.system.neutral_control, self.system.dt
+        self._opened = opened = self.connection.time
+        first: int | None = None
+        index = self._tick = -1
+        while True:
+            index += 1
+            ended = self._wait(opened + index * dt, started=first is not None)
+            if ended is not None:
+                return ended
+            now = self.connection.time
+            newest = math.floor((now - opened + CLOCK_TOLERANCE) / dt)
+            if first is not None:
+                self._skipped += max(0, newest - index)
+            index = max(index, newest)
+            estimate = self._estimator.estimate(now) if self._age(now) <= STALE + CLOCK_TOLERANCE else None
+            if first is None and estimate is not None:
+                first = index
+            if first is None:
+                if now - opened > FIRST_POSE:
+                    return Reason.TRACKER_LOST, self._why_no_pose(f"no pose to start from within {FIRST_POSE:.1f} s")
+                self._send(neutral, opened + index * dt)
+                continue
+            self._tick = index - first
+            if samples is not None and self._tick >= samples:
+                return Reason.SAMPLES, ""
+            if estimate is None:
+                self._stale += 1
+                self._send(neutral, opened + index * dt)
+            else:
+                control = pilot.decide(self._tick, estimate)
+                if control is None:
+                    return Reason.PILOT, ""
+                if not np.isfinite(control).all():
+                    return Reason.NOT_FINITE, f"sample {self._tick}: the pilot decided on {np.asarray(control)}"
+                self._send(self.system.check_control(control), opened + index * dt)
+            self._ticks.append((opened + index * dt, self.connection.time))
+
+    def _wait(self, due: float, *, started: bool) -> tuple[Reason, str] | None:
+        """Take in frames until ``due`` and then those that are waiting; return what ends the run, if anything."""
+        connection = self.connection
+        enough = max(due, connection.time) + 0.5 * self.system.dt
+        while True:
+            if self.stops.reason is not None:
+                return self.stops.reason, self.stops.detail
+            now = connection.time
+            until_stale = max(SHORTEST, STALE - self._age(now)) if started and self._driving else math.inf
+            measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
+            if self._tripped():
+                return Reason.TRIPPED, ""
+            now = connection.time
+            if measurement is not None:
+                self._take(measurement)
+                if now - measurement.source_time > STALE and now < enough:
+                    continue  # newer ones are waiting: what is known is not as new as it gets
+            age = self._age(now)
+            if started and age > LOST + CLOCK_TOLERANCE:
+                return Reason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
+            if started and self._driving and age > STALE + CLOCK_TOLERANCE:
+                self._send(self.system.neutral_control, now)
+            if due - now <= CLOCK_TOLERANCE and (measurement is None or now >= enough):
+                return None
+
+    def _take(self, measurement: Measurement) -> None:
+        """Tell the listeners of a frame and use it if it is believed."""
+        for listener in self._listeners:
+            listener.measured(measurement)
+        if self._gate is None:
+            self._gate = PoseGate(measurement.body, self.connection.gate_limits)
+        verdict = self._gate.accept(measurement, driving=self._driving)
+        if verdict.broke:
+            self._estimator.restart()
+        if verdict.accepted:
+            self._estimator.add(measurement)
+            self._seen = min(measurement.source_time, measurement.arrival_time)
+        else:
+            self._rejected[verdict.reason] += 1
+
+    def _send(self, control: Array, due: float) -> None:
+        self.connection.send(control, valid_for=TIME_TO_LIVE)
+        self._driving = not np.array_equal(control, self.system.neutral_control)
+        command = Command(self._tick, due, self.connection.time, control.copy())
+        for listener in self._listeners:
+            listener.commanded(command)
+
+    def _tripped(self) -> bool:
+        """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
+        status = self.connection.status
+        if status is None or (self._status is not None and status.time <= self._status.time):
+            return False
+        self._status = status
+        for listener in self._listeners:
+            listener.reported(status)
+        return status.state == "tripped" and status.time >= self._opened
+
+    def _age(self, now: float) -> float:
+        """Return how old the newest believed pose is, in s; infinite without one."""
+        return math.inf if self._seen is None else now - self._seen
+
+    def _why_no_pose(self, what: str) -> str:
+        """Return ``what`` with the frames that were not used, and the limit that they go beyond, if they do."""
+        counts = ", ".join(f"{count} {why}" for why, count in self._rejected.most_common())
+        beyond = "" if self._gate is None else self._gate.excess
+        return what + (f"; frames not used: {counts}" if counts else "") + (f" ({beyond})" if beyond else "")
+
+
+LATEST = 0.05  # s that a command may be late without the robot stopping in between
+
+SLOWEST = TIME_TO_LIVE - LATEST  # s: the longest sampling time
+
+PLANAR = 3  # numbers of a pose that the gate can judge
+
+TOLERANCE = 1e-9  # s
+
+
+def check_loop(system: System) -> None:
+    """Raise `IncompatibleSystem` unless the loop can command ``system`` in time and see where it is."""
+    if system.nu == 0:
+        raise IncompatibleSystem("the control loop: expected a system with at least one control, got none")
+    if system.n_pose != PLANAR:
+        raise IncompatibleSystem(
+            "the control loop: expected a system whose motion gives a planar pose (x, y, heading), got "
+            + ("no motion" if system.motion is None else f"the motion {system.motion.kind}")
+        )
+    if system.dt > SLOWEST + TOLERANCE:
+        raise IncompatibleSystem(
+            f"the control loop: expected a sampling time dt of at most {SLOWEST:g} s, got {system.dt:g} s. A command "
+            f"is valid for {TIME_TO_LIVE:g} s and the next may be {LATEST:g} s late, so that at a longer dt the robot "
+            "would fall back to neutral between two commands; give the system a shorter dt"
+        )
+
+
+class Pilot(ABC):
+    """Decides on the control of every sample."""
+
+    @abstractmethod
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        """Return the control (nu,) for sample ``tick``, or None to end the run in neutral."""

@@ -1,0 +1,240 @@
+"""A stored controller drives a robot: trials in the loop or step by step, shown on the page if wanted."""
+
+from __future__ import annotations
+
+import time
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hardware.driving.keyboard import Keyboard
+from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.trials import TrialSeries
+from hardware.robot import Robot
+from hardware.run_report import Reason, Stops
+from sysid_evo.cli.console import code_of_loop, out
+from sysid_evo.data import Trajectory
+from sysid_evo.engine import Rollouts
+from sysid_evo.evolution import Champion
+from sysid_evo.extras import missing_extra
+from sysid_evo.system import System
+from sysid_evo.tasks import Scene, Task
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Array, Seeds
+
+if TYPE_CHECKING:
+    from hardware.driving.server import PageServer
+
+
+LONGEST = 20.0
+"""Seconds that a trial played back may take: one of a slow process is played faster."""
+
+PAUSE = 1.0
+"""Seconds between two trials played back, to see how one ended."""
+
+POLL = 0.02  # s
+
+SETTLING, CONTROLLED, FINISHED = "settling", "controlled", "finished"
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where the trial ``number`` stands at ``step``: ``state`` (nx,), ``pose`` in the arena, ``control`` in force.
+
+    ``scores`` are those of the trials that are over.
+    """
+
+    number: int = 0
+    phase: str = SETTLING
+    step: int = 0
+    score: float = 0.0
+    scores: tuple[float, ...] = ()
+    state: Array | None = None
+    pose: Array | None = None
+    control: Array | None = None
+    scene: Scene = field(default_factory=Scene)
+
+
+class ControllerPanel:
+    """Shows the newest `Moment`; one thread gives it, another reads it.
+
+    ``name`` is who drives, ``faster`` how many times as fast as in the world.
+    """
+
+    def __init__(self, robot: str, task: Task, name: str, *, faster: float = 1.0) -> None:
+        self._robot, self._task, self._name, self._faster = robot, task, name, faster
+        self._system: System = task.system
+        self._places = list(traced(self._system, first_scene(task)))
+        self._moment = Moment()
+
+    def show(self, moment: Moment) -> None:
+        """Show where a trial stands."""
+        self._moment = moment
+
+    def setting(self) -> dict[str, Any]:
+        setting = setting_of(self._robot, self._task, by_hand=False)
+        return {**setting, "controller": self._name, "faster": self._faster}
+
+    def scenery(self) -> dict[str, Any]:
+        return scenery_of(self._system, self._moment.scene)
+
+    def reading(self) -> dict[str, Any]:
+        now = self._moment
+        waypoint = now.scene.next_marker
+        return {
+            "trial": now.number,
+            "step": now.step,
+            "phase": now.phase,
+            "time_left": (self._task.horizon - now.step) * self._system.dt,
+            "score": now.score,
+            "scores": list(now.scores),
+            "waypoint": None if waypoint is None else waypoint.tolist(),
+            "pose": None if now.pose is None or not now.pose.size else numbers(now.pose),
+            "speed": speed_of(self._system, now.state),
+            "state": None if now.state is None else numbers(now.state[self._places]),
+            "control": None if now.control is None else numbers(now.control),
+            "keys": 0,
+            "tracker": None,
+            "link": None,
+            "message": "",
+        }
+
+
+def moment_of(series: TrialSeries) -> Moment:
+    """Return where a robot's trial stands, after a decision of ``series``; its first candidate is shown."""
+    trial = min(series.finished // len(series.parameters), len(series.seeds) - 1)
+    task_state = series.states[0]
+    fitness = series.task.fitness(task_state).tolist()
+    done = tuple(fitness[: series.finished // len(series.parameters)])
+    here = Moment(trial + 1, score=fitness[trial], scores=done, scene=series.task.scene(task_state, trial))
+    if not series.tapes or len(series.tapes) <= series.finished < series.trials:
+        return here
+    tape = series.tapes[-1]
+    over = series.finished == series.trials
+    control = tape.controls[-1] if tape.controls and not over else None
+    return replace(
+        here,
+        phase=FINISHED if over else CONTROLLED,
+        step=tape.ticks[-1],
+        state=tape.states[-1],
+        pose=tape.poses[-1],
+        control=control,
+    )
+
+
+def pace(task: Task) -> float:
+    """Return how many times as fast as in the world the trials of a bound ``task`` are played back."""
+    return max(1.0, task.horizon * task.system.dt / LONGEST)
+
+
+def play(
+    panel: ControllerPanel,
+    task: Task,
+    seeds: Seeds,
+    trajectories: tuple[Trajectory, ...],
+    scores: Array,
+    *,
+    stops: Stops,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Show trials (E,) of the bound ``task`` that were simulated, one after the other, ``scores`` (E,) at their ends.
+
+    The course of the score and the targets are those of the task along the ``trajectories``. A stop ends it.
+    """
+    tick = task.system.dt / pace(task)
+    for trial, (trajectory, score) in enumerate(zip(trajectories, scores, strict=True)):
+        began = clock()
+        last = None
+        for moment in moments(task, seeds[trial : trial + 1], trajectory, trial + 1):
+            while clock() < began + moment.step * tick:
+                if stops.reason is not None:
+                    return
+                sleep(min(POLL, tick))
+            last = replace(moment, scores=tuple(scores[:trial].tolist()))
+            panel.show(last)
+        if last is not None:
+            done = tuple(scores[: trial + 1].tolist())
+            panel.show(replace(last, phase=FINISHED, score=float(score), scores=done, control=None))
+        until = clock() + PAUSE
+        while clock() < until and trial + 1 < len(trajectories):
+            if stops.reason is not None:
+                return
+            sleep(POLL)
+
+
+def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> list[Moment]:
+    """Return where the trial of one ``seed`` stood at every sample of its ``trajectory``."""
+    task_state = task.begin(seed)
+    scene = task.scene(task_state, 0)
+    poses = np.zeros((len(trajectory.states), 0)) if trajectory.pose is None else trajectory.pose
+    found = []
+    for step, state in enumerate(trajectory.states):
+        if step:
+            task_state, _ = task.advance(
+                task_state,
+                trajectory.states[step - 1][None],
+                state[None],
+                control=trajectory.controls[step - 1][None],
+                pose=poses[step][None] if poses.size else None,
+            )
+            if poses.size:
+                scene = task.scene(task_state, 0)
+        control = trajectory.controls[min(step, len(trajectory.controls) - 1)]
+        shown = Moment(number, CONTROLLED, step, float(task.fitness(task_state)[0]), scene=scene)
+        found.append(replace(shown, state=state, pose=poses[step], control=control))
+    return found
+
+
+WATCHING_POLL = 0.05  # s
+
+LAST_LOOK = 0.3
+"""Seconds for which the page still hears how the last trial ended."""
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Where the page is served that shows a controller, and whether it is opened in the browser, too."""
+
+    host: str
+    port: int
+    open_page: bool
+
+    @contextmanager
+    def shown(self, panel: ControllerPanel, stops: Stops) -> Iterator[None]:
+        """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
+
+        def died(why: str) -> None:
+            stops.request(Reason.THREAD_DIED, why)
+
+        with page_server()(panel, Keyboard(life=1.0), host=self.host, port=self.port, died=died) as served:
+            out.print(f"Watch it at {served.url}", highlight=False, markup=False, soft_wrap=True)
+            if self.open_page:
+                webbrowser.open(served.url)
+            while served.seats.driver is None and stops.reason is None:
+                time.sleep(WATCHING_POLL)
+            yield
+            if stops.reason is None:
+                time.sleep(LAST_LOOK)
+
+
+def play_back(champion: Champion, machine: Robot, seeds: Seeds, rollouts: Rollouts, watching: Watching) -> int:
+    """Show trials that were simulated on a page, as fast as they went or faster, and return the exit code."""
+    task = make_task(champion.task).bind(machine.system)
+    panel = ControllerPanel(machine.name, task, champion.name, faster=pace(task))
+    with Stops() as stops, watching.shown(panel, stops):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
+    return 0 if stops.reason is None else code_of_loop(stops.reason)
+
+
+def page_server() -> type[PageServer]:
+    """Return the server of the page. Raises `MissingExtra`."""
+    try:
+        from hardware.driving.server import PageServer
+    except ModuleNotFoundError as error:
+        raise missing_extra("driving by hand", error.name) from error
+    return PageServer

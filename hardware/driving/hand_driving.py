@@ -1,0 +1,460 @@
+"""A person drives: trials one after the other."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.transfer import transfer_seeds
+from hardware.connection import Command, GateLimits, Listener, Measurement, RobotStatus
+from hardware.control_loop import ControlLoop, Pilot, check_loop
+from hardware.driving.controller_driving import page_server
+from hardware.driving.keyboard import ALL_KEYS, Keyboard, control_of, key_life
+from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.trials import RestWatch, Tape
+from hardware.estimator import Estimate
+from hardware.preflight import check_driving
+from hardware.recording.journal import Recorder, recorder_of
+from hardware.robot import Robot
+from hardware.run_report import LoopReport, Reason, Stops
+from sysid_evo.cli.console import code_of_loop, err, out
+from sysid_evo.cli.robots import Driven, _seed, _tell
+from sysid_evo.data import Trajectory
+from sysid_evo.errors import IncompatibleSystem, LinkLost
+from sysid_evo.extras import check_installed
+from sysid_evo.tasks import Scene, Task, TaskState
+from sysid_evo.tasks.task import make_task
+from sysid_evo.types import Array
+
+POLL = 0.02  # s between two looks at whether a new trial is wanted
+
+
+@dataclass(frozen=True)
+class HandTrial:
+    """One trial, from connecting to letting go of the robot; ``number`` counts from 1.
+
+    ``fitness`` is None unless it was driven to its end; ``report`` tells how the loop went,
+    ``limits`` how far its gate believed the tracker.
+    """
+
+    number: int
+    name: str
+    seed: int
+    fitness: float | None
+    trajectory: Trajectory | None
+    task_state: TaskState
+    report: LoopReport
+    limits: GateLimits
+
+
+class HandDriving:
+    """Lets a person drive trials of ``task`` on ``robot``, each in a session of its own.
+
+    Between trials nothing is connected, and the robot drives only after the person has asked for a
+    trial, released all keys and pressed one. The task's origin is where the robot stands at the first
+    trial, or that of the tracker (``origin`` all zero). ``seed_of`` gives the seed of a trial, from 0;
+    it also fixes what an emulated robot draws. ``recorder`` makes the listener that is told of a trial
+    while it is driven, given the trial's name; it is closed after it.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        task: Task,
+        keyboard: Keyboard,
+        instruments: Instruments,
+        *,
+        seed_of: Callable[[int], int],
+        stops: Stops,
+        recorder: Callable[[str, GateLimits], Listener] | None = None,
+        origin: Array | None = None,
+    ) -> None:
+        check_loop(robot.system)
+        self._robot = robot
+        self._task = task.bind(robot.system)
+        self._keyboard = keyboard
+        self._instruments = instruments
+        self._seed_of = seed_of
+        self._stops = stops
+        self._recorder = recorder
+        self._origin = origin
+
+    def trials(self) -> Iterator[HandTrial]:
+        """Yield the trials as they end; a stop from outside ends them. Raises `LinkLost` if none connects.
+
+        A trial that a fault cuts short is yielded too, and the person may ask for the next one.
+        """
+        for index in count():
+            trial = self._drive(index)
+            self._instruments.finish(trial.fitness, trial.report.sentence if trial.report.reason.is_fault else "")
+            yield trial
+            if not self._wanted():
+                return
+
+    def _drive(self, index: int) -> HandTrial:
+        seed, name = self._seed_of(index), f"trial-{index + 1}"
+        pilot = HumanPilot(self._keyboard, self._task, seed=seed, origin=self._origin)
+        listeners: list[Listener] = [self._instruments]
+        try:
+            with self._robot.connect(seed=seed) as connection:
+                if self._recorder is not None:
+                    listeners.append(WhileDriving(pilot, partial(self._recorder, name, connection.gate_limits)))
+                self._instruments.begin(pilot, index + 1)
+                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stops=self._stops)
+                report, limits = loop.run(pilot), connection.gate_limits
+        finally:
+            pilot.end()
+            for listener in listeners:
+                listener.close()
+        self._origin = pilot.origin
+        return HandTrial(index + 1, name, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report, limits)
+
+    def _wanted(self) -> bool:
+        """Wait until the person wants a new trial; return False if the session is stopped instead."""
+        while self._stops.reason is None:
+            if self._keyboard.take_new_trial():
+                return True
+            time.sleep(POLL)
+        return False
+
+
+class Phase(Enum):
+    """Where a trial stands."""
+
+    SETTLING = "settling"
+    READY = "ready"
+    DRIVING = "driving"
+    FINISHED = "finished"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a trial has come: ``steps`` driven, ``score`` so far, ``waypoint`` (2,) m if the task has one."""
+
+    phase: Phase
+    steps: int
+    score: float
+    waypoint: Array | None
+
+
+class HumanPilot(Pilot):
+    """Drives by the keys that are held, from the first key on, for the task's ``horizon`` samples.
+
+    The trial is offered once the robot stands and all keys are released. ``task`` must be bound;
+    its trial is that of ``seed``. The task's ``origin`` is a pose of the tracker (3,), or the robot's
+    at the first key. ``progress`` and ``newest_state`` (nx,) may be read by any thread.
+    """
+
+    def __init__(self, keyboard: Keyboard, task: Task, *, seed: int, origin: Array | None = None) -> None:
+        self.origin = origin
+        self._keyboard = keyboard
+        self._task = task
+        self._state: TaskState = task.begin(np.array([seed], dtype=np.uint64))
+        self._tape = Tape()
+        self._rest = RestWatch()
+        self._began = 0
+        self.newest_state: Array | None = None
+        self.progress = self._progress(Phase.SETTLING)
+
+    @property
+    def fitness(self) -> float | None:
+        """The fitness of the trial; None if it was not driven to its end."""
+        return self.progress.score if self.progress.phase is Phase.FINISHED else None
+
+    @property
+    def task_state(self) -> TaskState:
+        """Where the trial stands."""
+        return self._state
+
+    def in_arena(self, pose: Array) -> Array:
+        """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
+        return np.zeros_like(pose) if self.origin is None else self._task.system.seen_from(self.origin, pose)
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        phase, keys = self.progress.phase, self._keyboard.keys
+        self.newest_state = estimate.state
+        if phase in (Phase.FINISHED, Phase.ENDED) or self._keyboard.new_trial_wanted:
+            self.end()
+            return None
+        if phase is Phase.SETTLING:
+            if self._rest.at_rest(estimate) and self._keyboard.let_go:
+                self.progress = self._progress(Phase.READY)
+            return self._task.system.neutral_control
+        if phase is Phase.READY:
+            if not keys:
+                return self._task.system.neutral_control
+            self._begin(tick, estimate)
+        return self._drive(tick - self._began, estimate, keys)
+
+    def end(self) -> None:
+        """Note that the trial is over, unless it was driven to its end."""
+        if self.progress.phase is not Phase.FINISHED:
+            self.progress = self._progress(Phase.ENDED)
+
+    def trajectory(self, name: str) -> Trajectory | None:
+        """Return what was driven, as seen from the task's origin; None without a step."""
+        return self._tape.trajectory(self._task.system.dt, name) if len(self._tape.ticks) > 1 else None
+
+    def _begin(self, tick: int, estimate: Estimate) -> None:
+        self._began = tick
+        if self.origin is None:
+            self.origin = estimate.pose
+        self._state = replace(self._state, pose=self.in_arena(estimate.pose)[None])
+
+    def _drive(self, step: int, estimate: Estimate, keys: int) -> Array | None:
+        """Return the control for ``step`` of the trial, or None if it is over."""
+        pose, tape = self.in_arena(estimate.pose), self._tape
+        if tape.states:
+            self._state, _ = self._task.advance(
+                self._state,
+                tape.states[-1][None],
+                estimate.state[None],
+                control=tape.controls[-1][None],
+                pose=pose[None],
+            )
+        tape.note(step, estimate.state, pose)
+        if step >= self._task.horizon or not self._state.alive[0]:
+            self.progress = self._progress(Phase.FINISHED)
+            return None
+        control = control_of(keys, self._task.system)
+        tape.controls.append(control)
+        self.progress = self._progress(Phase.DRIVING)
+        return control
+
+    def _progress(self, phase: Phase) -> Progress:
+        return Progress(
+            phase=phase,
+            steps=self._tape.ticks[-1] if self._tape.ticks else 0,
+            score=float(self._task.fitness(self._state)[0]),
+            waypoint=self._task.scene(self._state, 0).next_marker,
+        )
+
+
+RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
+
+
+class Instruments(Listener):
+    """A listener that remembers the newest; another thread reads it with `reading`.
+
+    Every attribute is replaced as a whole, so that a reader never sees half of a change.
+    """
+
+    def __init__(
+        self, robot: Robot, task: Task, keyboard: Keyboard, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._robot = robot
+        self._task = task
+        self._keyboard = keyboard
+        self._clock = clock
+        self._pilot: HumanPilot | None = None
+        self._number = 0
+        self._frame: Measurement | None = None
+        self._arrived = -math.inf
+        self._command: Command | None = None
+        self._status: RobotStatus | None = None
+        self._counted = (clock(), 0, 0.0)
+        self._scores: tuple[float, ...] = ()
+        self._message = ""
+        self._places = list(traced(robot.system, first_scene(task.bind(robot.system))))
+
+    def begin(self, pilot: HumanPilot, number: int) -> None:
+        """Show the trial of ``pilot``, the ``number``-th from 1."""
+        self._pilot, self._number, self._message = pilot, number, ""
+        self._frame = self._command = self._status = None
+        self._arrived = -math.inf
+
+    def finish(self, score: float | None, message: str = "") -> None:
+        """Show the ``score`` of the trial that is over, if it has one, and what there is to say."""
+        self._message = message
+        self._command = None
+        if score is not None:
+            self._scores = (*self._scores, score)
+
+    def measured(self, measurement: Measurement) -> None:
+        now = self._clock()
+        began, frames, rate = self._counted
+        frames += measurement.valid
+        span = now - began
+        self._counted = (now, 0, frames / span) if span >= RATE_SPAN else (began, frames, rate)
+        if measurement.valid:
+            self._frame, self._arrived = measurement, now
+
+    def commanded(self, command: Command) -> None:
+        self._command = command
+
+    def reported(self, status: RobotStatus) -> None:
+        self._status = status
+
+    def setting(self) -> dict[str, Any]:
+        """Return what stays the same in a session, as strict JSON."""
+        return setting_of(self._robot.name, self._task.bind(self._robot.system), by_hand=True)
+
+    def scenery(self) -> dict[str, Any]:
+        """Return the walls and targets of the trial, as strict JSON."""
+        pilot = self._pilot
+        scene = Scene() if pilot is None else self._task.scene(pilot.task_state, 0)
+        return scenery_of(self._robot.system, scene)
+
+    def reading(self) -> dict[str, Any]:
+        """Return what there is to see now, as strict JSON; poses are seen from the task's origin."""
+        now, frame, command, status, pilot = self._clock(), self._frame, self._command, self._status, self._pilot
+        progress = None if pilot is None else pilot.progress
+        age = now - self._arrived
+        return {
+            "trial": self._number,
+            "step": 0 if progress is None else progress.steps,
+            "phase": (Phase.ENDED if progress is None else progress.phase).value,
+            "time_left": self._task.horizon * self._robot.system.dt
+            if progress is None
+            else (self._task.horizon - progress.steps) * self._robot.system.dt,
+            "score": 0.0 if progress is None else progress.score,
+            "scores": list(self._scores),
+            "waypoint": None if progress is None or progress.waypoint is None else progress.waypoint.tolist(),
+            "pose": None if frame is None or pilot is None else pilot.in_arena(frame.pose).tolist(),
+            "speed": None if pilot is None else speed_of(self._robot.system, pilot.newest_state),
+            "state": None if pilot is None or pilot.newest_state is None else numbers(pilot.newest_state[self._places]),
+            "control": None if command is None else command.control.tolist(),
+            "keys": self._keyboard.keys & ALL_KEYS,
+            "tracker": None if not math.isfinite(age) else {"age": round(age, 3), "rate": round(self._counted[2])},
+            "link": None if status is None else {"state": status.state, "age": round(now - status.time, 3)},
+            "message": self._message,
+        }
+
+
+LEAD = 1.0  # s at rest before the first key, for the preparation of the log to cut off
+
+
+class WhileDriving(Listener):
+    """Tells ``listener`` what happens from a second before ``pilot`` drives on.
+
+    ``make_listener`` is called, once, when the driving begins: a trial without a key leaves nothing.
+    """
+
+    def __init__(self, pilot: HumanPilot, make_listener: Callable[[], Listener]) -> None:
+        self._pilot = pilot
+        self._make = make_listener
+        self._listener: Listener | None = None
+        self._earlier: deque[tuple[float, Callable[[Listener], None]]] = deque()
+
+    def measured(self, measurement: Measurement) -> None:
+        self._tell(measurement.arrival_time, lambda listener: listener.measured(measurement))
+
+    def commanded(self, command: Command) -> None:
+        self._tell(command.time, lambda listener: listener.commanded(command))
+
+    def reported(self, status: RobotStatus) -> None:
+        self._tell(status.time, lambda listener: listener.reported(status))
+
+    def close(self) -> None:
+        if self._listener is not None:
+            self._listener.close()
+
+    def _tell(self, time: float, tell: Callable[[Listener], None]) -> None:
+        if self._listener is not None:
+            tell(self._listener)
+            return
+        self._earlier.append((time, tell))
+        while self._earlier[0][0] < time - LEAD:
+            self._earlier.popleft()
+        if self._pilot.progress.phase is Phase.DRIVING:
+            self._listener = self._make()
+            for _, earlier in self._earlier:
+                earlier(self._listener)
+            self._earlier.clear()
+
+
+def check_driving_by_hand(robot: Robot, task: Task) -> None:
+    """Raise if a person could not drive ``robot`` at ``task`` on the page.
+
+    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
+    controls that keys cannot move and `MissingExtra` if the page cannot be served.
+    """
+    from hardware.driving.server import PREFLIGHT_PAGE
+
+    if robot.system.motion is None:
+        raise IncompatibleSystem(
+            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
+            "--controller and --watch the page shows how a controller drives it"
+        )
+    check_installed("driving by hand", PREFLIGHT_PAGE)
+    control_of(0, robot.system)
+    key_life(robot.system)
+    check_driving(robot, task)
+
+
+def drive_by_hand(
+    driven: Driven,
+    seed: int | None,
+    trials: int | None,
+    folder: Path | None,
+    tracker_origin: bool,
+    *,
+    page: tuple[str, int, bool],
+) -> tuple[list[HandTrial], int]:
+    """Let somebody drive; return the trials and the exit code."""
+    import webbrowser
+
+    import numpy as np
+
+    robot, system, first = driven.robot, driven.robot.system, _seed(seed, driven.run)
+    task = make_task(driven.task)
+    check_driving_by_hand(robot, task)
+    task = task.bind(system)
+    keyboard = Keyboard(life=key_life(system))
+    instruments = Instruments(robot, task, keyboard)
+    host, port, open_page = page
+    stops = Stops()
+    recorders: list[Recorder] = []
+    ended: list[HandTrial] = []
+
+    def recorder(name: str, limits: GateLimits) -> Recorder:
+        assert folder is not None
+        recorders.append(recorder_of(folder, robot, name, limits))
+        return recorders[-1]
+
+    server = page_server()
+    with (
+        stops,
+        server(
+            instruments, keyboard, host=host, port=port, died=lambda why: stops.request(Reason.THREAD_DIED, why)
+        ) as served,
+    ):
+        driving = HandDriving(
+            robot,
+            task,
+            keyboard,
+            instruments,
+            seed_of=lambda index: int(transfer_seeds(first, index + 1)[index]),
+            stops=stops,
+            recorder=None if folder is None else recorder,
+            origin=np.zeros(system.n_pose) if tracker_origin else None,
+        )
+        out.print(f"Drive {robot.name} at {served.url}", highlight=False, markup=False, soft_wrap=True)
+        if open_page:
+            webbrowser.open(served.url)
+        try:
+            for trial in driving.trials():
+                ended.append(trial)
+                _tell(trial, task.fitness_unit)
+                if sum(each.fitness is not None for each in ended) == trials:
+                    stops.request(Reason.SAMPLES)
+        except LinkLost as error:
+            err.print(f"{robot.name}: {error}", highlight=False, markup=False, soft_wrap=True)
+            stops.request(Reason.LINK_LOST)
+    for made in recorders:
+        if made.problem is not None:
+            err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
+    reason = stops.reason or Reason.PILOT
+    under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
+    return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)

@@ -1,0 +1,167 @@
+"""The registered cars: emulated_car, awkward_car, and their dynamics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr
+
+from hardware.arguments import number
+from hardware.arguments import seed as checked_seed
+from hardware.connection import Connection
+from hardware.emulation.car_kernel import car_kernel
+from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, coefficients, fine_step
+from hardware.emulation.tracked_robots import EmulatedConnection, EmulatedRobot
+from hardware.recording.record import Recorded, record_dataset
+from hardware.run_report import Stops
+from hardware.toy_car import CAR
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models import Dynamics, PlainDynamics
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_robot
+from sysid_evo.types import Array
+
+REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
+
+
+class CarPhysics(PlainDynamics):
+    """The toy car at 5 ms, the rate of the tracker: what its 20 Hz form repeats.
+
+    The carry is forward speed, lateral speed, yaw rate; the ten commands under way; motor (lagged
+    drive, -1 to 1), sag (share of the voltage), battery (1 is full), slack (-1 to 1, thrust passes
+    at the end that the motor pushes to), steering angle (rad), force noise (m/s2), yaw noise
+    (rad/s2). Friction is a projection and not a force, so the car comes to exact rest and stays
+    there; noise fades with speed and cannot move a standing car.
+
+    Draws: battery level (uniform over its spread), force noise, yaw noise. Noise: force, yaw.
+    A start takes the oldest command for one that has been held for long.
+    """
+
+    n_carry = BODY + 7
+    n_lags = LATENCY
+    n_noise = 2
+    n_draws = 3
+
+    def __init__(self, parameters: CarParameters | None = None) -> None:
+        self.parameters = CarParameters() if parameters is None else parameters
+        self.coefficients = coefficients(self.parameters)
+        self.system = CAR.with_dt(FINE_DT)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        p, batch = self.parameters, len(states)
+        draws = np.zeros((batch, self.n_draws)) if draws is None else draws
+        carry = np.zeros((self.n_carry, batch)).T
+        carry[:, :3] = states[:, -1]
+        carry[:, BUFFER] = controls[:, -LATENCY:].reshape(batch, 2 * LATENCY)
+        drive, steer = controls[:, -LATENCY, 0], controls[:, -LATENCY, 1]
+        c = self.coefficients
+        carry[:, BODY] = drive
+        carry[:, BODY + 1] = p.sag * np.abs(drive)
+        carry[:, BODY + 2] = 1.0 + p.battery_spread * (2.0 * ndtr(draws[:, 0]) - 1.0)
+        carry[:, BODY + 3] = np.sign(drive)
+        carry[:, BODY + 4] = steer * (c.steer_mean + c.steer_difference * steer) + c.steer_offset
+        carry[:, BODY + 5] = p.force_noise * draws[:, 1]
+        carry[:, BODY + 6] = p.yaw_noise * draws[:, 2]
+        return carry
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        if len(carry) == 1:
+            return np.array([self._step_one(carry[0].tolist(), control[0].tolist(), noise)])
+        before = carry.T
+        after = np.empty((self.n_carry, len(carry)))
+        lanes: list[Lane] = list(before)
+        draws: list[Lane] = [0.0, 0.0] if noise is None else list(noise.T)
+        results = fine_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
+        after[3 : BODY - 2] = before[5:BODY]
+        after[BODY - 2 : BODY] = control.T
+        for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
+            after[row] = result
+        return after.T
+
+    def _step_one(self, before: list[float], control: list[float], noise: Array | None) -> list[float]:
+        draws = [0.0, 0.0] if noise is None else noise[0].tolist()
+        after = fine_step(before[:3], before[BODY:], before[3], before[4], draws[0], draws[1], self.coefficients)
+        return [*after[:3], *before[5:BODY], *control, *after[3:]]
+
+    def kernel(self) -> DynamicsKernel:
+        return self.held_kernel(1)
+
+    def held_kernel(self, repeats: int) -> DynamicsKernel:
+        """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
+        return car_kernel(self.coefficients, repeats)
+
+
+@register_robot("emulated_car")
+def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
+    """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
+    nominal, seed = CarParameters(), checked_seed("robot emulated_car", seed)
+    if seed is None:
+        return EmulatedRobot("emulated_car", CarPhysics(nominal), repeats=REPEATS)
+    return EmulatedRobot(f"emulated_car:{seed}", CarPhysics(nominal.perturbed(seed)), repeats=REPEATS)
+
+
+AWKWARD = replace(CarParameters(), thrust_backward=0.0, start_speed=0.35, start_lag=0.5, start_level=0.5)
+"""The toy car with a cheap motor controller for model planes: without a sensor, and without reverse.
+
+A standing car pulls after 0.35 s of full drive without a break. Driven backward it only brakes.
+"""
+
+
+@register_robot("awkward_car")
+class AwkwardCar(EmulatedRobot):
+    """The toy car with the drive of a model plane; with a ``seed`` another of its kind.
+
+    It answers to forward drive from standstill after 0.7 of ``start_lag`` (s), to backward drive not at all, and races
+    as well as any once it rolls. In the share ``stuck`` of the manoeuvres of a recording, drawn from the seed of the
+    recording, it is jammed against something and stands, whatever it is told; when it races it is free.
+    Raises `InvalidArgument`.
+    """
+
+    def __init__(self, *, seed: int | None = None, start_lag: float = AWKWARD.start_lag, stuck: float = 0.1) -> None:
+        seed = checked_seed("robot awkward_car", seed)
+        self.stuck = number("robot awkward_car: stuck", stuck, least=0.0)
+        if self.stuck > 1.0:
+            raise InvalidArgument(f"robot awkward_car: expected stuck as a share up to 1, got {stuck}")
+        usual = replace(AWKWARD, start_lag=number("robot awkward_car: start_lag", start_lag, above=0.0))
+        name = "awkward_car" if seed is None else f"awkward_car:{seed}"
+        physics = CarPhysics(usual if seed is None else usual.perturbed(seed))
+        super().__init__(name, physics, repeats=REPEATS)
+
+    def record(
+        self,
+        *,
+        seed: int,
+        duration: float,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        jammed = _Jammed(self, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,))))
+        return record_dataset(jammed, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)
+
+
+class _Jammed:
+    """The car while it is recorded: every few sessions, ``stuck`` of them in all, it stands still."""
+
+    def __init__(self, car: AwkwardCar, rng: np.random.Generator) -> None:
+        self.car, self.name, self.system = car, car.name, car.system
+        self.dynamics: Dynamics | None = car.dynamics
+        self._due = float(rng.random())
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        """Open the next session."""
+        self._due += self.car.stuck
+        if self._due < 1.0:
+            return self.car.connect(seed=seed)
+        self._due -= 1.0
+        return _JammedConnection(self.car.name, self.car.physics, seed=seed, gate=self.car.gate)
+
+
+class _JammedConnection(EmulatedConnection):
+    """A session in which the car does not move; the tracker sees it as noisily as ever."""
+
+    def _advance(self) -> None:
+        return

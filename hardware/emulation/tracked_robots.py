@@ -1,0 +1,200 @@
+"""Robots with a pose: physics under an emulated optical tracker, or any model without tracker errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hardware.connection import GateLimits, Measurement
+from hardware.emulation.held_control import HeldControl
+from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
+from sysid_evo.carry import clip_state
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.models import Dynamics
+from sysid_evo.motion import PlanarBody
+from sysid_evo.types import Array
+
+TRACKER_DELAY = 0.004  # s from frame to arrival: "in the order of milliseconds" (paper, section 3)
+
+NOISE_BLOCK = 1024  # frames of noise drawn at once
+
+
+class EmulatedRobot(SimulatedRobot):
+    """A planar robot whose physics step at the tracker's rate; controllers see every ``repeats``-th.
+
+    ``gate`` says what the body can do, if that is more than the limits that hold for most
+    (`GateLimits`). Raises `IncompatibleSystem` for another motion.
+    """
+
+    def __init__(self, name: str, physics: Dynamics, *, repeats: int, gate: GateLimits | None = None) -> None:
+        if not isinstance(physics.system.motion, PlanarBody):
+            raise IncompatibleSystem(f"robot {name!r}: the emulated tracker needs a planar body, got another motion")
+        self.name = name
+        self.physics = physics
+        self.frame_period = physics.system.dt
+        self.dynamics: HeldControl = HeldControl(physics, repeats)
+        self.system = self.dynamics.system
+        self.gate = GateLimits.read(gate)
+
+    def connect(self, *, seed: int | None = None) -> EmulatedConnection:
+        return EmulatedConnection(self.name, self.physics, seed=seed, gate=self.gate)
+
+
+class EmulatedConnection(SimulatedConnection):
+    """A session with an emulated robot: each frame lets the physics take one step.
+
+    Noise, draws and the tracker's errors come from ``seed``.
+    """
+
+    def __init__(self, name: str, physics: Dynamics, *, seed: int | None, gate: GateLimits | None = None) -> None:
+        system = physics.system
+        self._gate = GateLimits.read(gate)
+        super().__init__(name, system, system.dt)
+        self._physics = physics
+        body, tracker = np.random.SeedSequence(seed).spawn(2)
+        self._rng = np.random.default_rng(body)
+        self._tracker = OpticalTracker(np.random.default_rng(tracker))
+        history = np.tile(system.neutral_state, (1, physics.n_lags + 1, 1))
+        controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
+        self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
+        self._noise = np.empty((0, physics.n_noise))
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        return self._gate
+
+    @property
+    def state(self) -> Array:
+        """The true state (nx,), which a real robot does not tell."""
+        return self._carry[0, : self._physics.system.nx].copy()
+
+    def _advance(self) -> None:
+        physics, system = self._physics, self._physics.system
+        row = self.frame % NOISE_BLOCK
+        if row == 0:
+            self._noise = self._rng.standard_normal((NOISE_BLOCK, physics.n_noise))
+        before, nx = self._carry, system.nx
+        self._carry = physics.step(before, self.control[None], self._noise[row : row + 1])
+        self.pose = system.move(self.pose, before[0, :nx], self._carry[0, :nx])
+
+    def _look(self, time: float) -> Measurement:
+        pose = self._tracker.observe(self.pose)
+        return Measurement(time, time + TRACKER_DELAY, self.frame, self.name, True, pose)
+
+
+FRAMES = 10  # of the tracker in one sample: 200 Hz at 20 Hz
+
+LEAD = 2
+"""Frames between the command that starts a session and the sample that it starts.
+
+Later commands are due at multiples of dt after the first; one that is late by less than this still
+counts for its own sample.
+"""
+
+
+class ModelledRobot(SimulatedRobot):
+    """Any ``dynamics`` whose motion has a pose, seen by a tracker without errors.
+
+    Raises `IncompatibleSystem` for dynamics without a motion.
+    """
+
+    def __init__(self, name: str, dynamics: Dynamics) -> None:
+        if dynamics.system.motion is None:
+            raise IncompatibleSystem(
+                f"model {name!r}: expected a system with a motion, which gives a pose, got none. Equations without a "
+                "pose become a robot by hardware.emulation.sensed_robot.SensedRobot"
+            )
+        self.name = name
+        self.dynamics: Dynamics = dynamics
+        self.system = dynamics.system
+        self.frame_period = dynamics.system.dt / FRAMES
+
+    def connect(self, *, seed: int | None = None) -> ModelledConnection:
+        return ModelledConnection(self.name, self.dynamics, seed=seed)
+
+
+class ModelledConnection(SimulatedConnection):
+    """A session with a model, which takes up the command in force at the start of each of its samples.
+
+    It rests in the origin until the first command that is not neutral; its samples are counted from
+    there. Poses are exact at the ends of a sample and, in between, those of a state that changes
+    evenly. The body is lost from sight once the state is no longer finite.
+    """
+
+    def __init__(self, name: str, dynamics: Dynamics, *, seed: int | None) -> None:
+        system = dynamics.system
+        super().__init__(name, system, system.dt / FRAMES)
+        self._dynamics = dynamics
+        self._rng = np.random.default_rng(seed)
+        history = np.tile(system.neutral_state, (1, dynamics.n_lags + 1, 1))
+        controls = np.tile(system.neutral_control, (1, dynamics.n_lags, 1))
+        self._carry = dynamics.start(history, controls, self._rng.standard_normal((1, dynamics.n_draws)))
+        self._origin = self.pose
+        self._before = self._after = system.neutral_state
+        self._phase = -LEAD
+        self._resting = True
+
+    @property
+    def gate_limits(self) -> GateLimits:
+        """None: a model may go as it likes, and its poses have no noise."""
+        return GateLimits(speed=math.inf, yaw_rate=math.inf, jump=math.inf, turn=math.inf, frozen=None)
+
+    def send(self, control: Array, *, valid_for: float) -> None:
+        super().send(control, valid_for=valid_for)
+        self._resting = self._resting and bool((self.control == self._neutral).all())
+
+    def _advance(self) -> None:
+        if self._resting:
+            return
+        if self._phase == 0:
+            self._step()
+        self._phase += 1
+        if self._phase <= 0:
+            return
+        system, share = self._dynamics.system, self._phase / FRAMES
+        now = self._after if self._phase == FRAMES else self._before + share * (self._after - self._before)
+        self.pose = system.move(self._origin, self._before, now, share * system.dt)
+        if self._phase == FRAMES:
+            self._phase, self._origin = 0, self.pose
+
+    def _step(self) -> None:
+        dynamics, nx = self._dynamics, self._dynamics.system.nx
+        noise = self._rng.standard_normal((1, dynamics.n_noise)) if dynamics.n_noise else None
+        self._before = self._carry[0, :nx].copy()
+        with np.errstate(all="ignore"):
+            stepped = dynamics.step(self._carry, self.control[None], noise)
+        self._carry, _ = clip_state(stepped, dynamics.envelope)
+        self._after = self._carry[0, :nx].copy()
+
+    def _look(self, time: float) -> Measurement:
+        seen = bool(np.isfinite(self.pose).all())
+        return Measurement(time, time, self.frame, self.name, seen, self.pose)
+
+
+POSITION_ERROR = 0.001  # m: "in the order of millimeters" (paper, section 3)
+
+HEADING_ERROR = math.radians(0.3)  # what 1 mm on markers some 15 cm apart amounts to
+
+CORRELATION = 0.3
+"""Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
+
+
+class OpticalTracker:
+    """Adds first-order correlated normal errors to planar poses, frame by frame.
+
+    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._error = rng.standard_normal(3)
+        self._scale = np.array([POSITION_ERROR, POSITION_ERROR, HEADING_ERROR])
+
+    def observe(self, pose: Array) -> Array:
+        """Return what the tracker makes of the true ``pose`` (3,): m, m, rad."""
+        measured: Array = pose + self._scale * self._error
+        measured[2] = (measured[2] + math.pi) % (2.0 * math.pi) - math.pi
+        fresh = math.sqrt(1.0 - CORRELATION**2)
+        self._error = CORRELATION * self._error + fresh * self._rng.standard_normal(3)
+        return measured

@@ -1,1 +1,0 @@
-"""Compiled forms of what the classic environments reward."""

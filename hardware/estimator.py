@@ -1,0 +1,255 @@
+"""From poses to states without looking ahead: PoseEstimator, its delay, and the protocol of estimators."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hardware.connection import Measurement
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import System
+from sysid_evo.types import Array, check_shape
+
+WINDOW = 0.1  # s
+
+LAG = 0.02
+"""s; with this window, where the error of the yaw rate as it is used is least on the emulated car
+(``python -m tests.benchmarks.robot.estimator``)."""
+
+READY = 0.6
+"""Share of the window that poses must cover, so that a curvature can be told from noise,"""
+
+MIN_POSES = 6
+"""and the fewest poses: after a dropout, or of a slow tracker, older ones are kept for that, up to"""
+
+LONGEST = 2.5  # windows
+
+
+class PoseEstimator:
+    """A parabola through the last poses, and the body velocities on it a little before the newest.
+
+    With t the time of a pose less that of the newest, x, y and heading are each fitted over the last
+    ``window`` s by least squares::
+
+        q(t) = a + b t + c t^2,    estimate at t = -lag:  q = a - b lag + c lag^2,  dq/dt = b - 2 c lag
+
+    and (dx/dt, dy/dt) is turned by -heading into forward and lateral speed. Accelerations up to
+    constant are followed without error; the variance of dq/dt is lowest in the middle of the window
+    and sixteen times as large at the newest pose, so ``lag`` buys quiet for delay. The headings are
+    unwrapped. Raises `IncompatibleSystem` if poses do not tell every state.
+    """
+
+    def __init__(self, system: System, *, window: float = WINDOW, lag: float = LAG) -> None:
+        motion = system.motion
+        if not isinstance(motion, PlanarBody):
+            raise IncompatibleSystem(
+                "the estimator needs a planar body, but the system has "
+                f"{'no motion' if motion is None else 'the motion ' + motion.kind}"
+            )
+        untold = [name for name in system.state_names if name not in motion.roles().values()]
+        if untold:
+            raise IncompatibleSystem(f"poses do not tell the states {', '.join(untold)}: no estimator for this system")
+        self.window = window
+        self.lag = lag
+        self._motion = motion
+        self._names = system.state_names
+        self._times: deque[float] = deque()
+        self._poses: deque[Array] = deque()
+
+    def restart(self) -> None:
+        """Forget all poses: what comes next is not the continuation of what was."""
+        self._times.clear()
+        self._poses.clear()
+
+    def add(self, measurement: Measurement) -> None:
+        """Take in an accepted pose; one that is not newer than the newest is left out."""
+        time, pose = measurement.source_time, measurement.pose
+        if self._times:
+            if time <= self._times[-1]:
+                return
+            turn = pose[2] - self._poses[-1][2]
+            pose = np.array([pose[0], pose[1], self._poses[-1][2] + np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi])
+        self._times.append(time)
+        self._poses.append(pose)
+        while self._outdated(time):
+            self._times.popleft()
+            self._poses.popleft()
+
+    @property
+    def newest(self) -> float | None:
+        """The source time of the newest pose in s; None without one."""
+        return self._times[-1] if self._times else None
+
+    def estimate(self, time: float) -> Estimate | None:
+        """Return what is known at ``time`` (s, the connection's clock), or None while the window is too empty."""
+        if not self._covers(0):
+            return None
+        newest = self._times[-1]
+        poses = np.array(self._poses)
+        t = (np.array(self._times) - newest) / self.window
+        coefficients = np.linalg.lstsq(np.stack([np.ones_like(t), t, t * t], axis=1), poses, rcond=None)[0]
+        at = -self.lag / self.window
+        rates = (coefficients[1] + 2.0 * at * coefficients[2]) / self.window
+        there = coefficients[0] + at * coefficients[1] + at * at * coefficients[2]
+        told = self._motion.velocities(there, rates)
+        state = np.array([told[name] for name in self._names], dtype=np.float64)
+        return Estimate(time, self._poses[-1].copy(), state, time - newest)
+
+    def _covers(self, first: int) -> bool:
+        """Whether the poses from the ``first`` on are enough for an estimate."""
+        enough = len(self._times) - first >= MIN_POSES
+        return enough and self._times[-1] - self._times[first] >= READY * self.window
+
+    def _outdated(self, time: float) -> bool:
+        """Whether the oldest pose is to be dropped now that the newest is of ``time``."""
+        age = time - self._times[0]
+        return age > LONGEST * self.window or (age > self.window and self._covers(1))
+
+
+DELAY_LONGEST = 0.2  # s: the latest estimate looked for
+
+STEP = 0.001  # s
+
+FREQUENCIES = (0.3, 0.7, 1.1)  # Hz: how fast the speeds of a known drive change
+
+
+@dataclass(frozen=True)
+class EstimateDelay:
+    """How late the estimate of ``channel`` is, in s, and what is left of its error.
+
+    ``correlation`` with the truth so long ago; ``error`` is the root mean square difference from it,
+    ``error_now`` that from the truth at the time of the estimate, both in ``unit``.
+    """
+
+    channel: str
+    unit: str
+    seconds: float
+    correlation: float
+    error: float
+    error_now: float
+
+
+def measure_delays(
+    system: System, times: Array, truth: Array, estimate_times: Array, estimates: Array
+) -> tuple[EstimateDelay, ...]:
+    """Return the delay of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
+
+    The delay is where the parabola through the highest correlation and its neighbours has its top,
+    looked for from 0 to 0.2 s. Estimates from the first 0.2 s of the recording are left out.
+    """
+    truth = check_shape("truth", truth, (len(times), system.nx))
+    estimates = check_shape("estimates", estimates, (len(estimate_times), system.nx))
+    late = estimate_times >= times[0] + DELAY_LONGEST + STEP
+    shifts = STEP * np.arange(-1, round(DELAY_LONGEST / STEP) + 2)
+    found = []
+    for i, channel in enumerate(system.states):
+        estimated = estimates[late, i]
+
+        def true(shift: float, column: Array = truth[:, i]) -> Array:
+            return np.interp(estimate_times[late] - shift, times, column)
+
+        curve = np.array([_correlation(true(shift), estimated) for shift in shifts])
+        peak = int(np.clip(curve.argmax(), 1, len(curve) - 2))
+        before, at, after = curve[peak - 1 : peak + 2]
+        bend = before - 2.0 * at + after
+        delay = shifts[peak] + (STEP * 0.5 * (before - after) / bend if bend < 0.0 else 0.0)
+        found.append(
+            EstimateDelay(
+                channel.name,
+                channel.unit,
+                float(delay),
+                float(at),
+                _rms(estimated - true(delay)),
+                _rms(estimated - true(0.0)),
+            )
+        )
+    return tuple(found)
+
+
+def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
+    """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds swing smoothly around zero."""
+    motion = system.motion
+    assert isinstance(motion, PlanarBody)
+    forward, lateral, turning = motion.indices(system.state_names)
+    waves = np.sin(2.0 * np.pi * np.outer(times, FREQUENCIES) + np.arange(len(FREQUENCIES)))
+    states = np.zeros((len(times), system.nx))
+    states[:, forward] = speed * (waves[:, 0] + waves[:, 1]) / 2.0
+    states[:, turning] = yaw_rate * (waves[:, 1] + waves[:, 2]) / 2.0
+    if lateral is not None:
+        states[:, lateral] = 0.1 * speed * waves[:, 2]
+    poses = np.zeros((len(times), motion.n_pose))
+    for k in range(1, len(times)):
+        dt = float(times[k] - times[k - 1])
+        poses[k] = system.move(poses[k - 1], states[k - 1], states[k], dt)
+    return states, poses
+
+
+def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimateDelay, ...]:
+    """Return the delays of `PoseEstimator` alone, on a known drive seen every ``frame_interval`` s without noise."""
+    times: Array = np.arange(0.0, duration, frame_interval)
+    states, poses = known_drive(system, times)
+    estimator = PoseEstimator(system)
+    known: list[tuple[float, Array]] = []
+    for frame, (time, pose) in enumerate(zip(times, poses, strict=True)):
+        estimator.add(Measurement(time, time, frame, "", True, pose))
+        estimate = estimator.estimate(time)
+        if estimate is not None:
+            known.append((time, estimate.state))
+    return measure_delays(system, times, states, np.array([t for t, _ in known]), np.array([s for _, s in known]))
+
+
+def _correlation(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    scale = np.sqrt((a @ a) * (b @ b))
+    return float(a @ b / scale) if scale > 0.0 else 0.0
+
+
+def _rms(difference: Array) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+class Estimator(Protocol):
+    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
+
+    def restart(self) -> None: ...
+    def add(self, measurement: Measurement) -> None: ...
+    def estimate(self, time: float) -> Estimate | None: ...
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known of the robot at ``time`` (s, the connection's clock).
+
+    ``pose`` (n_pose,) is the newest that was accepted, ``age`` s old; ``state`` (nx,) is made of
+    the poses up to it by a causal filter, so it lags behind.
+    """
+
+    time: float
+    pose: Array
+    state: Array
+    age: float
+
+
+class NewestPose:
+    """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
+
+    def __init__(self, system: System) -> None:
+        self._state = system.neutral_state
+        self._newest: Measurement | None = None
+
+    def restart(self) -> None:
+        """Forget the pose."""
+        self._newest = None
+
+    def add(self, measurement: Measurement) -> None:
+        """Take in an accepted pose."""
+        self._newest = measurement
+
+    def estimate(self, time: float) -> Estimate | None:
+        """Return the newest pose, None before the first."""
+        newest = self._newest
+        return None if newest is None else Estimate(time, newest.pose, self._state, time - newest.source_time)

@@ -1,0 +1,239 @@
+"""Which frames of a tracker are plausible, where a track breaks, and by how much rejected frames exceed the limits."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.connection import GateLimits, Measurement
+from sysid_evo.types import Array
+
+ACCEPTED = ""
+
+JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST = "jumped", "flipped", "too fast", "turned too fast"
+
+CONTRADICTIONS = (JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST)
+"""Why a frame cannot follow on the one before."""
+
+LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``broke``: a new track begins with it."""
+
+    accepted: bool
+    reason: str = ACCEPTED
+    broke: bool = False
+
+
+class PoseGate:
+    """Decides frame by frame on planar poses of ``body`` (None: the first seen); it has no clock of its own.
+
+    No two accepted frames of one track contradict `GateLimits`; a frame that does is dropped. If the
+    body turns up elsewhere and stays consistent there, a new track begins, and the verdict on its
+    first accepted frame says ``broke``: nothing may be computed across it.
+    """
+
+    def __init__(self, body: str | None, limits: GateLimits | None = None) -> None:
+        self.body = body
+        self.limits = GateLimits() if limits is None else limits
+        self._last: Measurement | None = None
+        self._rival: list[Measurement] = []
+        self._rivals_reason = ACCEPTED
+        self._seen = b""
+        self._repeats = 0
+        self._thawed = False
+        self._counts: Counter[str] = Counter()
+        self._before: Measurement | None = None
+        self._excess = Excess({name: getattr(self.limits, name) for name in WORDS})
+
+    @property
+    def excess(self) -> str:
+        """By how much the frames since the newest believed one go beyond a limit, in a sentence; "" if they do not."""
+        return self._excess.sentence
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Frames by the reason of the verdict; "accepted" for those that have none, "tracks" that began."""
+        return dict(self._counts)
+
+    def accept(self, measurement: Measurement, *, driving: bool) -> Verdict:
+        """Return the verdict on the next frame; ``driving``: a command other than neutral is in force."""
+        verdict = self._judge(measurement, driving)
+        if verdict.accepted:
+            self._excess.clear()
+            self._before = measurement
+        elif verdict.reason in CONTRADICTIONS and self._last is not None and self._before is not None:
+            self._excess.add(self._last, self._before, measurement)
+            self._before = measurement
+        self._counts[verdict.reason if not verdict.accepted else "accepted"] += 1
+        if verdict.broke:
+            self._counts["tracks"] += 1
+        return verdict
+
+    def _judge(self, frame: Measurement, driving: bool) -> Verdict:
+        if self.body is None and frame.valid:
+            self.body = frame.body
+        if not frame.valid:
+            return Verdict(False, "not valid")
+        if frame.body != self.body:
+            return Verdict(False, "of another body")
+        if frame.pose.shape != (3,) or not _sound(*frame.pose, frame.source_time, frame.arrival_time):
+            return Verdict(False, "not a number")
+        if self._is_frozen(frame.pose, driving):
+            self._thawed = True
+            return Verdict(False, "frozen")
+        if self._last is None:
+            return self._begin(frame)
+        if frame.source_time <= self._last.source_time:
+            return Verdict(False, "not newer")
+        reason = self._rivals_reason if self._follows_rival(frame) else self._contradiction(self._last, frame)
+        if reason == ACCEPTED:
+            if self._thawed:
+                return self._begin(frame)
+            self._last = frame
+            self._rival.clear()
+            return Verdict(True)
+        self._rivals_reason = reason
+        return self._begin(frame) if self._confirmed(frame) else Verdict(False, reason)
+
+    def _begin(self, frame: Measurement) -> Verdict:
+        self._last, self._thawed = frame, False
+        self._rival.clear()
+        return Verdict(True, broke=True)
+
+    def _is_frozen(self, pose: Array, driving: bool) -> bool:
+        """Count equal poses under a drive command; say whether there are too many.
+
+        A pose that was found frozen stays so when the robot is stopped: else it would be believed again,
+        and the robot driven on.
+        """
+        limit = self.limits.frozen
+        bits = pose.tobytes()
+        same, self._seen = bits == self._seen, bits
+        if not same:
+            self._repeats = 0
+        elif driving:
+            self._repeats += 1
+        elif limit is None or self._repeats < limit:
+            self._repeats = 0
+        return limit is not None and self._repeats >= limit
+
+    def _contradiction(self, before: Measurement, after: Measurement) -> str:
+        """Return why ``after`` cannot follow on ``before``, "" if it can."""
+        limits = self.limits
+        if distance(before, after) > limits.jump:
+            return JUMPED
+        if turn(before, after) > limits.turn:
+            return FLIPPED
+        return self._out_of_reach(before, after)
+
+    def _out_of_reach(self, before: Measurement, after: Measurement) -> str:
+        """Return what the body would have had to exceed to get from ``before`` to ``after``, "" if nothing."""
+        limits, dt = self.limits, after.source_time - before.source_time
+        if distance(before, after) > limits.speed * dt + limits.position_error:
+            return TOO_FAST
+        if turn(before, after) > limits.yaw_rate * dt + limits.heading_error:
+            return TURNED_TOO_FAST
+        return ACCEPTED
+
+    def _follows_rival(self, frame: Measurement) -> bool:
+        """Whether a frame continues the dropped frames rather than the track.
+
+        The track alone cannot tell: the longer ago its last frame, the more lies within its reach.
+        """
+        if self._last is None or not self._rival or self._contradiction(self._rival[-1], frame) != ACCEPTED:
+            return False
+        return self._effort(self._rival[-1], frame) < self._effort(self._last, frame)
+
+    def _effort(self, before: Measurement, after: Measurement) -> float:
+        """Return the least time in s to get from one pose to the other."""
+        return max(distance(before, after) / self.limits.speed, turn(before, after) / self.limits.yaw_rate)
+
+    def _confirmed(self, frame: Measurement) -> bool:
+        """Add a frame to the track that rivals the accepted one; say whether it is believed by now."""
+        rival = self._rival
+        if rival and frame.source_time <= rival[-1].source_time:
+            return False
+        if rival and self._contradiction(rival[-1], frame) != ACCEPTED:
+            rival.clear()
+        rival.append(frame)
+        first = rival[0]
+        if self._last is not None and self._out_of_reach(self._last, first) == ACCEPTED:
+            return len(rival) >= self.limits.confirm
+        del rival[1:-1]
+        return frame.source_time - first.source_time >= self.limits.recover
+
+
+def _sound(*values: float) -> bool:
+    return all(-LARGEST < value < LARGEST for value in values)
+
+
+SHARE = 0.9
+
+NOTHING = (0.0, 0.0)
+
+REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run goes on without a pose
+
+WORDS = {
+    "speed": ("it moves at {:.1f} m/s", "m/s"),
+    "yaw_rate": ("it turns at {:.1f} rad/s", "rad/s"),
+    "jump": ("it was seen {:.2f} m from where it was", "m"),
+    "turn": ("it was seen turned by {:.2f} rad", "rad"),
+}
+"""What is said of a value beyond each limit, and the limit's unit; the first that holds explains the others."""
+
+
+class Excess:
+    """Remembers how the body moved while its frames were not believed; ``limits`` are the four of `WORDS`.
+
+    One frame far away is a mistake of the tracker; a robot that is faster than its limits is fast from
+    frame to frame. So a speed counts if a tenth of the steps between neighbouring frames, and at least
+    one other, are as fast; the robot brakes as soon as it is lost.
+    """
+
+    def __init__(self, limits: Mapping[str, float]) -> None:
+        self._limits = limits
+        self._steps: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+        self._away = NOTHING
+
+    def clear(self) -> None:
+        """Forget everything: a frame was believed."""
+        self._steps.clear()
+
+    def add(self, believed: Measurement, before: Measurement, frame: Measurement) -> None:
+        """Take in a dropped ``frame``, the one ``before`` it, and the last that was ``believed``."""
+        self._away = distance(believed, frame), turn(believed, frame)
+        dt = frame.source_time - before.source_time
+        if dt > 0.0:
+            self._steps.append((distance(before, frame) / dt, turn(before, frame) / dt))
+
+    @property
+    def sentence(self) -> str:
+        """What was seen, the limit it is beyond and the key that sets it; "" if nothing is beyond one."""
+        if not self._steps:
+            return ""
+        fast = np.quantile(np.array(self._steps), SHARE, axis=0, method="lower").tolist()
+        seen = (*(fast if len(self._steps) > 1 else NOTHING), *self._away)
+        for value, (key, (words, unit)) in zip(seen, WORDS.items(), strict=True):
+            if value > self._limits[key]:
+                return (
+                    f"{words.format(value)}, and a frame is believed up to {key} = {self._limits[key]:g} {unit}; "
+                    f"if the robot can do that, set {key} in [gate] of its file"
+                )
+        return ""
+
+
+def distance(before: Measurement, after: Measurement) -> float:
+    """Return how far two planar poses lie apart, in m."""
+    return math.hypot(after.pose[0] - before.pose[0], after.pose[1] - before.pose[1])
+
+
+def turn(before: Measurement, after: Measurement) -> float:
+    """Return by how much two planar poses are turned against each other, 0 to pi rad."""
+    return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))

@@ -1,0 +1,328 @@
+"""Scripted manoeuvres: excitation of driving robots, signals for any system, measuring manoeuvres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import TypeAlias
+
+import numpy as np
+
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array, check_shape
+
+DURATION = 360.0  # s: "about 6 minutes of driving data"
+
+ROUND = 300
+"""Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
+
+SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
+
+LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
+
+HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A named sequence of controls (T, nu), one for each ``dt`` of the system."""
+
+    name: str
+    controls: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controls", check_shape(f"controls of {self.name!r}", self.controls, (None, None)))
+
+
+def excitation(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
+    """Return manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
+
+    A system without a motion gets `signals`, in as many rounds as last some `ROUND` samples each. One with
+    a motion gets twelve manoeuvres that drive: the first control is taken for the one that propels, the last for
+    the one that steers; controls between them move in the random manoeuvres only. A continuous control uses
+    its two limits and its neutral value. Manoeuvres for which a system has no control (steering, driving backward)
+    are left out. Raises `InvalidArgument`.
+    """
+    scripts = _driving(system, rng) if system.motion is not None else _rounds(system, duration, rng)
+    each = duration / len(scripts)
+    if each < SHORTEST:
+        raise InvalidArgument(
+            f"excitation: expected at least {SHORTEST * len(scripts):.0f} s for {len(scripts)} manoeuvres, "
+            f"got {duration} s"
+        )
+    steps = round(each / system.dt)
+    rest: Segment = (system.neutral_control, LEAD)
+    return [Manoeuvre(name, _sample(chain([rest], script), steps, system.dt)) for name, script in scripts.items()]
+
+
+def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+    """Return the signals as often as there is time for, numbered from the second round on."""
+    scripts = signals(system, rng)
+    rounds = round(duration / (len(scripts) * ROUND * system.dt))
+    for number in range(2, rounds + 1):
+        scripts |= {f"{name}-{number}": script for name, script in signals(system, rng).items()}
+    return scripts
+
+
+def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+    """Return an endless script for each manoeuvre; each has its own stream of random numbers."""
+    ends = _ends(system)
+    scripts: dict[str, Iterator[Segment]] = {}
+
+    def own() -> np.random.Generator:
+        return rng.spawn(1)[0]
+
+    if system.nu > 1:
+        for way, propel in zip(("forward", "backward"), ends, strict=False):
+            scripts[f"loops-{way}"] = _loop(system, propel, own())
+            scripts[f"figure-8-{way}"] = _figure_8(system, propel, own())
+        scripts["weaving"] = _weave(system, own())
+    scripts["starts-and-stops"] = _start_and_stop(system, own())
+    if len(ends) > 1:
+        scripts["reversals"] = _reverse(system, own())
+    for mean in HOLDS:
+        scripts[f"random-{mean:g}"] = switches(system, mean, own())
+    return scripts
+
+
+def _ends(system: System) -> list[float]:
+    """Return full speed forward and, if the system can, backward."""
+    high, low = extremes(system.controls[0])[[-1, 0]].tolist()
+    return [high] if low == system.controls[0].neutral else [high, low]
+
+
+def _command(system: System, propel: float, steer: float | None = None) -> Array:
+    control = system.neutral_control.copy()
+    if steer is not None and system.nu > 1:
+        control[-1] = steer
+    control[0] = propel
+    return control
+
+
+def _shuffled(values: Array, rng: np.random.Generator) -> Iterator[float]:
+    """Yield all values in random order, for ever."""
+    while True:
+        yield from rng.permutation(values).tolist()
+
+
+def _loop(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Full speed, a few circles to one side, a straight, a few circles to the other."""
+    limits = extremes(system.controls[-1])[[-1, 0]].tolist()
+    while True:
+        for steer in limits:
+            yield _command(system, propel, steer), rng.uniform(3.0, 6.0)
+            yield _command(system, propel), rng.uniform(1.0, 3.0)
+
+
+def _figure_8(system: System, propel: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Full speed, steering from one limit to the other about once a circle."""
+    limits = extremes(system.controls[-1])[[-1, 0]].tolist()
+    while True:
+        for steer in limits:
+            yield _command(system, propel, steer), rng.uniform(1.8, 2.8)
+
+
+def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
+    """Full speed and short taps of the steering, forward and backward in turn."""
+    steers = _shuffled(extremes(system.controls[-1]), rng)
+    while True:
+        for propel in _ends(system):
+            for _ in range(10):
+                yield _command(system, propel, next(steers)), rng.uniform(0.15, 0.7)
+
+
+def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segment]:
+    """Launches in either direction, then coasting until the car stands, under every steering."""
+    steers = _shuffled(extremes(system.controls[-1]), rng)
+    while True:
+        for propel in _ends(system):
+            steer = next(steers)
+            yield _command(system, propel, steer), rng.uniform(0.3, 2.0)
+            yield _command(system, float(system.neutral_control[0]), steer), rng.uniform(0.5, 2.5)
+
+
+def _reverse(system: System, rng: np.random.Generator) -> Iterator[Segment]:
+    """From full speed one way to full speed the other, under every steering."""
+    steers = _shuffled(extremes(system.controls[-1]), rng)
+    while True:
+        for propel in _ends(system):
+            yield _command(system, propel, next(steers)), rng.uniform(0.5, 2.0)
+
+
+def _sample(segments: Iterator[Segment], steps: int, dt: float) -> Array:
+    """Return the controls (steps, nu) in force at the start of each step."""
+    rows: list[Array] = []
+    control, end = next(segments)
+    for step in range(steps):
+        while end <= step * dt:
+            control, hold = next(segments)
+            end += hold
+        rows.append(control)
+    return np.array(rows)
+
+
+KINDS = ("step", "coast_down", "circle")
+
+HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
+"""How long in s a command is held, of a system that drives; of others, 80 samples."""
+
+SAMPLES = 80
+
+REST = 3.0  # s without a command after it, in which the body comes to rest
+
+
+def measuring(system: System, kind: str) -> list[Manoeuvre]:
+    """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
+
+    ``step``: each control in turn goes to each of its ends, the others at rest, and back; of a system that drives, the
+    propelling one only. ``coast_down``: full speed each way, then no command. ``circle``: left and right at full and,
+    if the drive is continuous, at half speed; forwards, and backwards if it can. The last two want a motion.
+    Raises `InvalidArgument`.
+    """
+    if kind not in KINDS:
+        raise InvalidArgument(f"manoeuvre: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if system.nu == 0:
+        raise InvalidArgument("manoeuvre: expected a system with at least one control, got none")
+    if kind != "step" and system.motion is None:
+        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; take step")
+    if kind == "circle" and system.nu < 2:
+        raise InvalidArgument("manoeuvre circle: expected a control that propels and one that steers, got one control")
+    made: list[Manoeuvre] = []
+    for control, value, steer in _commands(system, kind):
+        command = system.neutral_control.copy()
+        command[control] = value
+        name = f"{kind}-{system.control_names[control]}-{value:g}"
+        if steer is not None:
+            command[-1] = steer
+            name = f"{name}-{system.control_names[-1]}-{steer:g}"
+        held = HELD[kind] if system.motion is not None else SAMPLES * system.dt
+        rest = REST if system.motion is not None else held
+        script: list[Segment] = [(system.neutral_control, LEAD), (command, held), (system.neutral_control, rest)]
+        made.append(Manoeuvre(name, _sampled(script, system.dt)))
+    return made
+
+
+def _commands(system: System, kind: str) -> Iterator[tuple[int, float, float | None]]:
+    """Yield control, value and steering of each manoeuvre."""
+    if kind == "step" and system.motion is None:
+        for control, channel in enumerate(system.controls):
+            yield from (
+                (control, value, None) for value in _measuring_ends(system, control) if value != channel.neutral
+            )
+        return
+    drives = _measuring_ends(system, 0)
+    if kind != "circle":
+        yield from ((0, value, None) for value in drives)
+        return
+    channel = system.controls[0]
+    if channel.levels is None:
+        drives = [*drives, *(0.5 * (value + channel.neutral) for value in drives)]
+    for value in drives:
+        yield from ((0, value, steer) for steer in _measuring_ends(system, system.nu - 1)[::-1])
+
+
+def _measuring_ends(system: System, control: int) -> list[float]:
+    """Return the highest and, if it is another than neutral, the lowest value of a control."""
+    channel = system.controls[control]
+    low, high = extremes(channel)[[0, -1]].tolist()
+    return [value for value in (high, low) if value != channel.neutral]
+
+
+def _sampled(script: list[Segment], dt: float) -> Array:
+    return np.array(list(chain.from_iterable([control] * max(1, round(seconds / dt)) for control, seconds in script)))
+
+
+STEP_HOLDS = (3, 10, 30, 100)
+"""Mean time between random steps, in samples."""
+
+SWITCH_HOLDS = (5, 15, 45)
+"""Mean time between random switches from one limit to the other, in samples."""
+
+FASTEST, SLOWEST = 6, 150
+"""Periods between which a sine sweeps, in samples."""
+
+SWEEP = 280
+"""Samples that the sweeps of all controls take, one after the other; then they begin anew."""
+
+Segment: TypeAlias = tuple[Array, float]
+"""A control (nu,) and how long to hold it, in s."""
+
+
+def signals(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+    """Return an endless script for each signal, for systems that go nowhere; each has its own random numbers."""
+    scripts: dict[str, Iterator[Segment]] = {}
+    for mean in STEP_HOLDS:
+        scripts[f"steps-{mean * system.dt:g}"] = steps(system, mean * system.dt, rng.spawn(1)[0])
+    for mean in SWITCH_HOLDS:
+        scripts[f"switches-{mean * system.dt:g}"] = switches(system, mean * system.dt, rng.spawn(1)[0])
+    scripts["sweep-to-fast"] = sweep(system, SLOWEST, FASTEST)
+    scripts["sweep-to-slow"] = sweep(system, FASTEST, SLOWEST)
+    return scripts
+
+
+def extremes(channel: Channel) -> Array:
+    """Return the levels of a control, or its two limits and its neutral value, in rising order."""
+    if channel.levels is not None:
+        return np.array(channel.levels)
+    if not channel.bounded:
+        raise InvalidArgument(
+            f"excitation: control {channel.name!r} has no finite limits: give it low and high, or levels"
+        )
+    return np.unique([channel.low, channel.neutral, channel.high])
+
+
+def switches(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Every control jumps to a random extreme at random times, ``mean`` s apart, each for itself."""
+    levels = [extremes(channel) for channel in system.controls]
+
+    def draw(control: int) -> float:
+        return float(rng.choice(levels[control]))
+
+    return _jumps(system.nu, draw, mean, rng)
+
+
+def steps(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Every control jumps to a random value within its limits at random times, ``mean`` s apart, each for itself."""
+    levels = [extremes(channel) for channel in system.controls]
+
+    def draw(control: int) -> float:
+        return _legal(system.controls[control], rng.uniform(levels[control][0], levels[control][-1]))
+
+    return _jumps(system.nu, draw, mean, rng)
+
+
+def sweep(system: System, first: float, last: float) -> Iterator[Segment]:
+    """Each control in turn follows a sine over its limits, its period going from ``first`` to ``last`` samples."""
+    ends = [extremes(channel)[[0, -1]].tolist() for channel in system.controls]
+    each = SWEEP // system.nu
+    while True:
+        for number, (low, high) in enumerate(ends):
+            phase = 0.0
+            for sample in range(each):
+                control = system.neutral_control.copy()
+                share = 0.5 + 0.5 * math.sin(phase)
+                control[number] = _legal(system.controls[number], low + share * (high - low))
+                yield control, system.dt
+                phase += 2.0 * math.pi / (first * (last / first) ** (sample / each))
+
+
+def _jumps(nu: int, draw: Callable[[int], float], mean: float, rng: np.random.Generator) -> Iterator[Segment]:
+    control = np.array([draw(i) for i in range(nu)])
+    due = rng.exponential(mean, nu)
+    now = 0.0
+    while True:
+        channel = int(np.argmin(due))
+        yield control.copy(), float(due[channel]) - now
+        now = float(due[channel])
+        control[channel] = draw(channel)
+        due[channel] += rng.exponential(mean)
+
+
+def _legal(channel: Channel, value: float) -> float:
+    """Return ``value``, or the nearest level of a discrete control."""
+    if channel.levels is None:
+        return value
+    return min(channel.levels, key=lambda level: abs(level - value))

@@ -1,0 +1,212 @@
+"""Drives a robot through manoeuvres and records how it answers: emulated robots and real ones alike."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hardware.connection import Connectable, Connection, GateLimits
+from hardware.control_loop import ControlLoop, Pilot, check_loop
+from hardware.estimator import Estimate, NewestPose
+from hardware.recording.journal import SUFFIX, Recorder, check_journals, read_journal
+from hardware.recording.journal_reader import column_names, raw_log
+from hardware.recording.manoeuvres import Manoeuvre, excitation
+from hardware.run_report import LoopReport, Stops
+from sysid_evo.data import Dataset
+from sysid_evo.data.preparation import Prepared, RawLog, episodes_of, said_once
+from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.files import write_atomically
+from sysid_evo.progress import Progress
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each begins at rest
+
+
+class ManoeuvrePilot(Pilot):
+    """Sends the controls of a manoeuvre one by one, whatever the robot does."""
+
+    def __init__(self, manoeuvre: Manoeuvre, told: Callable[[int], None] | None = None) -> None:
+        self._controls = manoeuvre.controls
+        self._told = told
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        if self._told is not None:
+            self._told(min(tick, len(self._controls)))
+        return self._controls[tick] if tick < len(self._controls) else None
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a recording left: its logs and data set, how its last run ended, what is to be said about it."""
+
+    logs: tuple[RawLog, ...]
+    dataset: Dataset
+    report: LoopReport
+
+
+def record(
+    robot: Connectable,
+    manoeuvres: Sequence[Manoeuvre],
+    folder: Path,
+    *,
+    seed: int,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> LoopReport:
+    """Drive each manoeuvre through the control loop into a journal of its own, ``folder/NAME.rcj``.
+
+    An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays
+    connected and stands in neutral for 2 s in between. The first fault ends the recording: the
+    report says which, and the journals keep what was recorded. ``progress`` counts control samples.
+    Raises `LinkLost` if the robot cannot be reached; before it connects, `InvalidArgument` if one of
+    the journals is there already or cannot be, `IncompatibleSystem` if the loop cannot drive the system.
+    """
+    if not manoeuvres:
+        raise InvalidArgument("record: expected at least one manoeuvre, got none")
+    check_loop(robot.system)
+    check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
+    total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
+    done = 0
+    stops = Stops() if stops is None else stops
+    # Journals wait for the disk when they close, which may take longer than a robot goes without a command.
+    with ExitStack() as journals, ExitStack() as stack:
+        connection: Connection | None = None
+        for number, manoeuvre in enumerate(manoeuvres):
+            if connection is None or robot.dynamics is not None:
+                stack.close()
+                connection = stack.enter_context(robot.connect(seed=_session_seed(seed, number)))
+            else:
+                rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
+                report = _run(connection, robot, rest, (), stops)
+                if report.reason.is_fault:
+                    return report
+            told = None if progress is None else _counter(progress, done, total)
+            path = folder / f"{manoeuvre.name}{SUFFIX}"
+            recorder = journals.enter_context(
+                Recorder(path, robot.system, robot=robot.name, limits=connection.gate_limits)
+            )
+            report = _run(connection, robot, manoeuvre, (recorder,), stops, told)
+            if recorder.problem is not None:
+                raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
+            if report.reason.is_fault:
+                return report
+            done += len(manoeuvre.controls)
+    return report
+
+
+def _run(
+    connection: Connection,
+    robot: Connectable,
+    manoeuvre: Manoeuvre,
+    listeners: Sequence[Recorder],
+    stops: Stops,
+    told: Callable[[int], None] | None = None,
+) -> LoopReport:
+    loop = ControlLoop(
+        connection,
+        robot.system,
+        listeners=listeners,
+        estimator=NewestPose(robot.system),
+        stops=stops,
+    )
+    return loop.run(ManoeuvrePilot(manoeuvre, told))
+
+
+def _session_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0])
+
+
+def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]:
+    return lambda samples: progress(done + samples, total)
+
+
+def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
+    """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run.
+
+    ``limits`` are for another gate than the one a journal names.
+    """
+    logs = []
+    for name in names:
+        path = folder / f"{name}{SUFFIX}"
+        if path.is_file():
+            try:
+                logs.append(raw_log(read_journal(path), limits))
+            except InvalidData:
+                continue
+    return logs
+
+
+def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
+    """Return the data set of ``logs``; a note names each that is too short. Raises `InvalidData` if all are."""
+    made: list[Prepared] = []
+    left_out: list[str] = []
+    for log in logs:
+        try:
+            made.append(episodes_of(log, system))
+        except InvalidData as error:
+            left_out.append(f"left out: {error}")
+    episodes = [episode for one in made for episode in one.episodes]
+    notes = [*left_out, *said_once(made)]
+    if not episodes:
+        raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
+    return Dataset(system, tuple(episodes), tuple(notes))
+
+
+def record_dataset(
+    robot: Connectable,
+    *,
+    seed: int,
+    duration: float,
+    folder: Path | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record the excitation of ``duration`` s on a robot, and prepare what was recorded, whole or not.
+
+    Journals go to ``folder`` (default: a temporary one). The same seed gives the same manoeuvres and,
+    on an emulated robot, the same recording. Raises `LinkLost` or `InvalidData` if it is too short
+    to make a data set of it.
+    """
+    check_loop(robot.system)
+    manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(seed))
+    return record_manoeuvres(robot, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+
+
+def record_manoeuvres(
+    robot: Connectable,
+    manoeuvres: Sequence[Manoeuvre],
+    *,
+    seed: int,
+    folder: Path | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record these manoeuvres on a robot, and prepare what was recorded, see `record_dataset`."""
+    check_loop(robot.system)
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary) if folder is None else folder
+        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
+    try:
+        return Recorded(tuple(logs), prepared(logs, robot.system), report)
+    except InvalidData as error:
+        if report.reason.is_fault:
+            raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
+        raise
+
+
+def save_raw(log: RawLog, system: System, path: str | Path) -> Path:
+    """Write ``log`` as CSV: ``t`` in s, then pose, controls and other columns under the names of ``system``."""
+    header = ",".join((*column_names(system), *log.extra))
+    table = np.column_stack([log.time, log.pose, log.controls, *log.extra.values()])
+
+    def write(file: Path) -> None:
+        np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")
+
+    return write_atomically(Path(path), write)

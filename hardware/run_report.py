@@ -1,0 +1,140 @@
+"""Why a run ended, how punctual it was, and who may stop it from outside (signals, threads)."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from sysid_evo.types import Array
+
+DRIFT_TICKS = 100
+"""Ticks at either end of a run whose median lateness makes its drift."""
+
+
+class Reason(Enum):
+    """Why a run ended: a sentence, and the exit code of a command that ended so (0: as it should)."""
+
+    SAMPLES = ("all samples were driven", 0)
+    PILOT = ("the pilot ended the run", 0)
+    LINK_LOST = ("the link to the robot or its tracker was lost", 10)
+    TRACKER_LOST = ("the tracker lost the robot", 11)
+    TRIPPED = ("the robot stopped itself", 12)
+    NOT_FINITE = ("the control was not a number", 13)
+    RESTLESS = ("the robot did not come to rest", 15)
+    THREAD_DIED = ("a thread died", 14)
+    SIGHUP = ("hung up", 129)
+    SIGINT = ("interrupted", 130)
+    SIGTERM = ("terminated", 143)
+
+    def __init__(self, sentence: str, exit_code: int) -> None:
+        self.sentence = sentence
+        self.exit_code = exit_code
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the run was cut short."""
+        return self.exit_code != 0
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """One run of the control loop.
+
+    ``ticks`` commands were sent, each ``lateness`` (ticks,) s after it was due; ``gaps`` (ticks - 1,)
+    are the seconds between one and the next. ``skipped`` ticks were missed and left out, ``stale``
+    ones drove neutral because the newest pose was too old. ``rejected`` counts the frames that were
+    not used, by reason.
+    """
+
+    reason: Reason
+    detail: str
+    lateness: Array
+    gaps: Array
+    skipped: int = 0
+    stale: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def ticks(self) -> int:
+        return len(self.lateness)
+
+    @property
+    def drift(self) -> float:
+        """How much later (s) the last ticks were than the first, by their medians; 0 for a run of one tick."""
+        count = min(DRIFT_TICKS, self.ticks // 2)
+        if count == 0:
+            return 0.0
+        return float(np.median(self.lateness[-count:]) - np.median(self.lateness[:count]))
+
+    @property
+    def sentence(self) -> str:
+        """Why the run ended, in words."""
+        return f"{self.reason.sentence}: {self.detail}" if self.detail else self.reason.sentence
+
+
+SIGNALS = {signal.SIGINT: Reason.SIGINT, signal.SIGTERM: Reason.SIGTERM, signal.SIGHUP: Reason.SIGHUP}
+
+
+class Stops:
+    """Remembers that a run must end, and why; the loop looks at it at least every 20 ms.
+
+    Within a ``with`` statement, which only the main thread can enter, SIGINT, SIGTERM, SIGHUP and an
+    exception that ends a thread request it. They only leave a note, so that no frame on the wire is
+    cut in two; a second signal raises `KeyboardInterrupt`, in case the loop does not come round.
+    """
+
+    def __init__(self) -> None:
+        self.reason: Reason | None = None
+        self.detail = ""
+        self._handlers: dict[signal.Signals, Any] = {}
+        self._excepthook = threading.excepthook
+
+    def request(self, reason: Reason, detail: str = "") -> None:
+        """End the run for ``reason``; the first request counts. Any thread may call it."""
+        if self.reason is None:
+            self.detail = detail
+            self.reason = reason
+
+    def __enter__(self) -> Self:
+        self._handlers = {number: signal.signal(number, self._signalled) for number in SIGNALS}
+        self._excepthook = threading.excepthook
+        threading.excepthook = self._died
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        threading.excepthook = self._excepthook
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+    def _signalled(self, number: int, _: FrameType | None) -> None:
+        if self.reason is not None:
+            raise KeyboardInterrupt
+        self.request(SIGNALS[signal.Signals(number)])
+
+    def _died(self, arguments: threading.ExceptHookArgs) -> None:
+        name = "a thread" if arguments.thread is None else arguments.thread.name
+        self.request(Reason.THREAD_DIED, f"{name}: {arguments.exc_type.__name__}: {arguments.exc_value}")
+        self._excepthook(arguments)
+
+
+def punctuality(report: LoopReport) -> str:
+    """Return a sentence on how punctual the loop was."""
+    import numpy as np
+
+    if not report.ticks:
+        return f"No command was sent: {report.sentence}."
+    median, high = np.percentile(report.lateness, (50, 99))
+    gap = report.gaps.max() if len(report.gaps) else 0.0
+    return (
+        f"{report.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
+        f"{1e3 * gap:.0f} ms; {report.skipped} left out, {report.stale} neutral for want of a pose."
+    )

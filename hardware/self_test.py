@@ -1,0 +1,350 @@
+"""What is found before anything moves: link, tracker, loop, sensors, equations; one finding a line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hardware.connection import Connectable, Connection, Listener, Measurement, RobotStatus
+from hardware.control_loop import LATEST, STALE, ControlLoop, Pilot, check_loop
+from hardware.estimator import Estimate, estimator_delays
+from hardware.run_report import LoopReport, Stops
+from sysid_evo.carry import clip_state
+from sysid_evo.errors import LinkLost
+from sysid_evo.models import Dynamics
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+
+SECONDS = 3.0
+
+STILL_DISTANCE = 0.02  # m and
+
+STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
+
+
+def self_test(
+    robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
+) -> tuple[Finding, ...]:
+    """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
+
+    Raises `IncompatibleSystem` if the control loop cannot drive its system.
+    """
+    check_loop(robot.system)
+    began = time.perf_counter()
+    try:
+        connection = robot.connect(seed=seed)
+    except LinkLost as error:
+        return (Finding("handshake", False, f"Nothing answers: {error}"),)
+    with connection:
+        took = time.perf_counter() - began
+        sitter = Sitter(connection, robot.system)
+        loop = ControlLoop(connection, robot.system, listeners=[sitter], stops=stops)
+        report = loop.run(sitter.pilot, samples=round(seconds / robot.system.dt))
+        handshake = Finding("handshake", True, f"{robot.name} answered within {took:.2f} s.", {"seconds": took})
+        return (handshake, sitter.link(), sitter.tracker(), _loop(report), *sitter.estimate())
+
+
+class Sitter(Listener):
+    """Writes down everything while nothing is done."""
+
+    def __init__(self, connection: Connection, system: System) -> None:
+        self.pilot = Idle(system)
+        self._connection = connection
+        self._system = system
+        self._frames: list[Measurement] = []
+        self._statuses: list[RobotStatus] = []
+        self._round_trips: list[float] = []
+
+    def measured(self, measurement: Measurement) -> None:
+        self._frames.append(measurement)
+
+    def reported(self, status: RobotStatus) -> None:
+        self._statuses.append(status)
+        if self._connection.round_trip is not None:
+            self._round_trips.append(self._connection.round_trip)
+
+    def link(self) -> Finding:
+        """What the robot said of itself."""
+        if not self._statuses:
+            return Finding("link", True, "The robot says nothing of itself.")
+        first, last = self._statuses[0], self._statuses[-1]
+        risen = {
+            name: count - first.counters.get(name, 0)
+            for name, count in last.counters.items()
+            if count > first.counters.get(name, 0)
+        }
+        driven = not np.array_equal(last.control, self._system.neutral_control)
+        parts = [f"It is {last.state}, its outputs {'are not neutral' if driven else 'neutral'}"]
+        figures: dict[str, float] = {f"risen_{name}": count for name, count in risen.items()}
+        if self._round_trips:
+            median, longest = float(np.median(self._round_trips)), max(self._round_trips)
+            parts.append(f"a command is answered in {1e3 * median:.1f} ms (at most {1e3 * longest:.1f})")
+            figures |= {"round_trip": median, "longest_round_trip": longest}
+        if risen:
+            parts.append("it counted " + ", ".join(f"{count} {name}" for name, count in risen.items()))
+        return Finding("link", not risen and not driven, "; ".join(parts) + ".", figures)
+
+    def tracker(self) -> Finding:
+        """How often, how late and how reliably the body is seen, and whether it stays where it is."""
+        seen = [frame for frame in self._frames if frame.valid]
+        if len(seen) < 2:
+            return Finding("tracker", False, f"Of {len(self._frames)} frames {len(seen)} show the body.")
+        times = np.array([frame.source_time for frame in seen])
+        latency = np.array([frame.arrival_time - frame.source_time for frame in seen])
+        poses = np.array([frame.pose for frame in seen])
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        moved = np.ptp(poses, axis=0)
+        figures = {
+            "rate": (len(seen) - 1) / float(times[-1] - times[0]),
+            "valid_share": len(seen) / len(self._frames),
+            "latency": float(np.median(latency)),
+            "longest_latency": float(latency.max()),
+            "longest_gap": float(np.diff(times).max()),
+            "moved": float(np.hypot(moved[0], moved[1])),
+            "turned": float(moved[2]),
+        }
+        still = figures["moved"] <= STILL_DISTANCE and figures["turned"] <= STILL_ANGLE
+        ms = {name: 1e3 * figures[name] for name in ("latency", "longest_latency", "longest_gap", "moved")}
+        sentence = (
+            f"{figures['rate']:.0f} frames/s of {seen[0].body}, {figures['valid_share']:.1%} of them valid, "
+            f"{ms['latency']:.1f} ms after they were taken (at most {ms['longest_latency']:.1f}), "
+            f"at most {ms['longest_gap']:.0f} ms apart; "
+            f"it {'stays within' if still else 'moves by'} {ms['moved']:.1f} mm and "
+            f"{np.degrees(figures['turned']):.1f} degrees."
+        )
+        return Finding("tracker", still and figures["longest_gap"] <= STALE, sentence, figures)
+
+    def estimate(self) -> tuple[Finding, ...]:
+        """How late the state is known: the age of the pose when a control is decided, and the estimator's delay."""
+        ages, times = self.pilot.ages, [frame.source_time for frame in self._frames]
+        if not ages or len(times) < 2:
+            return ()
+        age = float(np.mean(ages))
+        delays = estimator_delays(self._system, frame_interval=(times[-1] - times[0]) / (len(times) - 1))
+        estimator = max(delay.seconds for delay in delays)
+        sentence = (
+            f"Poses are {1e3 * age:.1f} ms old when a control is decided and the estimator adds "
+            f"{1e3 * estimator:.1f} ms: evolve with --estimator-delay {1e3 * (age + estimator):.0f}."
+        )
+        return (Finding("estimate", True, sentence, {"age": age, "estimator": estimator, "delay": age + estimator}),)
+
+
+class Idle(Pilot):
+    """Decides on neutral and keeps the ages of the poses."""
+
+    def __init__(self, system: System) -> None:
+        self.ages: list[float] = []
+        self._neutral = system.neutral_control
+
+    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+        self.ages.append(estimate.age)
+        return self._neutral
+
+
+def _loop(report: LoopReport) -> Finding:
+    """Say whether the loop ran to its end, and how punctual it was."""
+    if report.reason.is_fault or not report.ticks:
+        return Finding("loop", False, f"It was cut short: {report.sentence}.")
+    figures = {
+        "ticks": float(report.ticks),
+        "lateness_p99": float(np.percentile(report.lateness, 99)),
+        "longest_lateness": float(report.lateness.max()),
+        "skipped": float(report.skipped),
+    }
+    sentence = (
+        f"{report.ticks} commands, 99 % of them within {1e3 * figures['lateness_p99']:.1f} ms of when they were due "
+        f"(all within {1e3 * figures['longest_lateness']:.1f}), {report.skipped} left out."
+    )
+    return Finding("loop", figures["longest_lateness"] <= LATEST and report.skipped == 0, sentence, figures)
+
+
+STEPS = 300
+"""Steps of a trial: how long the equations are tried under each control."""
+
+BATCH = 64
+"""Trials whose step is timed."""
+
+
+def examine(dynamics: Dynamics, sensors: Finding, *, stops: Stops | None = None) -> tuple[Finding, ...]:
+    """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
+    findings = [system_finding(dynamics.system), sensors, _rest(dynamics)]
+    for place in range(dynamics.system.nu):
+        if stops is not None and stops.reason is not None:
+            break
+        findings.append(_answer(dynamics, place))
+    return (*findings, _speed(dynamics))
+
+
+def system_finding(system: System) -> Finding:
+    """Return states, controls and sampling time in a sentence."""
+    states, controls = (", ".join(map(described, channels)) or "none" for channels in (system.states, system.controls))
+    sentence = f"States: {states}. Controls: {controls}. One sample every {system.dt:g} s; no pose, so no tracker."
+    return Finding("system", True, sentence, {"dt": system.dt})
+
+
+def described(channel: Channel) -> str:
+    """Return name, and in brackets what it is known to be: period, levels or limits, with the unit."""
+    unit = f" {channel.unit}" if channel.unit else ""
+    if channel.period is not None:
+        return f"{channel.name} (comes round every {channel.period:g}{unit})"
+    if channel.levels is not None:
+        return f"{channel.name} ({', '.join(f'{level:g}' for level in channel.levels)}{unit})"
+    if channel.bounded:
+        return f"{channel.name} ({channel.low:g} to {channel.high:g}{unit})"
+    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
+
+
+def sensors_finding(
+    system: System, names: Sequence[str], readings: Array, rates: Mapping[str, str], period: float
+) -> Finding:
+    """Say what was read in neutral: ``readings`` (n, names) every ``period`` s; ``rates`` says what is estimated."""
+    mean, spread = np.mean(readings, axis=0), np.std(readings, axis=0)
+    units = {channel.name: channel.unit for channel in system.states}
+    parts = [
+        f"{name} {middle:.3g}{_spread(wide)} {units[name]}".rstrip()
+        for name, middle, wide in zip(names, mean, spread, strict=True)
+    ]
+    estimated = ", ".join(f"{name} from {of}" for name, of in rates.items())
+    more = f"; estimated: {estimated}" if estimated else ""
+    seconds = len(readings) * period
+    sentence = f"Read every {period:g} s in neutral for {seconds:g} s: {', '.join(parts)}{more}."
+    return Finding("sensors", bool(np.isfinite(readings).all()), sentence)
+
+
+def _spread(value: float) -> str:
+    return f" ± {value:.2g}" if value > 0.0 else ""
+
+
+def _rest(dynamics: Dynamics) -> Finding:
+    """Say where the equations go when nothing is commanded."""
+    path = tried(dynamics, dynamics.system.neutral_control)
+    finite = bool(np.isfinite(path).all())
+    moved = f"goes through {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "stays where it is"
+    sentence = (
+        f"Without a command for {_duration(dynamics):g} s it {moved if finite else _lost(dynamics.system, path)}."
+    )
+    return Finding("rest", finite, sentence)
+
+
+def _answer(dynamics: Dynamics, place: int) -> Finding:
+    """Say what one control does at its two ends: the others neutral, or full if it changes nothing then."""
+    system, channel = dynamics.system, dynamics.system.controls[place]
+    if not all(control.bounded for control in system.controls):
+        return Finding(channel.name, channel.bounded, "Controls must have finite limits: give low and high, or levels.")
+    for others, how in ((system.neutral_control, ""), (full(system), " with the other controls full")):
+        paths = {end: tried(dynamics, _with(others, place, end)) for end in (channel.low, channel.high)}
+        low, high = paths.values()
+        if low.shape != high.shape or not np.array_equal(low, high):
+            ok = all(np.isfinite(path).all() for path in paths.values())
+            said = "; ".join(_told(dynamics, channel, end, path) for end, path in paths.items())
+            return Finding(channel.name, ok, f"For {_duration(dynamics):g} s from rest{how}, {said}.")
+    sentence = f"It changes nothing in {_duration(dynamics):g} s from rest: is it in the equations?"
+    return Finding(channel.name, False, sentence)
+
+
+def full(system: System) -> Array:
+    """Return every control at the limit farther from neutral, (nu,)."""
+    return np.array([c.high if c.high - c.neutral >= c.neutral - c.low else c.low for c in system.controls])
+
+
+def _with(control: Array, place: int, value: float) -> Array:
+    changed = control.copy()
+    changed[place] = value
+    return changed
+
+
+def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
+    """Say what a control at one ``end`` did."""
+    at = f"at {end:g} {channel.unit}".rstrip()
+    if not np.isfinite(path).all():
+        return f"{at}: it {_lost(dynamics.system, path)}"
+    return f"{at}: {_ranges(dynamics.system, path)}{_clipped(dynamics, path)}"
+
+
+def tried(dynamics: Dynamics, control: Array) -> Array:
+    """Return the states (STEPS + 1, nx) from rest under a constant ``control`` (nu,), without noise."""
+    system = dynamics.system
+    carry = dynamics.start(
+        np.tile(system.neutral_state, (1, dynamics.n_lags + 1, 1)),
+        np.tile(system.neutral_control, (1, dynamics.n_lags, 1)),
+        np.zeros((1, dynamics.n_draws)),
+    )
+    states = [carry[0, : system.nx].copy()]
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            carry = dynamics.step(carry, control[None], np.zeros((1, dynamics.n_noise)))
+            if not np.isfinite(carry[0, : system.nx]).all():
+                states.append(carry[0, : system.nx].copy())
+                break
+            carry, _ = clip_state(carry, dynamics.envelope)
+            states.append(carry[0, : system.nx].copy())
+    return np.array(states)
+
+
+def _duration(dynamics: Dynamics) -> float:
+    return STEPS * dynamics.system.dt
+
+
+def _ranges(system: System, path: Array) -> str:
+    """Return from where to where each state goes."""
+    parts = []
+    for channel, values in zip(system.states, path.T, strict=True):
+        low, high = float(values.min()), float(values.max())
+        span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        parts.append(f"{channel.name} {span} {channel.unit}".rstrip())
+    return ", ".join(parts)
+
+
+def _clipped(dynamics: Dynamics, path: Array) -> str:
+    """Return which states are held at a limit."""
+    if dynamics.envelope is None:
+        return ""
+    rest = dynamics.system.neutral_state
+    held = [
+        channel.name
+        for channel, values, least, most, start in zip(
+            dynamics.system.states, path.T, *dynamics.envelope, rest, strict=True
+        )
+        if (values.max() >= most > start) or (values.min() <= least < start)
+    ]
+    return f" ({', '.join(held)} held at the limit)" if held else ""
+
+
+def _lost(system: System, path: Array) -> str:
+    """Return which state is no number any more, and when."""
+    names = [channel.name for channel, value in zip(system.states, path[-1], strict=True) if not np.isfinite(value)]
+    return (
+        f"leaves all bounds: {', '.join(names)} is no finite number after {(len(path) - 1) * system.dt:g} s. Look at "
+        "the equations, or take a shorter dt"
+    )
+
+
+def _speed(dynamics: Dynamics) -> Finding:
+    """Say how fast rollouts step it."""
+    system = dynamics.system
+    carry = dynamics.start(
+        np.tile(system.neutral_state, (BATCH, dynamics.n_lags + 1, 1)),
+        np.tile(system.neutral_control, (BATCH, dynamics.n_lags, 1)),
+        np.zeros((BATCH, dynamics.n_draws)),
+    )
+    control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))
+    began = time.perf_counter()
+    for _ in range(STEPS):
+        dynamics.step(carry, control, noise)
+    seconds = time.perf_counter() - began
+    form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"
+    sentence = f"Rollouts are {form}; in NumPy {BATCH} trials of {STEPS} steps take {seconds:.2f} s."
+    return Finding("speed", True, sentence, {"seconds": seconds})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
+
+    what: str
+    ok: bool
+    sentence: str
+    figures: Mapping[str, float] = field(default_factory=dict)

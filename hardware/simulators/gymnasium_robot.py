@@ -1,0 +1,441 @@
+"""Gymnasium environments as simulators: spaces to channels, names of the classic ones, the robot."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from hardware.arguments import number, text
+from hardware.connection import Connection, Session
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import Recorded
+from hardware.robot import Robot
+from hardware.run_report import Stops
+from hardware.self_test import Finding
+from hardware.simulators.simulator import EnvironmentRunner
+from hardware.simulators.simulator_robot import examine
+from sysid_evo.angles import TURN, wrap
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.extras import check_installed
+from sysid_evo.progress import Progress
+from sysid_evo.registry import register_robot
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    import gymnasium
+
+
+@register_robot("gymnasium")
+class GymnasiumRobot(Robot):
+    """An environment of Gymnasium, by its ``id``.
+
+    It steps when it is told to, so that nothing runs in real time.
+    The states are its observations: a Box of numbers in a row. ``angle`` says which of them are angles, so that they
+    become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
+    semicolons. ``channels`` names the states, with units in brackets: ``"angle [rad], speed [rad/s]"``. ``dt`` (s)
+    is the time from one step to the next, by default what the environment says of itself. The classic environments
+    have names, units and angles already. ``settings`` is a table of what `gymnasium.make` is given besides.
+
+    An environment of a package of its own is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no
+    such environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
+    """
+
+    requires: ClassVar[tuple[str, ...]] = ("gymnasium",)
+    stepped: ClassVar[bool] = True
+    dynamics = None
+
+    def __init__(
+        self,
+        *,
+        id: str = "Pendulum-v1",  # noqa: A002  # as Gymnasium calls it
+        angle: str | int | None = None,
+        channels: str = "",
+        dt: float | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.name = text("robot gymnasium: id", id)
+        check_installed("robot 'gymnasium'", self.requires)
+        self.environment = Environment.describe(
+            id, angle=None if angle is None else str(angle), channels=channels, dt=dt, settings=dict(settings or {})
+        )
+        self.system = self.environment.system
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        """Raise `IncompatibleSystem`: an environment has no clock and no tracker."""
+        raise IncompatibleSystem(
+            f"{self.name} is an environment: it has no clock and no tracker, so that the control loop cannot drive it. "
+            "sysid-evo record and compare run it step by step"
+        )
+
+    def runner(self) -> EnvironmentRunner:
+        return EnvironmentRunner(self.environment)
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say what its spaces became, and how its episodes go under random controls for ``seconds`` of its own time."""
+        return examine(self.environment, seconds=seconds, seed=seed or 0, stops=stops)
+
+    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
+        """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
+        from hardware.simulators.recording import samples_each
+
+        samples_each(self.environment, duration)
+        return []
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
+        raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
+
+    def record(
+        self,
+        *,
+        seed: int,
+        duration: float,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Excite the environment for ``duration`` s of its own time; there are no journals for ``folder``."""
+        from hardware.simulators.recording import record_environment
+
+        return record_environment(self.environment, seed=seed, duration=duration, stops=stops, progress=progress)
+
+
+LONGEST_SEED = 2**31
+
+
+@dataclass(frozen=True)
+class Environment:
+    """The environment called ``id``, made with ``settings``, and what its numbers are.
+
+    One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
+    """
+
+    id: str
+    settings: Mapping[str, Any]
+    system: System
+    observations: ObservationMap
+    actions: ActionMap
+    settable: bool
+
+    @classmethod
+    def describe(
+        cls, name: str, *, angle: str | None, channels: str, dt: float | None, settings: Mapping[str, Any]
+    ) -> Environment:
+        """Make the environment once, look at its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
+        what, known = f"robot gymnasium({name})", KNOWN.get(name)
+        env = make(name, settings)
+        try:
+            given = known.angle if angle is None and known is not None else angle or ""
+            observations, states = observation_map(what, env.observation_space, given)
+            controls = control_channels(what, env.action_space)
+            if known is not None and given == known.angle:
+                states, controls = known.states, known.controls
+            if channels:
+                states = named(what, channels, states)
+            step = _dt(what, env) if dt is None else number(f"{what}: dt", dt, above=0.0)
+            system = System(states, controls, step, name=name)
+            settable = known is not None or _keeps_its_states(env, observations)
+            return cls(name, settings, system, observations, ActionMap(env.action_space, controls), settable)
+        finally:
+            env.close()
+
+    def open(self) -> EnvironmentSession:
+        """Return a session; use it in a ``with`` statement."""
+        return EnvironmentSession(self)
+
+
+class EnvironmentSession(Session):
+    """Episodes of one environment, one after the other."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+        self._env = make(environment.id, environment.settings)
+
+    def reset(self, seed: int, at: Array | None = None) -> Array:
+        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
+        observation, _ = self._env.reset(seed=int(seed) % LONGEST_SEED)
+        if at is None:
+            return self._environment.observations.state(observation)
+        inner: Any = self._env.unwrapped
+        inner.state = np.array(at, dtype=np.float64)
+        return np.array(at, dtype=np.float64)
+
+    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+        """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
+        action = self._environment.actions.action(control)
+        observation, reward, ended, late, _ = self._env.step(action)
+        return self._environment.observations.state(observation), float(reward), bool(ended), bool(late)
+
+    def close(self) -> None:
+        self._env.close()
+
+
+def make(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+    """Return the environment called ``name``. Raises `InvalidArgument` that says why there is none."""
+    import gymnasium
+
+    try:
+        return gymnasium.make(name, disable_env_checker=True, **settings)
+    except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
+        raise InvalidArgument(f"robot gymnasium: no environment can be made of {name!r}: {error}") from error
+
+
+def _keeps_its_states(env: gymnasium.Env[Any, Any], observations: ObservationMap) -> bool:
+    """Whether its attribute ``state`` holds the states that it shows, so that it can be put into any."""
+    observation, _ = env.reset(seed=0)
+    kept: Any = getattr(env.unwrapped, "state", None)
+    shown = observations.state(observation)
+    if kept is None or np.shape(kept) != shown.shape:
+        return False
+    off = np.asarray(kept, dtype=np.float64) - shown
+    for place in observations.wrapped:
+        off[place] = wrap(off[place], TURN)
+    return bool(np.allclose(off, 0.0, atol=1e-5))
+
+
+def _dt(what: str, env: gymnasium.Env[Any, Any]) -> float:
+    """Return the time of a step as the environment says it: ``dt``, ``tau``, or one picture of its drawing."""
+    inner = env.unwrapped
+    rate = (inner.metadata or {}).get("render_fps")
+    for value in (getattr(inner, "dt", None), getattr(inner, "tau", None), 1.0 / rate if rate else None):
+        if isinstance(value, int | float) and math.isfinite(value) and value > 0.0:
+            return float(value)
+    raise InvalidArgument(f"{what}: the environment does not say how long a step is; give dt=..., in s")
+
+
+@dataclass(frozen=True)
+class KnownEnvironment:
+    """What the spaces of an environment do not say.
+
+    ``states`` and ``controls`` are its channels, ``scale`` how far the states go; ``angle`` says which observations are
+    angles, see `parse_angles`.
+    Its own state, which ``env.unwrapped.state`` holds, are the same numbers in the same order, so that a trial can
+    begin anywhere.
+    """
+
+    states: tuple[Channel, ...]
+    controls: tuple[Channel, ...]
+    scale: tuple[float, ...]
+    angle: str = ""
+
+
+CART = KnownEnvironment(
+    states=(
+        Channel("position", "m", -4.8, 4.8),
+        Channel("speed", "m/s"),
+        Channel("angle", "rad", -0.42, 0.42),
+        Channel("angular_speed", "rad/s"),
+    ),
+    controls=(Channel("force", "N", levels=(-10.0, 10.0)),),
+    scale=(2.4, 3.0, 0.21, 3.0),
+)
+
+HILL = (
+    Channel("position", low=-1.2, high=0.6, neutral=-math.pi / 6.0),
+    Channel("speed", low=-0.07, high=0.07),
+)
+
+HILL_SCALE = (0.9, 0.07)
+
+PUSHES = (-1.0, 0.0, 1.0)
+
+KNOWN: Mapping[str, KnownEnvironment] = {
+    "Pendulum-v1": KnownEnvironment(
+        states=(Channel("angle", "rad", neutral=math.pi, period=TURN), Channel("angular_speed", "rad/s", -8.0, 8.0)),
+        controls=(Channel("torque", "N m", -2.0, 2.0),),
+        scale=(1.0, 1.0),
+        angle="0,1",
+    ),
+    "CartPole-v0": CART,
+    "CartPole-v1": CART,
+    "MountainCar-v0": KnownEnvironment(HILL, (Channel("force", levels=PUSHES),), HILL_SCALE),
+    "MountainCarContinuous-v0": KnownEnvironment(HILL, (Channel("force", low=-1.0, high=1.0),), HILL_SCALE),
+    "Acrobot-v1": KnownEnvironment(
+        states=(
+            Channel("angle_1", "rad", period=TURN),
+            Channel("angle_2", "rad", period=TURN),
+            Channel("angular_speed_1", "rad/s"),
+            Channel("angular_speed_2", "rad/s"),
+        ),
+        controls=(Channel("torque", "N m", levels=PUSHES),),
+        scale=(1.0, 1.0, 4.0 * math.pi, 9.0 * math.pi),
+        angle="0,1; 2,3",
+    ),
+}
+"""By the environment's id. The upright pendulum and cart-pole have angle 0; the hanging acrobot has."""
+
+LARGEST = 1e6
+"""A limit beyond this is none."""
+
+MOST = 64
+"""More observations than this are no state of a small model but a picture."""
+
+NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+
+
+@dataclass(frozen=True)
+class ObservationMap:
+    """How observations (n,) become states: each state is one observation, or an angle.
+
+    ``places`` holds for each state the observation it is, or the cosine and the sine that it is the angle of;
+    ``wrapped`` are the states that are angles, one number or two.
+    """
+
+    places: tuple[tuple[int, ...], ...]
+    wrapped: frozenset[int]
+
+    def state(self, observation: npt.ArrayLike) -> Array:
+        """Return the states (..., nx) that ``observation`` (..., n) shows; angles are in (-pi, pi]."""
+        seen = np.asarray(observation, dtype=np.float64)
+        columns = [
+            np.arctan2(seen[..., place[1]], seen[..., place[0]]) if len(place) == 2 else seen[..., place[0]]
+            for place in self.places
+        ]
+        return np.stack(columns, axis=-1)
+
+
+def parse_angles(what: str, text: str, n: int) -> tuple[tuple[int, ...], ...]:
+    """Return the groups of observations that are angles: ``"0,1; 4"`` is a cosine and its sine, and an angle in rad.
+
+    ``n`` is the number of observations. Raises `InvalidArgument`.
+    """
+    groups = []
+    for part in filter(str.strip, str(text).split(";")):
+        try:
+            group = tuple(int(number) for number in part.split(","))
+        except ValueError:
+            group = ()
+        if len(group) not in (1, 2) or not all(0 <= number < n for number in group):
+            raise InvalidArgument(
+                f"{what}: angle: expected the numbers of a cosine and of its sine, '0,1', or of one angle in rad, '2', "
+                f"several separated by ';', from 0 to {n - 1}; got {part.strip()!r}"
+            )
+        groups.append(group)
+    used = [number for group in groups for number in group]
+    if len(set(used)) < len(used):
+        raise InvalidArgument(f"{what}: angle: an observation stands in two angles of {text!r}")
+    return tuple(groups)
+
+
+def observation_map(what: str, space: gymnasium.Space[Any], angle: str) -> tuple[ObservationMap, tuple[Channel, ...]]:
+    """Return how observations in ``space`` become states, and the channels of these, named by their numbers.
+
+    Raises `IncompatibleSystem` if they are no plain vector of numbers.
+    """
+    from gymnasium import spaces
+
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not 1 <= space.shape[0] <= MOST:
+        raise IncompatibleSystem(
+            f"{what}: expected a Box of at most {MOST} observations in a row, got {space}. "
+            "Wrap the environment, for example in gymnasium.wrappers.FlattenObservation, and register that"
+        )
+    n = int(space.shape[0])
+    groups = parse_angles(what, angle, n)
+    grouped = {min(group): group for group in groups}
+    inside = {number for group in groups for number in group}
+    places = tuple(grouped.get(i, (i,)) for i in range(n) if i in grouped or i not in inside)
+    wrapped = frozenset(k for k, place in enumerate(places) if place in groups)
+    return ObservationMap(places, wrapped), tuple(
+        Channel(f"angle_{place[0]}", "rad", period=TURN)
+        if k in wrapped
+        else _limited(f"observation_{place[0]}", float(space.low[place[0]]), float(space.high[place[0]]))
+        for k, place in enumerate(places)
+    )
+
+
+def control_channels(what: str, space: gymnasium.Space[Any]) -> tuple[Channel, ...]:
+    """Return the channels of the actions in ``space``; those of discrete actions have the actions as levels.
+
+    Raises `IncompatibleSystem`.
+    """
+    from gymnasium import spaces
+
+    if isinstance(space, spaces.Discrete):
+        return (_levels("control", int(space.n), int(space.start)),)
+    if isinstance(space, spaces.MultiDiscrete) and space.nvec.ndim == 1:
+        starts = np.broadcast_to(getattr(space, "start", 0), space.nvec.shape)
+        return tuple(
+            _levels(f"control_{i}", int(n), int(first))
+            for i, (n, first) in enumerate(zip(space.nvec, starts, strict=True))
+        )
+    if isinstance(space, spaces.MultiBinary) and len(space.shape) == 1:
+        return tuple(_levels(f"control_{i}", 2, 0) for i in range(space.shape[0]))
+    if isinstance(space, spaces.Box) and np.isfinite(space.low).all() and np.isfinite(space.high).all():
+        low, high = space.low.ravel().tolist(), space.high.ravel().tolist()
+        names = ["control"] if len(low) == 1 else [f"control_{i}" for i in range(len(low))]
+        return tuple(Channel(name, low=a, high=b) for name, a, b in zip(names, low, high, strict=True))
+    raise IncompatibleSystem(
+        f"{what}: expected discrete actions or a Box of them with finite limits, got {space}. "
+        "Wrap the environment, for example in gymnasium.wrappers.RescaleAction, and register that"
+    )
+
+
+@dataclass(frozen=True)
+class ActionMap:
+    """How a control (nu,) in the units of ``controls`` becomes an action of ``space``."""
+
+    space: gymnasium.Space[Any]
+    controls: tuple[Channel, ...]
+
+    def action(self, control: Array) -> Any:
+        """Return the action of ``control``; a discrete one is taken at its nearest level."""
+        from gymnasium import spaces
+
+        if isinstance(self.space, spaces.Box):
+            return np.asarray(control, dtype=self.space.dtype).reshape(self.space.shape)
+        chosen = [
+            int(np.abs(np.asarray(channel.levels) - value).argmin())
+            for channel, value in zip(self.controls, control, strict=True)
+        ]
+        if isinstance(self.space, spaces.Discrete):
+            return int(self.space.start) + chosen[0]
+        first = np.asarray(getattr(self.space, "start", 0))
+        return (np.array(chosen) + first).astype(self.space.dtype)
+
+
+def named(what: str, given: str, states: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Return ``states`` under the names ``given``, separated by commas, each with its unit in brackets if it has one.
+
+    Raises `InvalidArgument` for another number of names.
+    """
+    found = [NAME.fullmatch(name.strip()) for name in given.split(",")]
+    if len(found) != len(states) or not all(found):
+        raise InvalidArgument(
+            f"{what}: channels: expected {len(states)} names, as 'position [m], velocity [m/s]', for "
+            f"{', '.join(channel.name for channel in states)}; got {given!r}"
+        )
+    return tuple(
+        Channel(match["name"], match["unit"] or channel.unit, channel.low, channel.high, period=channel.period)
+        for match, channel in zip(found, states, strict=True)
+        if match is not None
+    )
+
+
+def _limited(name: str, low: float, high: float) -> Channel:
+    """Return a channel with the limits that mean something."""
+    if not low < high:
+        return Channel(name)
+    return Channel(name, low=low if low > -LARGEST else -np.inf, high=high if high < LARGEST else np.inf)
+
+
+def _levels(name: str, n: int, first: int) -> Channel:
+    if n < 2:
+        raise IncompatibleSystem(f"{name}: expected two or more actions to choose from, got {n}")
+    levels = tuple(float(first + i) for i in range(n))
+    return Channel(name, levels=levels, neutral=levels[0])

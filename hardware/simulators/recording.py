@@ -1,0 +1,248 @@
+"""Excitation of a simulator (steps, sweeps, random feedback) and the data set it gives."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.recording.record import Recorded
+from hardware.run_report import LoopReport, Reason, Stops
+from hardware.simulators.gymnasium_robot import LONGEST_SEED, Environment, EnvironmentSession
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.progress import Progress
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+FEWEST = 100
+"""Samples that every script must last to be worth a recording."""
+
+SHORTEST = 2
+"""Samples of an episode that is kept."""
+
+HOLDS = (1.0, 4.0, 12.0)
+"""Mean samples from one step of a control to the next, from faster than most systems to slower."""
+
+SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" for i in range(1, 5)))
+"""Feedback is half of the recording."""
+
+
+def record_environment(
+    environment: Environment,
+    *,
+    seed: int,
+    duration: float,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Excite ``environment`` for ``duration`` s of its time and return what it showed.
+
+    An eighth of the time goes to each of steps of three lengths, sine sweeps, and four times random feedback.
+    Whenever an episode ends, because it is over or its time is up, the next begins where the environment puts it.
+    The same seed gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the
+    environment returns what is no number or ends every episode at once.
+    """
+    system = environment.system
+    each = samples_each(environment, duration)
+    rng = np.random.default_rng(seed)
+    episodes: list[Trajectory] = []
+    tried: list[Tried] = []
+    reason = Reason.SAMPLES
+    with environment.open() as session:
+        for number, name in enumerate(SCRIPTS):
+            script = _script(name, environment, episodes, tried, rng.spawn(1)[0])
+            counted = _counter(progress, number * each, len(SCRIPTS) * each)
+            for count, episode in enumerate(_episodes(session, environment, script, each, rng, counted)):
+                if len(episode[1]) >= SHORTEST:
+                    episodes.append(_trajectory(episode, environment, f"{name}-{count + 1}"))
+                if stops is not None and stops.reason is not None:
+                    reason = stops.reason
+                    break
+            if reason.is_fault:
+                break
+    if not episodes:
+        raise InvalidData(
+            f"{environment.id}: every episode ended within {SHORTEST} steps, so that nothing was recorded"
+        )
+    report = LoopReport(reason, "", np.zeros(0), np.zeros(0))
+    return Recorded((), Dataset(system, tuple(episodes)), report)
+
+
+def samples_each(environment: Environment, duration: float) -> int:
+    """Return the samples of each script in a recording of ``duration`` s. Raises `InvalidArgument` for too few."""
+    dt, count = environment.system.dt, len(SCRIPTS)
+    each = round(duration / dt / count)
+    if each < FEWEST:
+        raise InvalidArgument(
+            f"recording of {environment.id}: expected at least {FEWEST * count * dt / 60.0:.2g} min for "
+            f"{count} scripts of {FEWEST} samples, got {duration / 60.0:.2g} min"
+        )
+    return each
+
+
+def _script(
+    name: str, environment: Environment, episodes: list[Trajectory], tried: list[Tried], rng: np.random.Generator
+) -> Script:
+    system = environment.system
+    kind, _, which = name.partition("-")
+    if kind == "steps":
+        return Steps(system, float(which), rng)
+    if kind == "sweep":
+        return Sweep(system, rng)
+    seen = [episode.states for episode in episodes]
+    return RandomFeedback(system, np.concatenate(seen) if seen else system.neutral_state[None], tried, rng)
+
+
+def _episodes(
+    session: EnvironmentSession,
+    environment: Environment,
+    script: Script,
+    steps: int,
+    rng: np.random.Generator,
+    counted: Callable[[int], None],
+) -> Iterator[tuple[list[Array], list[Array]]]:
+    """Yield states and controls of one episode after the other, ``steps`` in all."""
+    system, done, lasted = environment.system, 0, 0
+    while done < steps:
+        states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
+        script.begin(lasted)
+        ended = False
+        while done < steps and not ended:
+            control = system.actuate(script.next(states[-1]))
+            state, _, over, late = session.step(control)
+            states.append(state)
+            controls.append(control)
+            ended = over or late
+            done += 1
+        lasted = len(controls)
+        counted(done)
+        yield states, controls
+
+
+def _trajectory(episode: tuple[list[Array], list[Array]], environment: Environment, name: str) -> Trajectory:
+    states, controls = episode
+    return Trajectory(np.array(states), np.array(controls), environment.system.dt, name=name)
+
+
+def _counter(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
+    return lambda done: None if progress is None else progress(before + done, total)
+
+
+SWEEP = 200
+"""Samples of one sine sweep."""
+
+FASTEST, SLOWEST = 4.0, 100.0
+"""Samples in one period at either end of a sweep."""
+
+FEEDBACK = 0.2
+"""Mean share of a feedback's samples in which a step stands in for it."""
+
+FEW, AGAIN, NEAR = 20, 0.5, 0.1
+"""Feedbacks tried before one comes again, the share of episodes in which one does, and how far its weights move."""
+
+
+class Script(ABC):
+    """Gives one control after the other, for ever: numbers in [-1, 1] for `System.actuate`."""
+
+    @abstractmethod
+    def begin(self, lasted: int) -> None:
+        """Start anew: an episode begins; the one before ``lasted`` so many steps, 0 if there was none."""
+
+    @abstractmethod
+    def next(self, state: Array) -> Array:
+        """Return the next control (nu,), in ``state`` (nx,)."""
+
+
+class Steps(Script):
+    """Every control jumps to a value at random times, each for itself; one time in three to one of its limits."""
+
+    def __init__(self, system: System, mean: float, rng: np.random.Generator) -> None:
+        self._rng, self._mean = rng, mean
+        self._value = self._drawn(system.nu)
+
+    def begin(self, lasted: int) -> None:
+        self._value = self._drawn(len(self._value))
+
+    def next(self, state: Array) -> Array:
+        jumps = self._rng.random(len(self._value)) < 1.0 / self._mean
+        self._value = np.where(jumps, self._drawn(len(self._value)), self._value)
+        return self._value
+
+    def _drawn(self, count: int) -> Array:
+        inner = self._rng.uniform(-1.0, 1.0, count)
+        return np.where(self._rng.random(count) < 1.0 / 3.0, np.sign(inner), inner)
+
+
+class Sweep(Script):
+    """Sines that grow faster, from one period in 100 samples to one in 4, each control at its own phase and height."""
+
+    def __init__(self, system: System, rng: np.random.Generator) -> None:
+        self._rng, self._nu = rng, system.nu
+        self._values: Iterator[Array] = iter(())
+
+    def begin(self, lasted: int) -> None:
+        self._values = iter(())
+
+    def next(self, state: Array) -> Array:
+        value = next(self._values, None)
+        if value is None:
+            self._values = iter(self._sweep())
+            value = next(self._values)
+        return value
+
+    def _sweep(self) -> Array:
+        frequency = np.geomspace(1.0 / SLOWEST, 1.0 / FASTEST, SWEEP)[:: self._rng.choice([1, -1])]
+        phase = 2.0 * np.pi * (np.cumsum(frequency)[:, None] + self._rng.random(self._nu))
+        return self._rng.uniform(0.3, 1.0, self._nu) * np.sin(phase)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """The ``weights`` (nu, n) of a feedback, and how many steps its episode ``lasted``."""
+
+    lasted: int
+    weights: Array
+
+
+class RandomFeedback(Script):
+    """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
+
+    An environment whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
+    some feedbacks, and swings far under others. Every second episode takes weights near those of one that lasted
+    long, so that it goes where the state can be kept. ``seen`` are states (N, nx) that give scale and aims,
+    ``tried`` what was tried before, to which this one adds.
+    """
+
+    def __init__(self, system: System, seen: Array, tried: list[Tried], rng: np.random.Generator) -> None:
+        self._system, self._rng, self._tried = system, rng, tried
+        self._seen = system.regressors(seen)
+        spread = self._seen.std(axis=0)
+        self._scale = 1.0 / np.where(spread > 0.0, spread, 1.0)
+        self._steps = Steps(system, 3.0, rng)
+        self._weights = np.zeros((system.nu, len(self._scale)))
+        self.begin(0)
+
+    def begin(self, lasted: int) -> None:
+        if lasted > 0:
+            self._tried.append(Tried(lasted, self._weights * self._scale))
+        self._weights = self._drawn()
+        self._aim = self._seen[self._rng.integers(len(self._seen))]
+        self._dither = self._rng.uniform(0.0, 2.0 * FEEDBACK)
+
+    def next(self, state: Array) -> Array:
+        step = self._steps.next(state)
+        if self._rng.random() < self._dither:
+            return step
+        return np.tanh(self._weights @ ((self._system.regressors(state) - self._aim) * self._scale))
+
+    def _drawn(self) -> Array:
+        """Return new weights, or some near those that lasted longest."""
+        drawn = self._rng.standard_normal(self._weights.shape)
+        if len(self._tried) >= FEW and self._rng.random() < AGAIN:
+            longest = sorted(self._tried, key=lambda one: -one.lasted)[: max(1, len(self._tried) // 20)]
+            weights: Array = longest[self._rng.integers(len(longest))].weights / self._scale
+            return weights + NEAR * np.abs(weights) * drawn
+        return float(np.exp(self._rng.uniform(-1.5, 1.5))) * drawn

@@ -1,0 +1,159 @@
+"""Runs controllers in an environment: its column of the transfer matrix."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.controllers import Controller
+from sysid_evo.controllers.controller import View
+from sysid_evo.data import Trajectory
+from sysid_evo.engine import Rollouts, results
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
+from sysid_evo.tasks.task import Task, TaskState
+from sysid_evo.types import Array, BoolArray, Seeds, check_shape
+
+if TYPE_CHECKING:
+    from hardware.simulators.gymnasium_robot import Environment, EnvironmentSession
+
+
+ENGINE = "environment"
+
+AT_ONCE = 128
+"""Copies of the environment that run side by side, so that controller and task are asked once for all."""
+
+
+@dataclass(frozen=True)
+class EnvironmentRunner:
+    """Runs every candidate in the environment itself, step by step.
+
+    A trial begins in the state in which the task begins it, if the environment can be put there, else where its
+    own reset with the trial's seed puts it. It is over when the environment or the task ends it.
+    """
+
+    environment: Environment
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `Runner`."""
+        system = self.environment.system
+        task = task.bind(system)
+        controller = controller.bind_to(task)
+        parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
+        if len(seeds) < 1 or len(parameters) < 1:
+            raise InvalidArgument(f"{self.environment.id}: expected at least one candidate and one seed, got none")
+        each = max(1, AT_ONCE // len(seeds))
+        parts = []
+        with ExitStack() as stack:
+            count = min(each, len(parameters)) * len(seeds)
+            sessions = [stack.enter_context(self.environment.open()) for _ in range(count)]
+            for first in range(0, len(parameters), each):
+                trials = _Trials(self.environment, sessions, controller, parameters[first : first + each], task, seeds)
+                trials.run(record)
+                parts.append(trials)
+        return _joined(parts, len(seeds), record)
+
+
+class _Trials:
+    """P candidates in E trials, each in an environment of its own."""
+
+    def __init__(
+        self,
+        environment: Environment,
+        sessions: list[EnvironmentSession],
+        controller: Controller,
+        parameters: Array,
+        task: Task,
+        seeds: Seeds,
+    ) -> None:
+        self.system, self.task, self.controller, self.parameters = environment.system, task, controller, parameters
+        self.seeds, self.grid = seeds, (len(parameters), len(seeds))
+        batch = len(parameters) * len(seeds)
+        self.sessions = sessions[:batch]
+        task_state = task.begin(seeds).tile(len(parameters))
+        begun = [
+            session.reset(int(seed), task_state.state[i] if environment.settable else None)
+            for i, (session, seed) in enumerate(zip(self.sessions, np.tile(seeds, len(parameters)), strict=True))
+        ]
+        self.state = np.array(begun)
+        self.task_state: TaskState = replace(task_state, state=self.state)
+        self.survived = np.zeros(batch, dtype=np.int64)
+        self.diverged = np.zeros(batch, dtype=bool)
+        self.counts = np.zeros((batch, 2 * (self.system.nx + self.system.nu)))
+        self.states = [[state] for state in self.state]
+        self.controls: list[list[Array]] = [[] for _ in range(batch)]
+
+    def run(self, record: bool) -> None:
+        """Step until every trial is over."""
+        memory = np.zeros((*self.grid, self.controller.n_memory))
+        noise = step_noise(self.seeds, self.task.horizon, self.controller.n_noise, CONTROLLER_STREAM)
+        centre = results.neutral(self.system)
+        over = np.zeros(len(self.state), dtype=bool)
+        for k in range(self.task.horizon):
+            going = self.task_state.alive & ~over & ~self.diverged
+            if not going.any():
+                break
+            observation = self.task.observe(self.task_state, self.state)
+            drawn = np.broadcast_to(noise[:, k], (*self.grid, self.controller.n_noise)) if noise.size else None
+            view = View(observation.reshape(*self.grid, -1), self.state.reshape(*self.grid, -1), self.task_state, drawn)
+            raw, memory = self.controller.act(self.parameters, memory, view)
+            control = self.system.actuate(raw.reshape(len(self.state), self.system.nu))
+            if k % results.EVERY == 0:
+                self.counts += results.sides(self.state, control, centre) & going[:, None]
+            after, ended = self._step(control, going)
+            going = going & ~self.diverged
+            advanced, _ = self.task.advance(self.task_state, self.state, after, control=control)
+            self.task_state = self.task_state.keep(advanced, going)
+            self.state = np.where(going[:, None], after, self.state)
+            over |= ended
+            self.survived += going
+            if record:
+                for i in np.flatnonzero(going):
+                    self.states[i].append(self.state[i])
+                    self.controls[i].append(control[i])
+
+    def _step(self, control: Array, going: BoolArray) -> tuple[Array, BoolArray]:
+        """Return the states after one step (B, nx), and which trials the environment ended."""
+        after, ended = self.state.copy(), np.zeros(len(going), dtype=bool)
+        for i in np.flatnonzero(going):
+            after[i], _, over, late = self.sessions[i].step(control[i])
+            ended[i] = over or late
+        self.diverged |= ~np.isfinite(after).all(axis=1)
+        return self.system.near(np.where(np.isfinite(after), after, self.state), self.state), ended
+
+    def trajectories(self) -> list[Trajectory]:
+        """Return what was recorded of the trials that made a step."""
+        return [
+            Trajectory(
+                np.array(self.states[i]),
+                np.array(self.controls[i]),
+                self.system.dt,
+                name=f"candidate-{i // self.grid[1]}-trial-{i % self.grid[1]}",
+            )
+            for i in range(len(self.state))
+            if self.controls[i]
+        ]
+
+    def fitness(self) -> Array:
+        """Return the fitness of every trial, as `Rollouts` wants it."""
+        lost = self.task.worst - 1.0 + self.survived / self.task.horizon
+        return np.where(self.diverged, lost, self.task.fitness(self.task_state))
+
+
+def _joined(parts: list[_Trials], trials: int, record: bool) -> Rollouts:
+    survived = np.concatenate([part.survived for part in parts]).reshape(-1, trials)
+    described = [results.shares(part.counts, part.survived, part.diverged) for part in parts]
+    return Rollouts(
+        fitness=np.concatenate([part.fitness() for part in parts]).reshape(-1, trials),
+        survived=survived,
+        clipped=np.zeros_like(survived),
+        task_state=parts[-1].task_state,
+        engine=ENGINE,
+        behaviour=np.concatenate(described).reshape(len(survived), trials, -1),
+        trajectories=tuple(trajectory for part in parts for trajectory in part.trajectories()) if record else (),
+    )

@@ -1,0 +1,277 @@
+"""Which candidates are tried, kept and how they are weighted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from model_zoo.auto.candidates import Candidate, affordable
+from model_zoo.auto.fitting import Outcome, Task, Work
+from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidData
+from sysid_evo.models import DynamicsModel
+from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.acceptance import inside
+from sysid_evo.validation.bootstrap import Errors, judging_interval
+from sysid_evo.validation.simulation_error import Judge
+
+MOST_DIVERGED = 0.05
+"""Share of the free runs of a candidate that may end at its envelope."""
+
+HOPELESS = 1.25
+"""Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
+
+PROMISING = 2.0
+"""Times the error of the best in the first fold, up to which a candidate may be refined."""
+
+UNTRIED = "not tried, the budget is spent on others"
+
+UNPROMISING = "not tried, what it refines is far behind or not tried itself"
+
+REFINED = "it is no better than what refines it"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
+
+    The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the
+    gate that was ``passed``, ``models`` what they learned from all data, followed by the rest of a committee, ``rough``
+    what they learned without each fold.
+    """
+
+    errors: list[Errors | None]
+    reasons: list[str]
+    kept: list[int]
+    passed: Passed
+    models: list[list[DynamicsModel]]
+    rough: list[list[DynamicsModel]]
+
+
+@dataclass(frozen=True)
+class Choosing:
+    """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits.
+
+    As many are tried as ``budget`` seconds of one processor are expected to be enough for: no clock decides, so that
+    the choice is the same on every machine.
+    """
+
+    dataset: Dataset
+    pairs: Sequence[tuple[Dataset, Dataset]]
+    judge: Judge
+    candidates: Sequence[Candidate]
+    seeds: IntArray
+    budget: float
+    work: Work
+
+    def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> Choice:
+        """Return what is kept within ``gate``, whose mean is what ``mean`` makes of them.
+
+        Raises `InvalidData` if no candidate can be used.
+        """
+        folds = range(len(self.pairs))
+        outcomes, errors, reasons = self._first_turn(HOPELESS * gate)
+        going_on = [number for number, reason in enumerate(reasons) if not reason]
+        outcomes |= self._fits(going_on, folds[1:])
+        rough = {number: [outcomes[number, fold] for fold in folds] for number in going_on}
+        for number, error, reason in zip(going_on, *judged(list(rough.values()), self.judge), strict=True):
+            errors[number], reasons[number] = error, reason
+        usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
+        for better, number in self._refined.items():
+            if better in usable and number in usable and usable[better].mean <= usable[number].mean:
+                reasons[number] = REFINED
+                del usable[number]
+        self._expect(len(usable) > 0, reasons)
+
+        def models(number: int) -> list[DynamicsModel]:
+            return [outcome.model for outcome in rough[number] if outcome.model is not None]
+
+        def mean_error(group: list[int]) -> float:
+            self.work.still()
+            fold_models = [[models(numbers[i])[fold] for i in group] for fold in folds]
+            means = [mean(parts) for parts in fold_models]
+            return self.judge.errors([t.run(one) for t, one in zip(self.judge.trials, means, strict=True)]).mean
+
+        numbers = list(usable)
+        best = min(usable.values(), key=lambda error: error.mean)
+        ties = [i for i, number in enumerate(numbers) if judging_interval(best, usable[number])[0] <= 0.0]
+        group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
+        final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
+        kept: dict[int, list[DynamicsModel]] = {}
+        for (number, _), outcome in sorted(final.items()):
+            if outcome.model is None:
+                reasons[number] = outcome.reason
+            else:
+                beside = models(number) if self.candidates[number].committee else []
+                kept[number] = self._committee([outcome.model, *beside], gate) if beside else [outcome.model]
+        self._expect(len(kept) > 0, reasons)
+        return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
+
+    def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
+        return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
+
+    def _committee(self, models: Sequence[DynamicsModel], gate: float) -> list[DynamicsModel]:
+        """Return the first of these models, and those of the others that are inside the gate in the runs of all folds.
+
+        The first has learned from all of them, each of the others from all but one, so that folds which are hard to
+        predict count alike.
+        """
+        self.work.still()
+        errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
+        return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
+
+    def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], Outcome], list[Errors | None], list[str]]:
+        """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
+
+        What is saved with those that are dropped, see `_thinned`, is spent on the next ones. What refines another
+        waits until that one is tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
+        folds; empty if it is.
+        """
+        costs = {number: self._cost(number) for number in range(len(self.candidates))}
+        errors: list[Errors | None] = [None for _ in costs]
+        reasons = [UNPROMISING if number in self._refined else UNTRIED for number in costs]
+        outcomes: dict[tuple[int, int], Outcome] = {}
+        batch = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
+        while batch:
+            outcomes |= self._fits(batch, [0])
+            tried = [number for number, _ in sorted(outcomes)]
+            found = self._thinned([outcomes[number, 0] for number in tried], gate)
+            for number, error, reason in zip(tried, *found, strict=True):
+                errors[number], reasons[number] = error, reason
+            spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
+            ready = [n for n in costs if n not in tried and self._is_promising(n, errors)]
+            for n in ready:
+                reasons[n] = UNTRIED
+            batch = affordable({n: costs[n] for n in ready}, self.budget - spent)
+        return outcomes, errors, reasons
+
+    @cached_property
+    def _refined(self) -> dict[int, int]:
+        """Which candidate another one refines, by the numbers of both."""
+        every = list(self.candidates)
+        return {n: every.index(one.refines) for n, one in enumerate(every) if one.refines in every}
+
+    def _is_promising(self, number: int, errors: Sequence[Errors | None]) -> bool:
+        """Whether a candidate refines none, or one that is not far behind, by the ``errors`` of what is tried."""
+        if number not in self._refined:
+            return True
+        found = errors[self._refined[number]]
+        return found is not None and found.mean <= PROMISING * min(one.mean for one in errors if one is not None)
+
+    def _thinned(self, outcomes: Sequence[Outcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+        """Return the errors of candidates in the first fold, and why they are not worth the others; empty if they are.
+
+        They are worth it if they are at most ``gate`` times as far off as the best, or not surely worse (paired
+        bootstrap).
+        """
+        errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
+        usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
+        best = min(usable, key=lambda error: error.mean, default=None)
+        for number, error in enumerate(errors):
+            if best is None or error is None or len(self.pairs) == 1:
+                continue
+            if error.mean > gate * best.mean and judging_interval(best, error)[0] > 0.0:
+                times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
+                reasons[number] = reasons[number] or times
+        return errors, reasons
+
+    def _cost(self, number: int) -> float:
+        return self.candidates[number].cost(self.dataset.system, self.dataset.n_steps, len(self.pairs))
+
+    def _task(self, number: int, fold: int) -> Task:
+        """Return the fit of one candidate without one fold, or to all data after the last of them."""
+        one, judging = self.candidates[number], fold < len(self.pairs)
+        part = self.pairs[fold][0] if judging else self.dataset
+        return Task(
+            (number, fold),
+            one.spec.name,
+            {**one.spec.parameters, **(one.roughly if judging else {})},
+            part,
+            int(self.seeds[number, fold]),
+            one.seconds_for(part.system, part.n_steps, rough=judging),
+            self.judge.trials[fold] if judging else None,
+        )
+
+    def _expect(self, found: bool, reasons: Sequence[str]) -> None:
+        if not found:
+            told = zip(self.candidates, reasons, strict=True)
+            raise InvalidData(
+                "auto: expected a candidate that learns and runs free, got none: "
+                + "; ".join(f"{one.name}: {reason}" for one, reason in told if reason)
+            )
+
+
+def judged(rough: Sequence[Sequence[Outcome]], judge: Judge) -> tuple[list[Errors | None], list[str]]:
+    """Return the errors of every candidate (None if a fit failed), and why it is not to be used (empty if it is).
+
+    Where all diverge, the least bad are used all the same.
+    """
+    errors: list[Errors | None] = []
+    reasons: list[str] = []
+    for folds in rough:
+        reason = next((outcome.reason for outcome in folds if outcome.simulated is None), "")
+        runs = [outcome.simulated for outcome in folds if outcome.simulated is not None]
+        found = None if reason else judge.errors(runs)
+        share = max(outcome.diverged for outcome in folds)
+        if found is not None and not np.isfinite(found.mean):
+            found, reason = None, "its free runs are not finite"
+        elif found is not None and share > MOST_DIVERGED:
+            reason = f"{100 * share:.0f} % of its free runs diverge"
+        errors.append(found)
+        reasons.append(reason)
+    if all(reasons):
+        reasons = [reason if error is None else "" for error, reason in zip(errors, reasons, strict=True)]
+    return errors, reasons
+
+
+NARROWER = (1.0, 0.5, 0.25, 0.0)
+"""The gates that are compared, as shares of how far the widest reaches beyond the best."""
+
+AS_GOOD = 0.01
+"""Share of the lowest error by which the mean of more candidates may be worse than that of fewer."""
+
+
+@dataclass(frozen=True)
+class Passed:
+    """The ``gate`` that was taken, and the error of the mean of all that are inside each of those compared."""
+
+    gate: float
+    compared: tuple[tuple[float, float], ...]
+
+
+def weights_of(structures: Sequence[str]) -> Array:
+    """Return the weights (M,) of members of these classes: a class counts as the root of how many are in it.
+
+    Within a class they are equal; their sum is 1. Structurally different models err in different ways, seeds and
+    settings of one mostly in the same: a class of many says more than a class of one, and less than as many classes.
+    """
+    count = Counter(structures)
+    found = np.array([1.0 / np.sqrt(count[structure]) for structure in structures])
+    return np.asarray(found / found.sum())
+
+
+def chosen(
+    errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
+) -> tuple[list[int], Passed]:
+    """Return the numbers of the candidates that are kept, and how the gates compared.
+
+    The gate is narrowed where the mean of those inside it, which ``mean_error`` tells, is worse than that of fewer: the
+    widest whose mean is within 1 % of the best of these means. ``ties``, which are as good as the best for all that is
+    known, stay while they are inside the widest.
+    """
+    gates = [1.0 + share * (gate - 1.0) for share in NARROWER]
+    widest = inside(errors, gate)
+    groups = {one: [number for number in widest if number in ties or number in inside(errors, one)] for one in gates}
+    found: dict[tuple[int, ...], float] = {}
+    for group in groups.values():
+        if tuple(group) not in found:
+            found[tuple(group)] = errors[group[0]] if len(group) == 1 else mean_error(group)
+    compared = {one: found[tuple(group)] for one, group in groups.items()}
+    lowest = min(compared.values())
+    taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
+    return groups[taken], Passed(taken, tuple(compared.items()))

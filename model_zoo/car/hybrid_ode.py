@@ -1,0 +1,114 @@
+"""Family hybrid_ode: the equation of the car plus a network, trained together."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import numpy as np
+
+from model_zoo.car.planar_car import CarFamily, CarRoles, accelerations, car_rate, positive_part
+from model_zoo.networks.network import Single
+from model_zoo.networks.neural_ode import NetworkRate
+from sysid_evo import register_model
+from sysid_evo.models.kernels import Predictor
+from sysid_evo.types import Array
+
+
+@register_model("hybrid_ode")
+class HybridOde(NetworkRate, CarFamily):
+    """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
+
+    The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
+    speed, u forward speed, v lateral speed, r yaw rate, u1 drive and u2 steer (+1 = left)::
+
+        du/dt = U_f max(u1, 0) - U_b max(-u1, 0) - u D_ul - u |u| D_uv
+        dv/dt = - v D_v
+        dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
+
+    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s),
+    D_rv (1/rad), D_v (1/s), all positive. They and the residual are trained together as `NetworkRate` says;
+    this is the paper's outlook of injecting physics that are not specific to the car (section 6).
+    ``drive`` and ``steer`` name the controls with these roles.
+    """
+
+    knowledge = "grey"
+    structure = "physics"
+    initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
+
+    def known_rate(self, state: Array, control: Array) -> Array:
+        forward, lateral, yaw_rate, drive, steer = self.roles
+        found = np.zeros_like(state)
+        found[..., forward], found[..., yaw_rate] = accelerations(
+            state[..., forward],
+            state[..., yaw_rate],
+            control[..., drive],
+            control[..., steer],
+            list(self.physical_[:8]),
+        )
+        if lateral is not None:
+            found[..., lateral] = -state[..., lateral] * self.physical_[8]
+        return found
+
+    def known_predictor(self) -> Predictor:
+        parameters = np.concatenate([self.kernel_parameters(), self.physical_])
+        return Predictor(car_rate, parameters, n_scratch=0)
+
+    def physics(self) -> CarPhysics:
+        return CarPhysics(self.roles)
+
+
+@final
+class CarPhysics:
+    """The known part of dx/dt of `HybridOde`, under controls that are given before the steps begin.
+
+    What the controls do is worked out once for all steps: the thrust (H, ...), and the yaw acceleration per forward
+    speed (H, ...).
+    """
+
+    def __init__(self, roles: CarRoles) -> None:
+        self.forward, self.lateral, self.yaw_rate, self.drive, self.steer = roles
+
+    def hold(self, controls: Single, parameters: Single) -> None:
+        """Expect these ``controls`` (H, ..., nu) and ``parameters`` (9,)."""
+        drive, steer = controls[..., self.drive], controls[..., self.steer]
+        self.controlled = [positive_part(sign * control) for control in (drive, steer) for sign in (1.0, -1.0)]
+        ahead, back, left, right = self.controlled
+        self.thrust = parameters[0] * ahead - parameters[1] * back
+        self.turning = parameters[2] * left - parameters[3] * right
+        self.drags = parameters[4:]
+
+    def rate(self, step: int, state: Single) -> Single:
+        u, r, (d_ul, d_uv, d_rl, d_rv, d_v) = state[..., self.forward], state[..., self.yaw_rate], self.drags
+        found = np.zeros_like(state)
+        found[..., self.forward] = self.thrust[step] - u * (d_ul + d_uv * np.abs(u))
+        found[..., self.yaw_rate] = u * self.turning[step] - r * (d_rl + d_rv * np.abs(r))
+        if self.lateral is not None:
+            found[..., self.lateral] = -d_v * state[..., self.lateral]
+        return found
+
+    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+        u, r, (d_ul, d_uv, d_rl, d_rv, d_v) = state[..., self.forward], state[..., self.yaw_rate], self.drags
+        along, turn = gradient[..., self.forward], gradient[..., self.yaw_rate]
+        found = np.zeros_like(state)
+        found[..., self.forward] = turn * self.turning[step] - along * (d_ul + 2.0 * d_uv * np.abs(u))
+        found[..., self.yaw_rate] = -turn * (d_rl + 2.0 * d_rv * np.abs(r))
+        if self.lateral is not None:
+            found[..., self.lateral] = -d_v * gradient[..., self.lateral]
+        return found
+
+    def by_parameters(self, states: Single, gradients: Single) -> Single:
+        u, r = states[..., self.forward], states[..., self.yaw_rate]
+        along, turn = gradients[..., self.forward], gradients[..., self.yaw_rate]
+        ahead, back, left, right = (part[:, None] for part in self.controlled)  # the same in all calls of a step
+        found = [
+            np.sum(along * ahead),
+            -np.sum(along * back),
+            np.sum(turn * u * left),
+            -np.sum(turn * u * right),
+            -np.sum(along * u),
+            -np.sum(along * u * np.abs(u)),
+            -np.sum(turn * r),
+            -np.sum(turn * r * np.abs(r)),
+            0.0 if self.lateral is None else -np.sum(gradients[..., self.lateral] * states[..., self.lateral]),
+        ]
+        return np.array(found, dtype=np.float32)

@@ -1,1 +1,0 @@
-"""What families need to know of channels: centre and size, the mirror of a body, cells of commands."""

@@ -1,0 +1,306 @@
+"""What families see of states and controls (sines of angles, functions of channels), and which states are predicted
+by their change.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from model_zoo.scaling import deviation
+from sysid_evo.angles import TURN
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.data.units import written
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.models.kernels import Predictor, on_top
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray
+
+
+class Row(NamedTuple):
+    """One feature: ``function`` ("" for none) of ``factor`` times number ``place`` of (carry, control)."""
+
+    function: str
+    place: int
+    factor: float
+
+
+@dataclass(frozen=True)
+class Features:
+    """What a regression or a network sees of (carry, control).
+
+    States, earlier states, earlier controls, the control, then ``functions`` of one of these, such as ``abs(speed)``
+    or ``sin(2*drive[-1])``. A periodic state stands as its sine and cosine, so that equal angles are equal.
+    """
+
+    system: System
+    lags: tuple[int, int]
+    functions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = self.input_names if self.functions else []
+        for text in self.functions:
+            function = FunctionOf.read(text)
+            if function is None or function.input not in known:
+                raise InvalidArgument(
+                    f"functions: expected NAME(CHANNEL) with one of {', '.join(FUNCTIONS)} and one of "
+                    f"{', '.join(known)}, got {text!r}"
+                )
+
+    @property
+    def plain(self) -> bool:
+        """Whether the features are (carry, control) as they are, which is what compiled forms read."""
+        return not self.functions and not self.system.periods
+
+    @property
+    def n_carry(self) -> int:
+        """How many of the features stand for the carry; they come first."""
+        return len(self.system.regressor_names) * (1 + self.lags[0]) + self.system.nu * self.lags[1]
+
+    def __call__(self, carry: Array, control: Array) -> Array:
+        """Return the features (..., n) of carries (..., n_carry) and controls (..., nu)."""
+        parts = self.parts(carry, control)
+        if self.functions:
+            width = carry.shape[-1]
+            for function, place in self._functions:
+                side, column = (carry, place) if place < width else (control, place - width)
+                parts.append(function(side[..., column : column + 1]))
+        return np.concatenate(parts, axis=-1)
+
+    def parts(self, carry: Array, control: Array) -> list[Array]:
+        """Return the features without functions as parts, to be joined along the last axis."""
+        periods, nx, past = self.system.periods, self.system.nx, self._layout.earlier_controls.start
+        if not periods:
+            return [carry, control]
+        columns = []
+        for place in range(past):
+            column = carry[..., place : place + 1]
+            if place % nx in periods:
+                angle = TURN / periods[place % nx] * column
+                columns += [np.sin(angle), np.cos(angle)]
+            else:
+                columns.append(column)
+        return [*columns, carry[..., past:], control]
+
+    @property
+    def input_names(self) -> list[str]:
+        """The name of every number of (carry, control), of which functions may be asked for."""
+        return self._layout.input_names(self.system.state_names, self.system.control_names)
+
+    @property
+    def rows(self) -> list[Row]:
+        """What every feature is a function of, in the order of the features."""
+        nx, periods, past = self.system.nx, self.system.periods, self._layout.earlier_controls.start
+        found = []
+        for place in range(self._layout.size + self.system.nu):
+            if place < past and place % nx in periods:
+                turn = TURN / periods[place % nx]
+                found += [Row("sin", place, turn), Row("cos", place, turn)]
+            else:
+                found.append(Row("", place, 1.0))
+        return [*found, *(Row(function.function, place, function.factor) for function, place in self._functions)]
+
+    @cached_property
+    def plain_names(self) -> list[str]:
+        """The name of every feature without the functions asked for."""
+        return self._layout.input_names(self.system.regressor_names, self.system.control_names)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """The name of every feature."""
+        return [*self.plain_names, *(function.name for function, _ in self._functions)]
+
+    @cached_property
+    def units(self) -> list[str]:
+        """The unit of every feature."""
+        system = self.system
+        of_states = [unit for c in system.states for unit in (["", ""] if c.period else [c.unit])]
+        of_controls = [c.unit for c in system.controls]
+        inputs = self._layout.each_input([c.unit for c in system.states], of_controls)
+        functions = [function.unit(inputs[place]) for function, place in self._functions]
+        return [*self._layout.each_input(of_states, of_controls), *functions]
+
+    @cached_property
+    def _functions(self) -> list[tuple[FunctionOf, int]]:
+        """The functions, and the place of what each is of in (carry, control)."""
+        known = self.input_names
+        read = [function for text in self.functions if (function := FunctionOf.read(text)) is not None]
+        return [(function, known.index(function.input)) for function in read]
+
+    @property
+    def _layout(self) -> CarryLayout:
+        return CarryLayout(self.system.nx, self.system.nu, *self.lags)
+
+
+def square_with_sign(x: Array) -> Array:
+    """Return x |x|, such as the drag of a body in air."""
+    return np.asarray(x * np.abs(x))
+
+
+def root_of_size(x: Array) -> Array:
+    """Return the square root of |x|, such as the flow through an orifice without its direction."""
+    return np.asarray(np.sqrt(np.abs(x)))
+
+
+FUNCTIONS: dict[str, Callable[[Array], Array]] = {
+    "abs": np.abs,
+    "sign": np.sign,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tanh": np.tanh,
+    "exp": np.exp,
+    "sqrt_abs": root_of_size,
+    "x_abs": square_with_sign,
+}
+"""What may be named; `sysid_evo.models.kernels.shells` has the compiled form of each."""
+
+CALL = re.compile(r"\s*(?P<function>\w+)\(\s*(?:(?P<factor>[-+.\deE]+)\s*\*\s*)?(?P<input>[^()*]+?)\s*\)\s*")
+
+
+class FunctionOf(NamedTuple):
+    """``function`` of ``factor`` times the input called ``input``; read from ``sin(2*speed)`` or ``abs(speed)``."""
+
+    function: str
+    factor: float
+    input: str
+
+    @classmethod
+    def read(cls, text: str) -> FunctionOf | None:
+        """Return what ``text`` says, None if it is no function of one input."""
+        found = CALL.fullmatch(text)
+        if found is None or found["function"] not in FUNCTIONS:
+            return None
+        try:
+            factor = 1.0 if found["factor"] is None else float(found["factor"])
+        except ValueError:
+            return None
+        return cls(found["function"], factor, found["input"])
+
+    @property
+    def text(self) -> str:
+        """What `read` reads; exact."""
+        factor = "" if self.factor == 1.0 else f"{self.factor!r}*"
+        return f"{self.function}({factor}{self.input})"
+
+    @property
+    def name(self) -> str:
+        """The text for people, such as ``sin(2 speed)``."""
+        factor = "" if self.factor == 1.0 else f"{self.factor:.4g} "
+        inside = f"{factor}{self.input}"
+        if self.function == "x_abs":
+            return f"({inside} |{inside}|)"
+        return f"sqrt|{inside}|" if self.function == "sqrt_abs" else f"{self.function}({inside})"
+
+    def unit(self, of_input: str) -> str:
+        """Return the unit of the value; a factor takes the unit away."""
+        if self.factor != 1.0:
+            return ""
+        if self.function == "abs":
+            return of_input
+        if self.function == "x_abs":
+            return quotient("", [(of_input, -2)])
+        return f"({of_input})^0.5" if self.function == "sqrt_abs" and of_input else ""
+
+    def __call__(self, values: Array) -> Array:
+        """Return the function of ``values``."""
+        return FUNCTIONS[self.function](values if self.factor == 1.0 else self.factor * values)
+
+
+OWN = 0.005
+"""Share of the deviation of a state's change up to which its own value does not count in it."""
+
+RATE = 0.95
+"""Share of the variance of a state's change that another state must explain to be its rate."""
+
+AT_LIMIT = 1e-6
+"""Share of the range of a channel within which a state is at its limit."""
+
+FEWEST = 0.5
+"""Share of the samples that must be left without those at a limit; else all are taken."""
+
+
+def integrals(dataset: Dataset) -> BoolArray:
+    """Return of which states (nx,) the change is to be predicted, not the next value: periodic ones and integrals.
+
+    A prediction of the next state from inputs clipped to the training range is a wall at the end of that range. For a
+    speed that drag holds back that is a good guess. A position runs on: nothing in the data says that it would not,
+    and a controller that is evolved in the model leans on the wall. An *integral* is a state of whose change another
+    state is the rate, or of whose change its own value explains nothing (linear and quadratic, beside all other states
+    and controls).
+    """
+    system, data = dataset.system, dataset.transitions(moving=True)
+    free = between_limits(system, data.after)
+    state, control, after = data.state[free], data.control[free], data.after[free]
+    seen = np.concatenate([system.regressors(state), control], axis=1)
+    standard = (seen - seen.mean(axis=0)) / deviation(seen)
+    change = system.difference(after, state)
+    columns = np.concatenate([np.ones((len(seen), 1)), standard, standard**2], axis=1)
+    effects, *_ = np.linalg.lstsq(columns, change / deviation(change), rcond=None)
+    moved = (change - change.mean(axis=0)) / deviation(change)
+    explained = (standard.T @ moved / len(moved)) ** 2
+    found = np.zeros(system.nx, dtype=bool)
+    for i, channel in enumerate(system.states):
+        if channel.period is None:
+            place = system.regressor_names.index(channel.name)
+            effect = np.abs(effects[[1 + place, 1 + seen.shape[1] + place], i]).max()
+            others = np.delete(explained[: len(system.regressor_names), i], place)
+            is_moved = others.max(initial=0.0) >= RATE
+            found[i] = (is_moved or effect < OWN) and np.ptp(state[:, i]) > 0.0
+        else:
+            found[i] = True
+    return found
+
+
+def between_limits(system: System, after: Array) -> BoolArray:
+    """Return in which samples (N,) no state of ``after`` (N, nx) is at a limit of its channel.
+
+    What stands at a limit tells of the limit, not of what drove it there. Where most samples do, all are returned.
+    """
+    low, high = system.limits
+    width = np.where(np.isfinite(high - low), high - low, 1.0)
+    free: BoolArray = ((after > low + AT_LIMIT * width) & (after < high - AT_LIMIT * width)).all(axis=1)
+    return free if free.mean() >= FEWEST else np.ones(len(after), dtype=bool)
+
+
+def next_state(added: Array, state: Array, predicted: Array) -> Array:
+    """Return ``predicted`` (B, nx), added to ``state`` (B, nx) where ``added`` (nx,) is above 0."""
+    return np.where(added > 0.0, state + predicted, predicted)
+
+
+def next_state_predictor(added: Array, inner: Predictor) -> Predictor:
+    """Return the compiled form of `next_state` around what predicts."""
+    chosen = added > 0.0
+    return on_top(inner, chosen) if chosen.any() else inner
+
+
+SYMBOL = re.compile(r"([^\s/*^·()]+)(?:\^(-?\d+))?")
+
+
+def powers(unit: str) -> Counter[str]:
+    """Return the power of every symbol: m 1, s -2 for ``m/s^2``. What cannot be read stays one symbol."""
+    found: Counter[str] = Counter()
+    for number, factor in enumerate(unit.split("/")):
+        symbols = re.split(r"[\s*·]+", factor.strip()) if factor.strip() else []
+        for symbol in symbols:
+            match = SYMBOL.fullmatch(symbol)
+            if match is None:
+                return Counter({unit: 1})
+            if match[1] != "1":
+                found[match[1]] += (1 if number == 0 else -1) * int(match[2] or 1)
+    return found
+
+
+def quotient(unit: str, divisors: Iterable[tuple[str, int]]) -> str:
+    """Return ``unit`` divided by units to their powers, such as ``1/s`` for m/s^2 by m/s; empty without unit."""
+    left = powers(unit)
+    for divisor, power in divisors:
+        for symbol, own in powers(divisor).items():
+            left[symbol] -= own * power
+    return written(left)

@@ -1,1 +1,0 @@
-"""Differential equations with a network in them: stepped in NumPy, trained on free runs."""

@@ -1,6 +1,0 @@
-"""Physics with unknown parameters: a right-hand side in plain numbers, fitted, compiled, and told how sure it is."""
-
-from model_zoo.grey.family import GreyBox
-from model_zoo.grey.parameter import Hidden, Parameter
-
-__all__ = ["GreyBox", "Hidden", "Parameter"]

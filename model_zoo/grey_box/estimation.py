@@ -1,0 +1,423 @@
+"""Least squares of simulations in windows, from several starts, with random effects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from model_zoo.grey_box.equation import Structure, follow, kernel_parameters, structure_kernel
+from model_zoo.grey_box.parameters import Box, Parameter, Sureness, sureness
+from model_zoo.scaling import positive
+from sysid_evo.data import Dataset, Windows
+from sysid_evo.data.trajectory import recording
+from sysid_evo.engine.compiled.open_loop import free_runs
+from sysid_evo.errors import InvalidData
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.types import Array, IntArray
+
+STEP = 1e-3
+"""Of the width of the bounds: the step of a difference quotient, far above the rounding of float32."""
+
+LOOSE = 0.02
+"""Weight of the prior of a hidden start, whose deviation is a quarter of its range, against one error."""
+
+VAGUE = 0.5
+"""Standard deviation of a guess in the cube: what the data leave open stays near it, and the search converges."""
+
+NOISE = 0.1
+"""What an error is taken for until it is known, in spreads of the state."""
+
+WORST = 1e3
+"""An error, in spreads of the state, beyond which none counts."""
+
+ROBUST_AT = 1.5
+"""Deviations from which on an error counts linearly, in a robust fit (Huber's rule of thumb, rounded up)."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Places in the cube of bounds (n,), hidden starts (nh, W), offsets (G, k), weighted errors and their Jacobian.
+
+    ``errors`` (W, m) and ``jacobian`` (W, m, n) are those of the data alone, ``by_hidden`` (W, m, nh) likewise.
+    """
+
+    places: Array
+    hidden: Array
+    offsets: Array
+    cost: float
+    errors: Array
+    jacobian: Array
+    by_hidden: Array
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Errors of free runs in ``segments`` as a function of everything unknown.
+
+    ``varied`` are the parameters that have an offset in each group, whose standard deviations ``spreads`` (k,) in the
+    cube are given. Parameters with a ``spread`` of their own pull to their guess, an error counting as
+    ``inflation`` errors would that hang together. ``told`` is called before each evaluation.
+    """
+
+    structure: Structure
+    segments: Segments
+    told: Callable[[], None]
+    robust: bool = False
+    varied: tuple[int, ...] = ()
+    spreads: Array = field(default_factory=lambda: np.empty(0))
+    noise: float = NOISE
+    inflation: float = 1.0
+
+    @cached_property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.structure.parameters)
+
+    @cached_property
+    def n_groups(self) -> int:
+        return len(self.segments.groups) if self.varied else 0
+
+    @property
+    def _hidden_scale(self) -> tuple[Array, Array]:
+        hidden = self.structure.hidden
+        return np.array([h.initial for h in hidden]), np.array([0.25 * (h.high - h.low) for h in hidden])
+
+    @cached_property
+    def _guesses(self) -> tuple[Array, Array]:
+        """Where each parameter is guessed to be in the cube, and the standard deviation of that guess, (n,) each."""
+        parameters, box = self.structure.parameters, self.structure.box
+        places = box.places(np.array([p.guess for p in parameters]))
+        known = np.array([p.spread or np.inf for p in parameters]) / box.slopes(places)
+        return places, np.minimum(known, VAGUE)
+
+    def cost(self, places: Array) -> Array:
+        """Return the mean square error (P,) at places (P, n), hidden states followed through the history."""
+        self.told()
+        p = self.structure.box.values(places).T[:, :, None]
+        errors = self._bounded(self.segments.errors(self.structure, p, self.segments.followed(self.structure, p)))
+        return np.asarray(np.mean(np.minimum(errors**2, 1.0), axis=(1, 2)))
+
+    def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> Estimate:
+        """Return the least squares from a start; ``hidden`` (nh, W) are followed through the history unless given."""
+        structure, box = self.structure, self.structure.box
+        low, width = self._hidden_scale
+        if hidden is None:
+            p = box.values(places)[:, None, None]
+            hidden = np.broadcast_to(
+                self.segments.followed(structure, p), (len(structure.hidden), 1, len(self.segments))
+            )[:, 0]
+        zeta = (hidden - low[:, None]) / width[:, None] if len(structure.hidden) else hidden
+        no_offsets = np.zeros(self.n_groups * len(self.varied))
+        start = np.concatenate([np.clip(places, 1e-6, 1.0 - 1e-6), no_offsets, zeta.ravel()])
+        lower, upper = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+        lower[: self.n], upper[: self.n] = 0.0, 1.0
+        size = self._typical(start) if self.robust else 1.0
+        found = least_squares(
+            self._values,
+            start,
+            jac=self._jacobian,
+            bounds=(lower, upper),
+            x_scale="jac",
+            loss="soft_l1" if self.robust else "linear",
+            f_scale=ROBUST_AT * size,
+            max_nfev=evaluations,
+            xtol=1e-5,
+            ftol=1e-5,
+            gtol=1e-9,
+        )
+        errors, jacobian, by_hidden = self._parts(found.x)
+        if self.robust:
+            weight = (1.0 + (errors / (ROBUST_AT * size)) ** 2) ** -0.25
+            errors, jacobian = weight * errors, weight[..., None] * jacobian
+            by_hidden = weight[..., None] * by_hidden
+        own, offsets, zeta = self._split(found.x)
+        return Estimate(
+            own, low[:, None] + width[:, None] * zeta, offsets, float(found.cost), errors, jacobian, by_hidden
+        )
+
+    def _typical(self, x: Array) -> float:
+        """Return the deviation of the errors at ``x`` that outliers do not move: 1.48 median absolute ones."""
+        off = np.abs(self._values(x)[: self.segments.windows.states[0].size * len(self.segments)])
+        return max(1.4826 * float(np.median(off)), 1e-9)
+
+    def _split(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return places (n,), offsets (G, k) and hidden starts (nh, W) in units of their width."""
+        n, k = self.n, len(self.varied)
+        end = n + self.n_groups * k
+        return x[:n], x[n:end].reshape(self.n_groups, k), x[end:].reshape(-1, len(self.segments))
+
+    def _run(self, places: Array, offsets: Array, zeta: Array) -> Array:
+        """Return the errors (P, W, m) at places (n, P, 1), offsets (G, k), hidden starts (nh, P, W)."""
+        self.told()
+        low, width = (side[:, None, None] for side in self._hidden_scale)
+        if len(self.varied):
+            places = np.repeat(places, len(self.segments), axis=2)
+            places[list(self.varied)] += offsets[self.segments.group].T[:, None, :]
+        p = np.moveaxis(self.structure.box.values(np.moveaxis(places, 0, -1)), -1, 0)
+        return self._bounded(self.segments.errors(self.structure, p, low + width * zeta))
+
+    @staticmethod
+    def _bounded(errors: Array) -> Array:
+        return np.clip(np.nan_to_num(errors, nan=WORST, posinf=WORST, neginf=-WORST), -WORST, WORST)
+
+    def _values(self, x: Array) -> Array:
+        places, offsets, zeta = self._split(x)
+        errors = self._run(places[:, None, None], offsets, zeta[:, None])
+        return np.concatenate([errors.ravel(), self._priors(x)])
+
+    def _priors(self, x: Array) -> Array:
+        """Return what pulls to what was known before: measured parameters, no offsets, hidden states at rest."""
+        places, offsets, zeta = self._split(x)
+        guesses, spreads = self._guesses
+        weight = self.noise * np.sqrt(self.inflation)
+        return np.concatenate(
+            [
+                weight * (places - guesses) / spreads,
+                (weight * offsets / np.where(self.spreads > 0.0, self.spreads, 1.0)).ravel(),
+                LOOSE * zeta.ravel(),
+            ]
+        )
+
+    def _parts(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return errors (W, m) and their derivatives by places (W, m, n) and by hidden starts (W, m, nh), of the data.
+
+        All differences are one batch: every parameter and every hidden state moves in a copy of all windows.
+        """
+        places, offsets, zeta = self._split(x)
+        n, nh = self.n, len(zeta)
+        steps = np.where(places + STEP > 1.0, -STEP, STEP)
+        moved = np.tile(places[:, None], (1, 1 + n + nh))
+        moved[np.arange(n), 1 + np.arange(n)] += steps
+        starts = np.tile(zeta[:, None], (1, 1 + n + nh, 1))
+        starts[np.arange(nh), 1 + n + np.arange(nh)] += STEP
+        errors = self._run(moved[:, :, None], offsets, starts)
+        by = np.moveaxis(errors[1:] - errors[0], 0, -1) / np.concatenate([steps, np.full(nh, STEP)])
+        return errors[0], by[..., :n], by[..., n:]
+
+    def _jacobian(self, x: Array) -> Array:
+        """Return the Jacobian of `_values`, of the data and of the priors."""
+        _, by_places, by_hidden = self._parts(x)
+        windows, m, n = by_places.shape
+        k, groups, nh = len(self.varied), self.n_groups, by_hidden.shape[2]
+        jacobian = np.zeros((windows, m, len(x)))
+        jacobian[..., :n] = by_places
+        rows = np.arange(windows)
+        for i in range(k):
+            jacobian[rows, :, n + self.segments.group * k + i] = by_places[..., self.varied[i]] if groups else 0.0
+        for i in range(nh):
+            jacobian[rows, :, n + groups * k + i * windows + rows] = by_hidden[..., i]
+        return np.concatenate([jacobian.reshape(-1, len(x)), self._prior_jacobian(x)])
+
+    def _prior_jacobian(self, x: Array) -> Array:
+        _, spreads = self._guesses
+        k = self.n_groups * len(self.varied)
+        hidden = len(x) - self.n - k
+        each = np.where(self.spreads > 0.0, self.spreads, 1.0)
+        weight = self.noise * np.sqrt(self.inflation)
+        pulls = [weight / spreads, np.tile(weight / each, self.n_groups)[:k], np.full(hidden, LOOSE)]
+        return np.diag(np.concatenate(pulls))
+
+
+ROUNDS = 6
+
+FIRST_SPREAD = 0.05
+"""Standard deviation of the offsets in the cube that is assumed at first."""
+
+EVALUATIONS = 12
+
+LEAST = 1e-4
+"""Of the width of the bounds: a standard deviation that is none."""
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """The estimate with offsets, their standard deviations ``spreads`` (k,) from group to group, in the cube."""
+
+    estimate: Estimate
+    spreads: Array
+
+
+def with_offsets(problem: LeastSquares, best: Estimate, sure: Sureness, varied: Sequence[int]) -> Offsets:
+    """Return the least squares in which some parameters have an offset in each group, normal around nothing.
+
+    How far they spread is found with them: the spread whose square is the mean of offset^2 + the variance of what is
+    left unknown of it, again and again (expectation, maximisation; Laird and Ware 1982). Few data of a group, or none
+    that depend on the parameter, leave its offset near zero. Errors that hang together count as ``sure.inflation``
+    times fewer.
+    """
+    spreads, found = np.full(len(varied), FIRST_SPREAD), best
+    for _ in range(ROUNDS):
+        varying = replace(problem, varied=tuple(varied), spreads=spreads, noise=sure.noise, inflation=sure.inflation)
+        found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
+        unknown = _unknown(varying, found)
+        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)
+    return Offsets(found, spreads)
+
+
+def _unknown(problem: LeastSquares, found: Estimate) -> Array:
+    """Return the variance (G, k) of each offset that the data of its group leave, each by itself."""
+    square = problem.noise**2 * problem.inflation
+    by = found.jacobian[..., list(problem.varied)]
+    each = np.sum(by**2, axis=1)  # (W, k)
+    information = np.zeros((problem.n_groups, by.shape[2]))
+    np.add.at(information, problem.segments.group, each / square)
+    return np.asarray(1.0 / (information + 1.0 / problem.spreads**2))
+
+
+SCREENED = 48
+"""Places of the cube that are looked at, the best of which are starts."""
+
+FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
+
+KEPT = 2
+"""Starts of the last fit: the best ends of the first one."""
+
+
+def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list[Array]:
+    """Return the guess and the best of many random places of the cube, ``count`` in all."""
+    box = first.structure.box
+    guess = box.places(np.array([parameter.guess for parameter in first.structure.parameters]))
+    drawn = rng.uniform(size=(SCREENED, len(guess)))
+    costs = np.concatenate([first.cost(part) for part in np.array_split(drawn, SCREENED // 8)])
+    return [guess, *drawn[np.argsort(costs, kind="stable")[: count - 1]]]
+
+
+def best_of(last: LeastSquares, begun: Sequence[Array]) -> Estimate:
+    """Return the best least squares from the best of these ends of the first fit."""
+    costs = [float(last.cost(place[None])[0]) for place in begun]
+    found: list[Estimate] = []
+    for i in np.argsort(costs, kind="stable"):
+        if all(np.abs(begun[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
+            found.append(last.solve(begun[i], evaluations=LAST_EVALUATIONS))
+    return min(found, key=lambda one: one.cost)
+
+
+def sureness_of(problem: LeastSquares, best: Estimate) -> Sureness:
+    """Return how sure the parameters are at the end of a fit."""
+    known = known_variances(problem.structure.parameters, best.places)
+    return sureness(best.errors, best.jacobian, best.by_hidden, problem.segments.order, known=known)
+
+
+def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
+    """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
+    slopes = Box.of(parameters).slopes(places)
+    spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
+    return np.minimum(spreads**2, 1.0 / 12.0)
+
+
+FEWEST = 60
+"""Windows that a short recording is cut into, which then overlap."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """W windows of H steps with what is measured in them, and the ``group`` (condition, or recording) of each, (W,).
+
+    ``scale`` (nx,) is the spread of every state, in which errors are counted; ``limits`` (2, nx) are where free runs
+    are clipped; ``order`` (W,) is when each window begins, in steps since the first episode began.
+    """
+
+    windows: Windows
+    scale: Array
+    limits: Array
+    group: IntArray
+    groups: tuple[str, ...]
+    order: IntArray
+
+    @classmethod
+    def of(cls, dataset: Dataset, horizon: int, *, history: int, most: int, limits: Array) -> Segments:
+        """Cut ``most`` windows or fewer, evenly over the recording, wherever the system moves; they overlap if few."""
+        longest = max(len(episode) for episode in dataset.episodes) - history
+        if longest < 1:
+            raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
+        horizon = min(horizon, longest)
+        room = sum(max(0, len(episode) - history - horizon + 1) for episode in dataset.episodes)
+        stride = max(1, min(horizon, room // FEWEST))
+        places = dataset.window_places(horizon, stride=stride, history=history, moving=True)
+        if len(places) < FEWEST // 2:
+            places = dataset.window_places(horizon, stride=stride, history=history)
+        rows = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(np.int64))
+        windows = places[rows]
+        names = [episode.condition or recording(episode.name) for episode in dataset.episodes]
+        groups = tuple(dict.fromkeys(names))
+        group = np.array([groups.index(name) for name in names], dtype=np.int64)
+        begins = np.cumsum([0, *(len(episode) for episode in dataset.episodes)])[:-1]
+        scale = positive(dataset.system.spread(np.concatenate([episode.states for episode in dataset.episodes])))
+        return cls(windows, scale, limits, group[windows.episode], groups, begins[windows.episode] + windows.start)
+
+    def __len__(self) -> int:
+        return len(self.windows)
+
+    def __getitem__(self, rows: IntArray) -> Segments:
+        """Return some of the windows."""
+        return replace(self, windows=self.windows[rows], group=self.group[rows], order=self.order[rows])
+
+    def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
+        """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
+
+        Compiled where the motion has a compiled form. Where parameters differ from window to window, they are the same
+        in all of a group.
+        """
+        w = self.windows
+        if p.shape[2] > 1:
+            out = np.empty((p.shape[1], *w.states.shape))
+            for number in range(len(self.groups)):
+                rows = np.flatnonzero(self.group == number)
+                if len(rows):
+                    out[:, rows] = self[rows].runs(structure, p[:, :, rows[:1]], hidden[:, :, rows])
+            return out
+        with np.errstate(all="ignore"):
+            carry = structure.start(p, w.past_states, w.past_controls, hidden)
+            carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
+            kernel = self._kernel(structure)
+            if kernel is None:
+                return self._stepped(structure, p, carry)
+        own = kernel_parameters(structure, p[:, :, 0].T)
+        start = np.moveaxis(carry, 0, -1)
+        return free_runs(
+            kernel.source,
+            kernel.n_scratch,
+            kernel.of_candidates(own),
+            start,
+            w.controls,
+            self.limits,
+            precision=kernel.precision,
+        )
+
+    def _kernel(self, structure: Structure) -> DynamicsKernel | None:
+        guess = np.array([parameter.guess for parameter in structure.parameters])
+        return structure_kernel(structure, guess)
+
+    def _stepped(self, structure: Structure, p: Array, carry: Array) -> Array:
+        """Return the same in NumPy, from carries (n_carry, P, W)."""
+        controls, nx = self.windows.controls, structure.system.nx
+        low, high = (side.reshape(-1, 1, 1) for side in self.limits)
+        out = np.empty((*carry.shape[1:], controls.shape[1], nx))
+        for k in range(controls.shape[1]):
+            after, past = structure.step(p, carry, controls[:, k].T[:, None])
+            after[:nx] = np.fmin(np.fmax(after[:nx], low), high)
+            after[nx:] = np.nan_to_num(after[nx:])
+            carry, out[:, :, k] = np.concatenate([after, past]), np.moveaxis(after[:nx], 0, -1)
+        return out
+
+    def errors(self, structure: Structure, p: Array, hidden: Array) -> Array:
+        """Return the errors (P, W, H * nx) of these runs in units of ``scale``, of angles the shortest way round."""
+        off = structure.system.difference(self.runs(structure, p, hidden), self.windows.states) / self.scale
+        return off.reshape(*off.shape[:2], -1)
+
+    def followed(self, structure: Structure, p: Array) -> Array:
+        """Return the hidden states (n, P, W) at the start of the windows, after a history that begins at rest.
+
+        All other states are the measured ones throughout.
+        """
+        w, rows = self.windows, structure.hidden_rows
+        rest = np.array([hidden.initial for hidden in structure.hidden])[:, None, None]
+        with np.errstate(all="ignore"):
+            found = follow(structure, p, w.past_states, w.past_controls, rest)
+        low, high = structure.extended.limits[:, rows, None, None]
+        return np.clip(np.nan_to_num(found), low, high)

@@ -1,0 +1,439 @@
+"""GreyBox, the base of families that are physics with unknown parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from model_zoo.grey_box.equation import Structure, extended_band, held_at_rest, observed, structure_kernel
+from model_zoo.grey_box.estimation import (
+    FIRST_EVALUATIONS,
+    KEPT,
+    LAST_EVALUATIONS,
+    SCREENED,
+    Estimate,
+    LeastSquares,
+    Segments,
+    best_of,
+    known_variances,
+    starts_of,
+    sureness_of,
+    with_offsets,
+)
+from model_zoo.grey_box.parameters import (
+    Hidden,
+    Parameter,
+    Sureness,
+    offset_note,
+    offset_rows,
+    open_questions,
+    parameter_rows,
+)
+from model_zoo.grey_box.residual import Residual, conditioned, inputs_of, learned_shape
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.data.response import Measured, measured
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.parameters import Limit, at_least
+from sysid_evo.progress import Counter, Progress
+from sysid_evo.system import System
+from sysid_evo.types import Array
+from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+
+SHORT = 5
+"""The first fit is to free runs of a fifth of the length of the last one."""
+
+PAST = 20
+"""Samples before a segment from which its actuators and hidden states begin in a fit, if the episodes are so long."""
+
+SHARES = (0.0, 0.5, 1.0)
+"""Of a residual, that may be kept."""
+
+BETTER = 0.98
+"""None of it is kept unless free runs are better by this factor."""
+
+HIDDEN_SHARE = 0.3
+"""Of the segments, if each has hidden states of its own to be estimated, which takes longer."""
+
+
+class GreyBox(DynamicsModel):
+    """dx/dt = rate(x, u, p): physics written down, with parameters p that are fitted.
+
+    A family names ``parameters``, the ``states`` and ``controls`` that `rate` takes (all of the system's, in its
+    order, unless named), and writes `rate` in plain numbers: its arguments are tuples, and so is what it returns, one
+    rate for each state. It may use what a kernel may (docs/kernels.md). It runs on arrays while it is fitted, and is
+    compiled for evolution. Of a system with a motion, the turning of the body's frame is added to what it returns.
+
+    A family whose states are positions and their speeds may write `acceleration` instead, and name in ``speeds`` which
+    state is the rate of which: it returns the rates of all states but the positions.
+
+    ``hidden`` names states that are not measured; `rate` takes them after the others. They begin every run where the
+    ``history`` samples before it say.
+
+    Parts that can be switched on: ``actuator_lag``, a first-order lag of every control; ``command_delay``, one delay
+    of all of them, in samples up to ``longest_delay``; both are parameters like the others.
+
+    The parameters are those of the least squares of free runs from measured states, of a fifth of ``seconds`` first,
+    from ``starts`` starts inside the bounds, then of ``seconds`` (multiple shooting: of each of up to ``windows``
+    segments the hidden states at its start are estimated too). With ``robust`` errors beyond 1.5 deviations count
+    linearly. Integrated by Runge and Kutta's method, ``substeps`` to a sample.
+
+    With ``residual`` a radial network of ``residual_points`` bumps learns what the physics leave of each step; it is
+    nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
+    of time better.
+
+    The parameters named in ``offsets`` may differ from recording to recording (another battery, another floor), or from
+    condition to condition where episodes name theirs. Their differences are shrunk to nothing as far as the data do not
+    ask for them (random effects), the model predicts with what is common, and `offsets_table` tells the rest.
+
+    Episodes of manoeuvres that measure (`sysid_evo.data.response`) give guesses and priors, see `guesses_from`.
+
+    ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
+    come from the gradients of whole blocks of time (clustered standard errors). ``undetermined_`` are sentences on
+    what the data leave open. `parameters_table` has all of it.
+    """
+
+    knowledge = "grey"
+    structure = "physics"
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    states: ClassVar[tuple[str, ...]] = ()
+    controls: ClassVar[tuple[str, ...]] = ()
+    hidden: ClassVar[tuple[Hidden, ...]] = ()
+    speeds: ClassVar[Mapping[str, str]] = {}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120, "residual_points": 60}}
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay", "residual_points")},
+        "history": at_least(0),
+        "seconds": Limit(0.0, open_below=True),
+    }
+
+    actuator_lag: bool = False
+    command_delay: bool = False
+    longest_delay: int = 3
+    seconds: float = 1.0
+    starts: int = 6
+    windows: int = 250
+    robust: bool = False
+    substeps: int = 1
+    history: int = 5
+    residual: bool = False
+    residual_points: int = 150
+    offsets: list[str] | None = None
+    rest_hold: bool = False
+    most_steps: int | None = 100_000
+
+    @staticmethod
+    def rate(state: Any, control: Any, p: Any) -> Any:  # noqa: ARG004  # what a family writes
+        """Return d/dt of every state from tuples of states, controls and parameters."""
+        raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
+
+    @staticmethod
+    def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # a law, see below
+        """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`.
+
+        It is a law like `rate`, and has its arguments: `step` is written here and never asks the inherited method.
+        """
+        raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
+
+    @property
+    def law(self) -> Callable[..., Any]:
+        """The function that is integrated; `rate` or `acceleration`, unless a family has a choice of several."""
+        own = type(self)
+        return own.rate if own.acceleration is GreyBox.acceleration else own.acceleration
+
+    def declared(self) -> tuple[Parameter, ...]:
+        """Return the parameters of `law`; ``parameters``, unless a family has a choice of several."""
+        return self.parameters
+
+    def guesses_from(self, found: Mapping[str, Measured]) -> Mapping[str, tuple[float, float]]:
+        """Return guess and standard deviation of parameters, by name, from what manoeuvres say; none by default.
+
+        ``found`` has the names of `sysid_evo.data.response`, such as ``drag forward``; of one that was measured more
+        often, the last.
+        """
+        return {}
+
+    def places(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return where the states and the controls of `law` stand in ``system``. Raises `IncompatibleSystem`."""
+        return (
+            named_places(self, "state", self.states, system.state_names),
+            named_places(self, "control", self.controls, system.control_names),
+        )
+
+    def check_parameters(self) -> None:
+        super().check_parameters()
+        known = [parameter.name for parameter in self.declared()]
+        for name in self.offsets or []:
+            if name not in known:
+                raise InvalidArgument(
+                    f"{type(self).__name__}: offsets: there is no parameter {name!r}; there are {', '.join(known)}"
+                )
+
+    def check_system(self, system: System) -> None:
+        states, controls = self.places(system)
+        left = [name for i, name in enumerate(system.state_names) if i not in states]
+        if left:
+            raise IncompatibleSystem(
+                f"{type(self).__name__} says nothing of {', '.join(left)}: name all states of the system, in the order "
+                "in which rate takes them"
+            )
+        self._structure_on(system, states, controls).check()
+
+    def _structure_on(
+        self, system: System, states: tuple[int, ...] | None = None, controls: tuple[int, ...] | None = None
+    ) -> Structure:
+        """Return the structure as it is fitted, with the longest delay."""
+        at = self.places(system) if states is None or controls is None else (states, controls)
+        return Structure(
+            system=system,
+            law=self.law,
+            states=at[0],
+            controls=at[1],
+            own=self.declared(),
+            hidden=self.hidden,
+            lagged=self.actuator_lag,
+            delay=self.longest_delay if self.command_delay else 0,
+            substeps=self.substeps,
+            known=known_rates(self, self.speeds, system, self.law is type(self).acceleration),
+        )
+
+    @property
+    def integrated(self) -> Structure:
+        """What is integrated, with no more earlier controls than the delay that was found."""
+        found = self._structure_on(self.system)
+        return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
+
+    def _informed(self, structure: Structure, dataset: Dataset) -> Structure:
+        """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
+        guesses = self.guesses_from({one.name: one for one in measured(dataset)})
+        self.informed_ = [parameter.name for parameter in structure.own if parameter.name in guesses]
+        own = tuple(
+            replace(parameter, guess=min(max(guess, parameter.low), parameter.high), spread=spread)
+            for parameter in structure.own
+            for guess, spread in [guesses.get(parameter.name, (parameter.guess, parameter.spread))]
+        )
+        return replace(structure, own=own)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        structure = self._informed(self._structure_on(dataset.system), dataset)
+        total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + KEPT * LAST_EVALUATIONS * 2
+        counter = Counter(progress, total)
+
+        def told() -> None:
+            counter.done = min(counter.done, total - 1)
+            counter.advance()
+
+        horizon = max(10, round(self.seconds / dataset.system.dt))
+        longest = max(len(episode) for episode in dataset.episodes)
+        history = min(PAST, longest // 4) if self._remembers else 0
+        history = max(structure.delay, self.history if self._remembers else 0, history)
+        most = max(1, round(self.windows * HIDDEN_SHARE)) if structure.hidden else self.windows
+        segments = [
+            Segments.of(dataset, steps, history=history, most=most, limits=self.envelope_)
+            for steps in (-(-horizon // SHORT), horizon)
+        ]
+        first, last = (LeastSquares(structure, some, told, self.robust) for some in segments)
+        begun = [
+            first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in starts_of(first, self.starts, rng)
+        ]
+        best = best_of(last, begun)
+        if any(parameter.spread is not None for parameter in structure.parameters):
+            sure = sureness_of(last, best)
+            last = replace(last, noise=sure.noise, inflation=sure.inflation)
+            best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
+        if self.offsets is not None and len(last.segments.groups) > 1:
+            best = self._learn_offsets(last, best, sureness_of(last, best))
+        self._learn(last, best)
+        if self.residual:
+            self._learn_residual(dataset, rng, told)
+        return self
+
+    @property
+    def _remembers(self) -> bool:
+        """Whether the carry holds what only the past says."""
+        return bool(self.hidden) or self.actuator_lag
+
+    def _learn_offsets(self, problem: LeastSquares, best: Estimate, sure: Sureness) -> Estimate:
+        """Return the estimate of what is common; keep what differs from recording to recording, in units."""
+        box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
+        varied = [names.index(name) for name in self.offsets or []]
+        found = with_offsets(problem, best, sure, varied)
+        common = box.values(found.estimate.places)
+        of_each = np.repeat(found.estimate.places[None], len(problem.segments.groups), axis=0)
+        of_each[:, varied] += found.estimate.offsets
+        self.offsets_ = (box.values(of_each) - common)[:, varied]
+        self.offset_spreads_ = found.spreads * box.slopes(found.estimate.places)[varied]
+        self.recordings_ = list(problem.segments.groups)
+        return found.estimate
+
+    def offsets_table(self) -> list[dict[str, Any]]:
+        """Return by how much each parameter of ``offsets`` is more or less in each recording, with its unit."""
+        recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
+        return offset_rows(self.declared(), recordings, self.offsets or [], offsets)
+
+    def _learn(self, problem: LeastSquares, best: Estimate) -> None:
+        structure = problem.structure
+        parameters, box = structure.parameters, structure.box
+        known = known_variances(parameters, best.places)
+        sure = sureness_of(problem, best)
+        slopes = box.slopes(best.places)
+        self.undetermined_, determined = open_questions(parameters, best.places, sure.covariance, known)
+        self.determined_ = [bool(one) for one in determined]
+        self.covariance_ = sure.covariance * np.outer(slopes, slopes)
+        self.standard_errors_ = np.sqrt(np.diag(self.covariance_))
+        if structure.hidden:
+            self.hidden_mean_, self.hidden_spread_ = best.hidden.mean(axis=1), best.hidden.std(axis=1) + 1e-9
+        nx = structure.system.nx
+        errors = best.errors.reshape(len(best.errors), -1, nx)
+        self.residual_spread_ = np.sqrt(np.mean(errors**2, axis=(0, 1))) * problem.segments.scale
+        self.parameters_ = box.values(best.places)
+
+    def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
+        """Learn what the physics leave, and keep as much of it as free runs in held-out blocks of time want."""
+        learned, held = time_blocks(dataset)
+        shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, told)
+        tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
+        windows = judging_windows(held, self.n_lags)
+        for share in SHARES:
+            told()
+            self._keep(tried.times(share))
+            errors.append(simulation_error(self, windows))
+        better = np.array(errors) * np.where(np.array(SHARES) == 0.0, BETTER, 1.0)
+        self.residual_share_ = SHARES[int(np.argmin(better))]
+        self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
+        self._keep(conditioned(shape, noise, *self._left_of(dataset)).times(self.residual_share_))
+
+    def _keep(self, residual: Residual) -> None:
+        self.residual_points_, self.residual_lengths_ = residual.points, residual.lengths
+        self.residual_weights_ = residual.weights
+
+    def _left_of(self, dataset: Dataset) -> tuple[Array, Array]:
+        """Return what a residual sees (N, n) at single steps, and what the physics leave of their rates (N, nx)."""
+        windows = dataset.windows(1, history=self.n_lags, moving=True)
+        windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
+        physics = self._alone()
+        carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
+        after = physics.step(carry, control)[:, : self.system.nx]
+        return inputs_of(self.integrated)(carry, control), self.system.difference(
+            windows.states[:, 0], after
+        ) / self.system.dt
+
+    def _alone(self) -> Self:
+        """Return the physics of this model without the residual."""
+        return self.variant(residual=False, rest_hold=False)
+
+    @property
+    def _residual(self) -> Residual | None:
+        if not self.residual or not hasattr(self, "residual_weights_"):
+            return None
+        return Residual(self.residual_points_, self.residual_lengths_, self.residual_weights_)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of ``parameters_``: those of the law, then those of what is switched on."""
+        return tuple(parameter.name for parameter in self.integrated.parameters)
+
+    def parameters_table(self) -> list[dict[str, Any]]:
+        """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it."""
+        parameters = self._structure_on(self.system).parameters
+        return parameter_rows(parameters, self.parameters_, self.standard_errors_, self.determined_)
+
+    @property
+    def fit_note(self) -> str:
+        said = [super().fit_note, *getattr(self, "undetermined_", [])]
+        if getattr(self, "informed_", []):
+            said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
+        if hasattr(self, "offset_spreads_"):
+            said.append(offset_note(self.declared(), self.offsets or [], self.offset_spreads_))
+        if hasattr(self, "residual_share_"):
+            said.append(residual_note(self.residual_share_, *self.residual_errors_))
+        return "; ".join(sentence for sentence in said if sentence)
+
+    @property
+    def layout(self) -> CarryLayout:
+        return self.integrated.layout
+
+    @property
+    def n_lags(self) -> int:
+        return max(self.layout.control_lags, self.history if self._remembers else 0)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        structure, hidden = self.integrated, np.empty((0, len(states)))
+        with np.errstate(all="ignore"):
+            if structure.hidden:
+                hidden = observed(
+                    structure,
+                    self.parameters_,
+                    states,
+                    controls,
+                    mean=self.hidden_mean_,
+                    spread=self.hidden_spread_,
+                    noise=self.residual_spread_,
+                )
+            return structure.start(self.parameters_[:, None], states, controls, hidden).T.copy()
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        structure, residual, extra = self.integrated, self._residual, None
+        if residual is not None:
+            features, held = inputs_of(structure), carry[:, structure.extended.nx :]
+
+            def extra(x: Array) -> Array:
+                return residual(features(np.concatenate([x.T, held], axis=1), control)).T
+
+        with np.errstate(all="ignore"):
+            after, past = structure.step(self.parameters_[:, None], carry.T, control.T, extra)
+        held_after = held_at_rest(structure, self._extended_band, carry, control, after.T)
+        return np.concatenate([held_after, past.T], axis=1)
+
+    @property
+    def _extended_band(self) -> Array | None:
+        return None if self.rest_band is None else extended_band(self.integrated, self.rest_band)
+
+    def kernel(self) -> DynamicsKernel | None:
+        structure, residual = self.integrated, self._residual
+        extra = None if residual is None else residual.predictor(structure)
+        return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
+
+
+def residual_note(share: float, kept: float, without: float) -> str:
+    """Return how much of a residual is kept, and what free runs in held-out blocks say of it, in a sentence."""
+    return (
+        f"{100 * share:.0f} % of the residual is kept: N over a second in held-out blocks is "
+        f"{kept:.3f}, {without:.3f} without it"
+    )
+
+
+def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:
+    """Return where the ``wanted`` channels stand among those that are ``there``; all of them if none are named."""
+    for name in wanted:
+        if name not in there:
+            raise IncompatibleSystem(
+                f"{type(model).__name__} needs the {what} {name!r}: the system has {', '.join(there) or 'none'}"
+            )
+    return tuple(there.index(name) for name in wanted) if wanted else tuple(range(len(there)))
+
+
+def known_rates(
+    model: DynamicsModel, speeds: Mapping[str, str], system: System, accelerates: bool
+) -> tuple[tuple[int, int], ...]:
+    """Return where each position of ``speeds`` and its rate stand in ``system``.
+
+    Raises `InvalidArgument` for speeds of a family that does not write accelerations.
+    """
+    if not speeds:
+        return ()
+    if not accelerates:
+        raise InvalidArgument(
+            f"{type(model).__name__}: speeds says which rates are known, but rate gives those of all states: write "
+            "acceleration(state, control, p) in its place"
+        )
+    positions, rates = (
+        named_places(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())
+    )
+    return tuple(zip(positions, rates, strict=True))

@@ -1,0 +1,260 @@
+"""Unknown parameters and hidden states: bounds, standard errors, what the data leave undetermined, tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.system import Channel
+from sysid_evo.types import Array, IntArray
+
+DECADE = 10.0
+"""Positive bounds that many times apart are searched on a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number to be found from ``low`` to ``high``, with a first ``guess`` and a ``unit``.
+
+    With ``spread`` the guess is knowledge, as of a measurement: a normal prior of that standard deviation.
+    """
+
+    name: str
+    guess: float
+    low: float
+    high: float
+    unit: str = ""
+    spread: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise InvalidArgument(
+                f"parameter {self.name!r}: expected finite bounds low < high, got {self.low} and {self.high}; "
+                "give wide ones if you know little"
+            )
+        if not self.low <= self.guess <= self.high:
+            raise InvalidArgument(
+                f"parameter {self.name!r}: expected a guess within [{self.low:g}, {self.high:g}], got {self.guess:g}"
+            )
+        if self.spread is not None and not self.spread > 0.0:
+            raise InvalidArgument(f"parameter {self.name!r}: expected a spread > 0, got {self.spread}")
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether it is searched on a logarithmic scale."""
+        return self.low > 0.0 and self.high >= DECADE * self.low
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A state that is not measured: its ``unit``, where it is at rest (``initial``), and between what it may be."""
+
+    name: str
+    unit: str = ""
+    initial: float = 0.0
+    low: float = -1.0
+    high: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.initial <= self.high):
+            raise InvalidArgument(
+                f"hidden state {self.name!r}: expected finite low <= initial <= high, "
+                f"got {self.low}, {self.initial}, {self.high}"
+            )
+
+    @property
+    def channel(self) -> Channel:
+        """The state as a channel of a system that has it."""
+        return Channel(self.name, self.unit, low=self.low, high=self.high, neutral=self.initial)
+
+
+@dataclass(frozen=True)
+class Box:
+    """The bounds of n parameters as the unit cube, in which they are searched: (..., n) to (..., n)."""
+
+    parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> Box:
+        """Return the cube of these; raise `InvalidArgument` if two have the same name."""
+        names = [parameter.name for parameter in parameters]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InvalidArgument(f"parameters: names must differ, repeated: {', '.join(repeated)}")
+        return cls(tuple(parameters))
+
+    @property
+    def _ends(self) -> tuple[Array, Array, Array]:
+        logarithmic = np.array([p.logarithmic for p in self.parameters], dtype=bool)
+        low, high = (np.array([getattr(p, end) for p in self.parameters], dtype=float) for end in ("low", "high"))
+        return (
+            logarithmic,
+            np.where(logarithmic, np.log(np.where(logarithmic, low, 1.0)), low),
+            np.where(logarithmic, np.log(np.where(logarithmic, high, 1.0)), high),
+        )
+
+    def values(self, places: Array) -> Array:
+        """Return the parameters at these places of the cube."""
+        logarithmic, low, high = self._ends
+        there = low + np.asarray(places) * (high - low)
+        return np.where(logarithmic, np.exp(np.where(logarithmic, there, 0.0)), there)
+
+    def places(self, values: Array) -> Array:
+        """Undo `values`."""
+        logarithmic, low, high = self._ends
+        values = np.asarray(values, dtype=float)
+        there = np.where(logarithmic, np.log(np.where(logarithmic, values, 1.0)), values)
+        return np.asarray(np.clip((there - low) / (high - low), 0.0, 1.0))
+
+    def slopes(self, places: Array) -> Array:
+        """Return by how much each parameter grows along its side of the cube, (..., n)."""
+        logarithmic, low, high = self._ends
+        return (high - low) * np.where(logarithmic, self.values(places), 1.0)
+
+
+BLOCKS = 40
+"""Blocks of time that count as independent, at most."""
+
+FEWEST_BLOCKS = 8
+
+OPEN = 0.5
+"""Share of what the bounds alone say beyond which the data do not determine a direction."""
+
+AT_BOUND = 0.01
+
+NAMED = 0.3
+"""Share of a direction from which on a parameter is named with it."""
+
+
+@dataclass(frozen=True)
+class Sureness:
+    """Covariance (n, n) of the places in the cube, and by how much correlated errors ``inflate`` it."""
+
+    covariance: Array
+    inflation: float
+    noise: float
+
+
+def sureness(errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, *, known: Array) -> Sureness:
+    """Return the covariance of parameters from errors (W, m) and their derivatives (W, m, n), (W, m, nh).
+
+    The hidden starts are projected out. Errors within a window, and of windows near each other, hang together: the
+    sandwich A^-1 B A^-1 takes the sum of squares of the gradients of whole blocks of time for B (clustered standard
+    errors, Liang and Zeger 1986), A = J^T J + noise^2 K^-1, K being ``known`` (n,), the variances without data.
+    """
+    windows, m, n = jacobian.shape
+    if by_hidden.shape[2]:
+        base, _ = np.linalg.qr(by_hidden)
+        jacobian = jacobian - base @ (np.swapaxes(base, 1, 2) @ jacobian)
+        errors = errors - (base @ (np.swapaxes(base, 1, 2) @ errors[..., None]))[..., 0]
+    free = max(1, windows * (m - by_hidden.shape[2]) - n)
+    noise = float(np.sqrt(np.sum(errors**2) / free)) + 1e-12
+    bread = np.einsum("wmi,wmj->ij", jacobian, jacobian) / noise**2 + np.diag(1.0 / known)
+    gradients = np.einsum("wmi,wm->wi", jacobian, errors) / noise**2
+    blocks = max(min(FEWEST_BLOCKS, windows), min(BLOCKS, windows // 4))
+    sums = np.array([gradients[rows].sum(axis=0) for rows in np.array_split(np.argsort(order, kind="stable"), blocks)])
+    sums -= sums.mean(axis=0)
+    few = blocks / max(blocks - n, 0.5 * blocks)  # as many gradients as parameters add up to nothing at the optimum
+    meat = few * sums.T @ sums * blocks / max(1, blocks - 1) + np.diag(1.0 / known)
+    inverse = np.linalg.pinv(bread, hermitian=True)
+    covariance = inverse @ meat @ inverse
+    naive = np.clip(np.diag(inverse), 1e-300, None)
+    determined = naive < OPEN**2 * known
+    ratio = np.diag(covariance)[determined] / naive[determined]
+    inflation = max(1.0, float(np.median(ratio))) if len(ratio) else 1.0
+    # Blocks are few: no direction is surer than errors that do not hang together would make it.
+    values, vectors = np.linalg.eigh(covariance)
+    least = np.einsum("ij,jk,ki->i", vectors.T, inverse, vectors)
+    covariance = (vectors * np.maximum(values, np.minimum(least, 1.0))) @ vectors.T
+    return Sureness(covariance, inflation, noise)
+
+
+def open_questions(
+    parameters: Sequence[Parameter], places: Array, covariance: Array, known: Array
+) -> tuple[list[str], list[bool]]:
+    """Return what the data do not determine, in sentences, and whether each parameter is determined.
+
+    A direction of the cube is open where the standard error is half of what the bounds alone say, or more.
+    """
+    prior = np.sqrt(known)
+    relative = covariance / np.outer(prior, prior)
+    values, vectors = np.linalg.eigh(relative)
+    slopes = Box.of(parameters).slopes(places) * prior
+    said: list[str] = []
+    alone: set[int] = set()
+    for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
+        if value < OPEN**2:
+            break
+        named = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) >= NAMED]
+        named = [i for i in named if i not in alone]
+        if len(named) == 1 or not named:
+            if named:
+                alone.add(named[0])
+                said.append(_not_determined(parameters[named[0]]))
+            continue
+        first = vector[named[0]] * slopes[named[0]]
+        grow = [parameters[i].name for i in named if vector[i] * slopes[i] * first > 0]
+        fall = [parameters[i].name for i in named if vector[i] * slopes[i] * first <= 0]
+        falls = f" while {_and(fall)} {'falls' if len(fall) == 1 else 'fall'}" if fall else " together"
+        names = _and(grow + fall)
+        said.append(f"the data determine only a combination of {names}: {_and(grow)} may grow{falls}, without a change")
+    determined = [bool(relative[i, i] < OPEN**2) for i in range(len(parameters))]
+    for i, parameter in enumerate(parameters):
+        if places[i] < AT_BOUND or places[i] > 1.0 - AT_BOUND:
+            end, value = ("lower", parameter.low) if places[i] < AT_BOUND else ("upper", parameter.high)
+            said.append(f"{parameter.name} is at its {end} bound, {value:g} {parameter.unit}".rstrip())
+    return list(dict.fromkeys(said)), determined
+
+
+def _not_determined(parameter: Parameter) -> str:
+    return (
+        f"the data do not determine {parameter.name}: they say little more of it than its bounds, "
+        f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".rstrip()
+    )
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def parameter_rows(
+    parameters: Sequence[Parameter], values: Array, errors: Array, determined: Sequence[bool]
+) -> list[dict[str, Any]]:
+    """Return a row for every parameter: value and standard error (n,), unit, bounds, whether the data determine it."""
+    return [
+        {
+            "parameter": parameter.name,
+            "value": float(value),
+            "standard error": float(error),
+            "unit": parameter.unit,
+            "low": parameter.low,
+            "high": parameter.high,
+            "determined": known,
+        }
+        for parameter, value, error, known in zip(parameters, values, errors, determined, strict=True)
+    ]
+
+
+def offset_rows(
+    parameters: Sequence[Parameter], recordings: Iterable[str], names: Sequence[str], offsets: Iterable[Array]
+) -> list[dict[str, Any]]:
+    """Return a row for every recording and every one of ``names``, with how much more or less it is there."""
+    units = {parameter.name: parameter.unit for parameter in parameters}
+    return [
+        {"recording": recording, "parameter": name, "offset": float(offset), "unit": units[name]}
+        for recording, row in zip(recordings, offsets, strict=True)
+        for name, offset in zip(names, row, strict=True)
+    ]
+
+
+def offset_note(parameters: Sequence[Parameter], names: Sequence[str], spreads: Iterable[float]) -> str:
+    """Return by how much the parameters ``names`` differ from recording to recording, in a sentence."""
+    units = {parameter.name: parameter.unit for parameter in parameters}
+    pairs = zip(names, spreads, strict=True)
+    each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
+    return f"from recording to recording there differ {each} (standard deviation)"

@@ -1,0 +1,93 @@
+"""What physics leave of the rates, learned by a radial network that is nothing where there are no data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_limits
+
+from model_zoo.features import Features
+from model_zoo.gaussian_process import factor, most_likely, squared_exponential
+from model_zoo.grey_box.equation import Structure
+from model_zoo.scaling import deviation, positive
+from sysid_evo.models.kernels import Predictor, gaussian_predictor, with_angles
+from sysid_evo.types import Array
+
+JITTER = 1e-6
+
+
+@dataclass(frozen=True)
+class Residual:
+    """The mean of a sparse Gaussian process without a trend, for each measured state: bumps around ``points`` (M, n).
+
+    ``lengths`` (nx, n) are infinite for inputs that do not count; ``weights`` (nx, M) hold the amplitudes. Far from the
+    data in units of the lengths it is zero (deterministic training conditional: Quinonero Candela, Rasmussen 2005).
+    """
+
+    points: Array
+    lengths: Array
+    weights: Array
+
+    def __call__(self, inputs: Array) -> Array:
+        """Return what is added to the rates of the measured states, (B, nx)."""
+        bumps = [squared_exponential(inputs / one, self.points / one) for one in self.lengths]
+        return np.stack([bump @ weight for bump, weight in zip(bumps, self.weights, strict=True)], axis=1)
+
+    def times(self, share: float) -> Self:
+        """Return a share of it."""
+        return replace(self, weights=share * self.weights)
+
+    def predictor(self, structure: Structure) -> Predictor:
+        """Return the compiled form, of the structure's carry and the control."""
+        nx, n = self.lengths.shape
+        n_carry = inputs_of(structure).n_carry
+        none = np.zeros((n, nx)), np.zeros(nx)
+        bumps = gaussian_predictor(self.points, self.lengths, self.weights, *none, n_carry)
+        return with_angles(bumps, structure.extended, (0, structure.delay))
+
+
+def inputs_of(structure: Structure) -> Features:
+    """Return what the residual sees of carry and control."""
+    return Features(structure.extended, (0, structure.delay))
+
+
+def learned_shape(
+    structure: Structure, inputs: Array, targets: Array, points: int, rng: np.random.Generator, told: Callable[[], None]
+) -> tuple[Residual, Array]:
+    """Return a residual with points, lengths and amplitudes (as weights of one) chosen, and the noise (nx,).
+
+    Lengths maximise the marginal likelihood at ``points`` random samples. Where actuators have lags of their own, they
+    are what counts of the commands.
+    """
+    rows = np.sort(rng.choice(len(inputs), size=min(points, len(inputs)), replace=False))
+    counted = len(structure.extended.regressor_names) if structure.lagged else inputs.shape[1]
+    scale, size = deviation(inputs)[:counted], positive(targets.std(axis=0))
+    nx = targets.shape[1]
+    lengths, amplitude, noise = np.full((nx, inputs.shape[1]), np.inf), np.empty(nx), np.empty(nx)
+    with threadpool_limits(1, user_api="blas"):  # the same model for any number of threads
+        for j in range(nx):
+            found = most_likely(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
+            lengths[j, :counted], amplitude[j], noise[j] = (
+                found.lengths * scale,
+                found.amplitude * size[j],
+                found.noise * size[j],
+            )
+    return Residual(inputs[rows], lengths, np.repeat(amplitude[:, None], len(rows), axis=1)), noise
+
+
+def conditioned(shape: Residual, noise: Array, inputs: Array, targets: Array) -> Residual:
+    """Return the residual of this shape that learned from all of ``inputs`` (N, n) and ``targets`` (N, nx)."""
+    weights = np.empty_like(shape.weights)
+    with threadpool_limits(1, user_api="blas"):
+        for j, length in enumerate(shape.lengths):
+            square = shape.weights[j, 0] ** 2
+            points = shape.points / length
+            own = square * (squared_exponential(points, points) + JITTER * np.eye(len(points)))
+            cross = square * squared_exponential(points, inputs / length)
+            posterior = factor(own + cross @ cross.T / noise[j] ** 2)
+            weights[j] = square * cho_solve((posterior, True), cross @ targets[:, j]) / noise[j] ** 2
+    return replace(shape, weights=weights)

@@ -1,0 +1,208 @@
+"""Families nearest_neighbour (paper 4.3) and k_neighbours."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+from sklearn.base import clone
+
+from model_zoo.control_grid import CommandCells
+from model_zoo.features import Features
+from model_zoo.neighbours_kernel import plane_predictor
+from model_zoo.scaling import Standard, deviation
+from sysid_evo import Dataset, DynamicsModel, System, register_model
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.kernels import neighbour_predictor, on_top, with_angles
+from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
+from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.progress import Counter, Progress
+from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+
+NEIGHBOURS = (8, 20)
+
+RIDGE = 0.03
+
+
+@register_model("k_neighbours")
+class KNeighbours(Uncertain):
+    """The change of the state on a plane fitted to the ``neighbours`` nearest steps (locally weighted regression).
+
+    The plain change in one step is used, not the acceleration: a lateral acceleration balances
+    forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
+
+    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic
+    state), controls counting
+    ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
+    d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
+    (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
+    interpolates and never extrapolates; what a state has beyond the training range is taken back in
+    one step. ``neighbours`` and lags left at None are chosen by the simulation
+    error over one second on held-out blocks of time.
+    """
+
+    knowledge = "dark grey"
+    cheap = True
+    structure = "neighbours"
+    searched: ClassVar[dict[str, Searched]] = {
+        "neighbours": Within(3, 60, log=True),
+        "control_weight": Within(0.2, 5.0, log=True),
+    }
+    periodic = True
+    precision = "float64"  # who the neighbours are hangs on the last digits
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
+    limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
+
+    neighbours: int | None = None
+    control_weight: float = 1.0
+    state_lags: int | None = None
+    control_lags: int | None = None
+    rest_hold: bool = False
+    most_steps: int | None = 100_000
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
+        counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
+        settings = [(count, pair) for pair in lags for count in counts]
+        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        blocks = HeldOut.of(dataset)
+
+        def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
+            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1], stochastic=False)
+            return trial.fit(part, rng=rng)
+
+        self.neighbours_, chosen = best(
+            settings,
+            lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, told=counter.advance),
+        )
+        self.keep_lags(chosen)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
+        system, features = dataset.system, Features(dataset.system, self.lags)
+        inputs = features(data.carry, data.control)
+        scale = Standard.of(dataset).of_inputs(self.layout)[1] if features.plain else deviation(inputs)
+        weight = np.full(len(scale), 0.5)
+        weight[: len(system.regressor_names)] = 1.0
+        weight[len(weight) - system.nu :] = self.control_weight
+        self.metric_ = weight / scale
+        self.points_ = inputs * self.metric_
+        self.low_, self.high_ = data.state.min(axis=0), data.state.max(axis=0)
+        for i in system.periods:
+            self.low_[i], self.high_[i] = -np.inf, np.inf
+        self.changes_ = data.after - data.state
+        counter.advance()
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
+        return self
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        query = Features(self.system, self.lags)(carry, control) * self.metric_
+        count = min(self.neighbours_, len(self.points_))
+        distance, rows = self._tree.query(query, k=np.arange(1, count + 1))
+        weight = (1.0 - (distance / (1.05 * distance[:, -1:] + 1e-12)) ** 2) ** 2
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        targets = self.changes_[rows]
+        mean = np.einsum("bk,bko->bo", weight, targets)
+        offset = self.points_[rows] - query[:, None]
+        centre = np.einsum("bk,bki->bi", weight, offset)
+        away = offset - centre[:, None]
+        weighted = away * weight[:, :, None]
+        gram = np.einsum("bki,bkj->bij", weighted, away) + RIDGE * np.eye(query.shape[1])
+        slope = np.linalg.solve(gram, np.einsum("bki,bko->bio", weighted, targets - mean[:, None]))
+        plane = mean - np.einsum("bi,bio->bo", centre, slope)
+        state = carry[:, : self.system.nx]
+        inside = np.clip(state, self.low_, self.high_)
+        return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
+
+    @cached_property
+    def _stepping_kernel(self) -> DynamicsKernel | None:
+        if self.timed:
+            return self._disturbed_kernel()
+        change = plane_predictor(
+            self.points_,
+            self.changes_,
+            self.metric_,
+            count=min(self.neighbours_, len(self.points_)),
+            ridge=RIDGE,
+            n_carry=Features(self.system, self.lags).n_carry,
+        )
+        inside = with_angles(change, self.system, self.lags)
+        return self.stepping(on_top(inside, np.ones(self.system.nx, dtype=bool), low=self.low_, high=self.high_))
+
+    @cached_property
+    def _tree(self) -> Any:
+        return cKDTree(self.points_, leafsize=16)
+
+
+@register_model("nearest_neighbour")
+class NearestNeighbour(DynamicsModel):
+    """The acceleration recorded in the nearest state under the same command.
+
+    Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
+    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
+    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
+    state in the distance.
+    """
+
+    knowledge = "dark grey"
+    cheap = True
+    structure = "neighbours"
+    periodic = True
+    limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
+
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
+
+    def check_system(self, system: System) -> None:
+        CommandCells.of(system, self.levels)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        cells = CommandCells.of(dataset.system, self.levels)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
+        cell = cells.index(data.control)
+        order = np.argsort(cell, kind="stable")
+        self.cell_ = cell[order]
+        self.points_ = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])[order]
+        self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        cells, tables, serving = self._tables
+        query = Features(self.system, self.lags)(carry, control[:, cells.exact])
+        table = serving[cells.index(control)]
+        result = np.empty((len(carry), self.accelerations_.shape[1]))
+        for number, (tree, rows) in tables.items():
+            asked = np.flatnonzero(table == number)
+            if len(asked):
+                _, nearest = tree.query(query[asked])
+                result[asked] = self.accelerations_[rows][nearest]
+        return result
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._compiled
+
+    @cached_property
+    def _compiled(self) -> DynamicsKernel | None:
+        cells, tables, serving = self._tables
+        place = {number: i for i, number in enumerate(tables)}
+        predictor = neighbour_predictor(
+            [(self.points_[rows], self.accelerations_[rows]) for _, rows in tables.values()],
+            np.array([place[int(number)] for number in serving]),
+            cells.midpoints,
+            cells.exact,
+            self.points_.shape[1] - len(cells.exact),
+        )
+        return self.stepping(with_angles(predictor, self.system, self.lags))
+
+    @cached_property
+    def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:
+        cells = CommandCells.of(self.system, self.levels)
+        filled, first, count = np.unique(self.cell_, return_index=True, return_counts=True)
+        tables = {}
+        for number, begin, size in zip(filled, first, count, strict=True):
+            rows = slice(int(begin), int(begin + size))
+            tables[int(number)] = (cKDTree(self.points_[rows], leafsize=8), rows)
+        return cells, tables, cells.fallback(filled)

@@ -1,0 +1,235 @@
+"""Networks of standardised features as a model that runs free, trained on all but held-out blocks of time."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from model_zoo.networks.network import Layers, Network, Single, random_network
+from model_zoo.networks.training import Plan, Shots, Trainings, judged, train
+from model_zoo.scaling import Mirror, Standard
+from sysid_evo.angles import TURN
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.types import Array
+from sysid_evo.validation.simulation_error import judging_windows
+
+
+class StandardisedModel(ABC):
+    """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
+
+    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs, one
+    or none, are ``flag`` (M, B or 1, 1): 1 for data as recorded, -1 for data seen in the ``mirror``, where there is
+    one. In every step the network is called ``calls`` times, with other present states. A step
+    and its derivative are written by hand, `advance` and `pull_back`.
+    """
+
+    calls: ClassVar[int] = 1
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        lags: tuple[int, int],
+        *,
+        hidden: Sequence[int],
+        rng: np.random.Generator,
+        members: int = 1,
+        further: int = 0,
+        mirror: Mirror | None = None,
+    ) -> None:
+        self.system = dataset.system
+        self.motion = self.system.motion_gradient()
+        self.layout = CarryLayout(self.system.nx, self.system.nu, *lags)
+        self.standard = Standard.of(dataset, mirror)
+        self.centre, self.scale = self.standard.of_inputs(self.layout)
+        self.rates = self.standard.change / self.system.dt
+        self.layers = Layers(
+            [len(self.centre) + further, *hidden, self.system.nx],
+            members,
+            centre=np.concatenate([self.centre, np.zeros(further)]),
+            scale=np.concatenate([self.scale, np.ones(further)]),
+            output_scale=self.rates,
+        )
+        self.parameters = self.layers.flat(random_network(self.layers.sizes, members, rng))
+        self.mirror = mirror
+        self.flag: Single = np.ones((1, 1, further), dtype=np.float32)
+        self.recorded = self.flag
+
+    def run(self, samples: Single) -> Single:
+        """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
+        self.layers.take(self.parameters)
+        history, nx = self.layout.history, self.system.nx
+        members, batch, horizon = *samples.shape[1:3], len(samples) - 1 - history
+        self.states: Single = np.empty((len(samples), members, batch, nx), dtype=np.float32)
+        self.states[: history + 1] = samples[: history + 1, ..., :nx]
+        controls = samples[:-1, ..., nx:]
+        self.controls: Single = controls[history:]
+        inputs = self.layers.reserve(horizon * self.calls, batch)
+        self.inputs: Single = inputs.reshape(horizon, self.calls, *inputs.shape[1:])
+        self._fill_controls(controls)
+        self.prepare(horizon)
+        for step in range(horizon):
+            self._fill_earlier_states(step)
+            self.states[history + step + 1] = self.advance(step, self.states[history + step])
+        return self.states[history + 1 :]
+
+    def gradient(self, by_states: Single) -> Single:
+        """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
+        by_after = by_states.copy()
+        self.by_seen: Single = np.zeros((*by_after.shape[:3], self._n_seen), dtype=np.float32)
+        for step in range(len(by_after) - 1, -1, -1):
+            by_state = self.pull_back(step, by_after[step])
+            if step:
+                by_after[step - 1] += by_state
+                if self.layout.state_lags:
+                    state = self.states[self.layout.history + step]
+                    by_after[step - 1] += self._pulled_to_state(state, self.by_seen[step])
+        return self.layers.gradient()
+
+    def prepare(self, horizon: int) -> None:
+        """Make ready for a run of so many steps."""
+        return
+
+    @abstractmethod
+    def advance(self, step: int, state: Single) -> Single:
+        """Return the state (M, B, nx) after ``step``."""
+
+    @abstractmethod
+    def pull_back(self, step: int, gradient: Single) -> Single:
+        """Return the gradient by the state before ``step``, from that by the state after it (M, B, nx)."""
+
+    def called(self, step: int, call: int, state: Single) -> Single:
+        """Return what the network gives (M, B, nx) in one of the calls of ``step``, for this present state."""
+        self.inputs[step, call, ..., : self._n_seen] = self._seen(state)
+        return self.layers.forward(step * self.calls + call)
+
+    def pulled_through(self, step: int, call: int, state: Single, gradient: Single) -> Single:
+        """Return the gradient by the present state of a call, from that by what the network gave (M, B, nx)."""
+        seen, lags = self._n_seen, self.layout.state_lags
+        if step == call == 0:  # the state is a measured one
+            self.layers.backward(0, gradient, 0)
+            return np.zeros_like(state)
+        by_inputs = self.layers.backward(step * self.calls + call, gradient, seen * (1 + lags))
+        for lag in range(1, min(lags, step) + 1):
+            self.by_seen[step - lag] += by_inputs[..., seen * lag : seen * (lag + 1)]
+        return self._pulled_to_state(state, by_inputs[..., :seen])
+
+    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+        """Return what is learned from a batch (L + 1 + H, M, B, nx + nu): half of the windows in the mirror."""
+        if self.mirror is None:
+            return samples
+        mirrored = rng.random((*samples.shape[1:3], 1), dtype=np.float32) < 0.5
+        self.flag = np.where(mirrored, np.float32(-1.0), np.float32(1.0))
+        signs = np.concatenate([self.mirror.states, self.mirror.controls]).astype(np.float32)
+        return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
+
+    def as_recorded(self) -> None:
+        """Expect data as recorded from here on, to be judged by them."""
+        self.flag = self.recorded
+
+    def learn(
+        self,
+        splits: Sequence[tuple[Dataset, Dataset]],
+        plan: Plan,
+        trainings: Trainings,
+    ) -> tuple[Single, Array]:
+        """Train each member on the first part of its split.
+
+        Returns the parameters with which it simulates the second part best, and its error there (M,).
+        """
+        history = self.layout.history
+        held = [_judging_shots(part, history) for _, part in splits]
+
+        def judge(parameters: Single) -> Array:
+            return judged(self, parameters, held, self.standard.state_scale)
+
+        learned = train(
+            self,
+            [Shots.of(part, plan.horizon, history) for part, _ in splits],
+            plan,
+            state_scale=self.standard.state_scale,
+            change_scale=self.standard.change,
+            trainings=trainings,
+            judge=judge,
+        )
+        return learned, judge(learned)
+
+    def network(self, parameters: Single) -> Network:
+        """Return ``parameters`` (M, P) as networks of features of (carry, control), with ``further`` inputs of 1."""
+        known = len(self.centre)
+        learned = self.layers.network(parameters)
+        weights, biases = list(learned.weights), list(learned.biases)
+        biases[0] = biases[0] + weights[0][:, known:].sum(axis=1)
+        weights[0] = weights[0][:, :known]
+        return Network(weights, biases).folded(self.centre, self.scale, self.rates)
+
+    def begin_with(self, network: Network) -> None:
+        """Undo `network`: begin with networks that make no use of ``further`` inputs."""
+        begun = network.unfolded(self.centre, self.scale, self.rates)
+        more = self.layers.sizes[0] - len(self.centre)
+        first = np.pad(begun.weights[0], ((0, 0), (0, more), (0, 0)))
+        flat = self.layers.flat(Network([first, *begun.weights[1:]], begun.biases))
+        self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
+
+    def learn_further(self, dataset: Dataset, plan: Plan, trainings: Trainings) -> Single:
+        """Train all members on the whole of ``dataset`` from where they are; return the parameters (M, P)."""
+        shots = Shots.of(dataset, plan.horizon, self.layout.history)
+        return train(
+            self,
+            [shots] * self.layers.members,
+            plan,
+            state_scale=self.standard.state_scale,
+            change_scale=self.standard.change,
+            trainings=trainings,
+        )
+
+    @property
+    def _n_seen(self) -> int:
+        """Numbers that are seen of one state."""
+        return len(self.standard.seen_centre)
+
+    def _fill_controls(self, controls: Single) -> None:
+        """Write the controls (L + H, M, B, nu), and the flag, into the inputs of all steps."""
+        history, horizon, nu = self.layout.history, len(self.inputs), self.system.nu
+        place = self._n_seen * (1 + self.layout.state_lags)
+        for lag in (*range(1, self.layout.control_lags + 1), 0):
+            begin = history - lag
+            self.inputs[..., place : place + nu] = controls[begin : begin + horizon, None]
+            place += nu
+        self.inputs[..., place:] = self.flag
+
+    def _fill_earlier_states(self, step: int) -> None:
+        """Write what is seen of earlier states into the inputs of one step."""
+        seen, history = self._n_seen, self.layout.history
+        for lag in range(1, self.layout.state_lags + 1):
+            known = step >= lag
+            earlier = self.inputs[step - lag, 0, ..., :seen] if known else self._seen(self.states[history + step - lag])
+            self.inputs[step, ..., seen * lag : seen * (lag + 1)] = earlier
+
+    def _seen(self, states: Single) -> Single:
+        """Return what is seen of states (..., nx)."""
+        return self.system.regressors(states) if self.system.periods else states
+
+    def _pulled_to_state(self, state: Single, gradient: Single) -> Single:
+        """Return the gradient by states (..., nx) from that by what is seen of them."""
+        if not self.system.periods:
+            return gradient
+        columns, place = [], 0
+        for i in range(self.system.nx):
+            if i in self.system.periods:
+                turns = np.float32(TURN / self.system.periods[i])
+                angle, by_sine, by_cosine = turns * state[..., i], gradient[..., place], gradient[..., place + 1]
+                columns.append(turns * (np.cos(angle) * by_sine - np.sin(angle) * by_cosine))
+                place += 2
+            else:
+                columns.append(gradient[..., place])
+                place += 1
+        return np.stack(columns, axis=-1)
+
+
+def _judging_shots(dataset: Dataset, history: int) -> Shots:
+    windows = judging_windows(dataset, history)
+    return Shots.at(dataset, windows.episode, windows.start, windows.states.shape[1])

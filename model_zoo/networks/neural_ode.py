@@ -1,0 +1,357 @@
+"""Families neural_ode and neural_ode_history, and the training of equations with a network in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from model_zoo.features import Features
+from model_zoo.networks.backpropagation import StandardisedModel
+from model_zoo.networks.network import Network, Single
+from model_zoo.networks.training import Plan, Trainings
+from model_zoo.scaling import Mirror
+from sysid_evo import register_model
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.models.kernels import (
+    Predictor,
+    added,
+    network_predictor,
+    runge_kutta_predictor,
+    turning_frame,
+    with_angles,
+)
+from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, above, at_least
+from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.progress import Counter, Progress
+from sysid_evo.system import System
+from sysid_evo.types import Array
+from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.held_out import best, lag_candidates, trials
+
+SEARCH_SHARE = 0.15
+
+HIDDEN = (32, 32)
+
+QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
+
+
+class NetworkRate(Uncertain):
+    """A family with dx/dt = network(carry, control) + `known_rate` + rotation of the frame.
+
+    Of a periodic state the network sees sine and cosine.
+
+    ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
+    measured states (multiple shooting) with ``input_noise`` (in units of the one-step change); the weights that
+    simulate held-out blocks of time best over one second are kept (early stopping). ``initial`` physical parameters of
+    the known part are trained with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
+    """
+
+    knowledge = "dark grey"
+    structure = "network"
+    periodic = True
+    resumable = True
+    searched: ClassVar[dict[str, Searched]] = {
+        "input_noise": Within(0.02, 4.0, log=True),
+        "hidden": OneOf((None, [24], [64, 64])),
+        "horizon": Within(5, 40, log=True),
+        "learning_rate": Within(2e-3, 2e-2, log=True),
+    }
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("hidden", "one_step_updates", "updates", "horizon")},
+        "learning_rate": above(0),
+        "input_noise": at_least(0),
+    }
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
+    initial: ClassVar[Array] = np.empty(0)
+    spread_groups: ClassVar[int] = 2
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+        "paper": {"one_step_updates": 3000, "updates": 1500},
+    }
+
+    hidden: list[int] | None = None
+    state_lags: int | None = None
+    control_lags: int | None = None
+    one_step_updates: int = 1000
+    updates: int = 500
+    horizon: int = 20
+    learning_rate: float = 6e-3
+    input_noise: float = 0.05
+    rest_hold: bool = False
+    most_steps: int | None = 100_000
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        plan = Plan(
+            self.one_step_updates,
+            self.updates,
+            self.horizon,
+            learning_rate=self.learning_rate,
+            input_noise=self.input_noise,
+        )
+        final = replace(plan, check_every=50)
+        one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
+        search = replace(plan, one_step_updates=one_step_updates, updates=updates)
+        options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
+        counter = Counter(progress, final.total + trials(options) * search.total)
+
+        def trained(lags: tuple[int, int], plan: Plan) -> FittedFlow:
+            return train_flow(
+                dataset,
+                lags,
+                hidden=self.hidden or HIDDEN,
+                plan=plan,
+                trainings=trainings,
+                physics=self.physics(),
+                physical=self.initial,
+            )
+
+        with Trainings.of(self, dataset, rng, counter.advance) as trainings:
+            lags = best(options, lambda lags: trained(lags, search).error)
+            fitted = trained(lags, final)
+        self.keep_lags(lags)
+        self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
+        if len(self.initial):
+            self.physical_ = fitted.physical
+        self.calibrate(dataset, rng, lambda: counter.advance(0))
+        return self
+
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
+        plan = Plan.further(updates, self.horizon, self.input_noise)
+        physics, physical = self.physics(), self.physical_ if len(self.initial) else self.initial
+        network, physical = train_flow_further(
+            self.network, dataset, self.lags, plan, rng, physics=physics, physical=physical
+        )
+        other = self.variant()
+        other.weights_, other.biases_ = list(network.weights), list(network.biases)
+        if len(self.initial):
+            other.physical_ = physical
+        return other
+
+    def known_rate(self, state: Array, control: Array) -> Array | None:
+        """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
+        return None
+
+    def physics(self) -> Physics | None:
+        """Return `known_rate` as it is trained, in a family with ``initial`` physical parameters."""
+        return None
+
+    @property
+    def network(self) -> Network:
+        """Features of (carry, control) to the learned part of dx/dt."""
+        return Network(self.weights_, self.biases_)
+
+    def known_predictor(self) -> Predictor | None:
+        """Return `known_rate` as a predictor of the fast engine, if there is one."""
+        return None
+
+    def predictor(self) -> Predictor | None:
+        return flow_predictor(self.network, self.system, self.lags, self.known_predictor())
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)
+
+
+def flow_step(
+    network: Network,
+    system: System,
+    lags: tuple[int, int],
+    carry: Array,
+    control: Array,
+    known_rate: Callable[[Array, Array], Array | None] | None = None,
+) -> Array:
+    """Return the state (B, nx) after dt of dx/dt = network + ``known_rate`` + rotation of the frame.
+
+    The network sees `Features` of (carry, control); earlier samples and controls are held.
+    """
+    features, held = Features(system, lags), carry[:, system.nx :]
+
+    def rate(state: Array) -> Array:
+        seen = features(np.concatenate([state, held], axis=1), control)
+        learned = network(seen)[0] + system.turning(state)
+        known = None if known_rate is None else known_rate(state, control)
+        return learned if known is None else learned + known
+
+    return rk4(rate, carry[:, : system.nx], system.dt)
+
+
+def flow_predictor(
+    network: Network, system: System, lags: tuple[int, int], known: Predictor | None = None
+) -> Predictor | None:
+    """Return the compiled form of `flow_step`, with a ``known`` rate if there is one; None if the motion has none."""
+    seen = Features(system, lags).n_carry
+    learned = with_angles(network_predictor(network.members()[:1], seen, system.nu), system, lags)
+    rate = turning_frame(learned if known is None else added(learned, known, system.nx), system)
+    n_carry = CarryLayout(system.nx, system.nu, *lags).size
+    return None if rate is None else runge_kutta_predictor(rate, system, n_carry=n_carry)
+
+
+FOLDS = 5
+
+NODES = 0.0, 0.5, 0.5, 1.0
+"""Share of dt at which each rate of a step is asked for."""
+
+SHARES = 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0
+"""Share of each of them in the step."""
+
+
+class Physics(Protocol):
+    """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
+
+    def hold(self, controls: Single, parameters: Single) -> None:
+        """Expect these ``controls`` (H, ..., nu) in the steps to come."""
+
+    def rate(self, step: int, state: Single) -> Single:
+        """Return the known part (..., nx) in one of the steps."""
+
+    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+        """Return the gradient by the state, from that by the rate (..., nx)."""
+
+    def by_parameters(self, states: Single, gradients: Single) -> Single:
+        """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""
+
+
+class Flow(StandardisedModel):
+    """dx/dt = network(x, lagged samples, control) + physics + rotation of the frame, controls held.
+
+    Of the ``physical`` parameters (n,), all positive, the logarithms are trained, beside the network's.
+    """
+
+    calls: ClassVar[int] = len(NODES)
+    physics: Physics | None = None
+
+    def know(self, physics: Physics, physical: Array) -> None:
+        """Add ``physics``, with parameters that begin at ``physical``."""
+        self.physics = physics
+        logarithms = np.log(physical).astype(np.float32)
+        self.parameters = np.concatenate([self.parameters, logarithms[None]], axis=1)
+
+    @property
+    def physical(self) -> Single:
+        """The physical parameters (n,) as they are now."""
+        return np.asarray(np.exp(self.parameters[0, self.layers.size :]))
+
+    def prepare(self, horizon: int) -> None:
+        shape = horizon, self.calls, *self.states.shape[1:]
+        self.visited: Single = np.empty(shape, dtype=np.float32)
+        self.by_rate: Single = np.empty(shape, dtype=np.float32)
+        if self.physics is not None:
+            self.physics.hold(self.controls, self.physical)
+
+    def advance(self, step: int, state: Single) -> Single:
+        dt, after, rate = self.system.dt, state, state
+        for call, (node, share) in enumerate(zip(NODES, SHARES, strict=True)):
+            here = state + (node * dt) * rate if node else state
+            self.visited[step, call] = here
+            rate = self.called(step, call, here)
+            if self.system.motion is not None:
+                rate += self.system.turning(here)
+            if self.physics is not None:
+                rate += self.physics.rate(step, here)
+            after = after + (share * dt) * rate
+        return after
+
+    def pull_back(self, step: int, gradient: Single) -> Single:
+        dt, by_state, from_next = self.system.dt, gradient, None
+        for call in range(self.calls - 1, -1, -1):
+            by_rate = (SHARES[call] * dt) * gradient
+            if from_next is not None:
+                by_rate += (NODES[call + 1] * dt) * from_next
+            self.by_rate[step, call] = by_rate
+            here = self.visited[step, call]
+            from_next = self.pulled_through(step, call, here, by_rate)
+            if self.system.motion is not None:
+                from_next = from_next + self.motion.turned(here, by_rate)
+            if self.physics is not None:
+                from_next = from_next + self.physics.by_state(step, here, by_rate)
+            by_state = by_state + from_next
+        return by_state
+
+    def gradient(self, by_states: Single) -> Single:
+        by_network = super().gradient(by_states)
+        if self.physics is None:
+            return by_network
+        by_logarithms = self.physics.by_parameters(self.visited, self.by_rate) * self.physical
+        return np.concatenate([by_network, by_logarithms[None]], axis=1)
+
+
+@dataclass(frozen=True)
+class FittedFlow:
+    """The network of features of (carry, control) to rates, the physical parameters, and the validation error."""
+
+    network: Network
+    physical: Array
+    error: float
+
+
+def train_flow(
+    dataset: Dataset,
+    lags: tuple[int, int],
+    *,
+    hidden: Sequence[int],
+    plan: Plan,
+    trainings: Trainings,
+    physics: Physics | None,
+    physical: Array,
+) -> FittedFlow:
+    """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
+    model = Flow(dataset, lags, hidden=hidden, rng=trainings.rng)
+    if physics is not None:
+        model.know(physics, physical)
+    best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
+    return FittedFlow(model.network(best), _physical(model, best), float(errors[0]))
+
+
+def train_flow_further(
+    network: Network,
+    dataset: Dataset,
+    lags: tuple[int, int],
+    plan: Plan,
+    rng: np.random.Generator,
+    *,
+    physics: Physics | None,
+    physical: Array,
+) -> tuple[Network, Array]:
+    """Train a ``network`` and ``physical`` parameters, which `train_flow` found, on all of ``dataset``.
+
+    Of a body that is steered the data are seen in the mirror as well: few seconds seldom turn both ways alike.
+    """
+    hidden, mirror = [weight.shape[2] for weight in network.weights[:-1]], Mirror.of(dataset.system)
+    model = Flow(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
+    if physics is not None:
+        model.know(physics, physical)
+    model.begin_with(network)
+    found = model.learn_further(dataset, plan, Trainings(rng))
+    return model.network(found), _physical(model, found)
+
+
+def _physical(model: Flow, parameters: Single) -> Array:
+    """Return the physical part (n,) of ``parameters`` (1, P)."""
+    return np.asarray(np.exp(parameters[0, model.layers.size :].astype(np.float64)))
+
+
+@register_model("neural_ode")
+class NeuralOde(NetworkRate):
+    """dx/dt = network(x, u) + w(x), w the rotation of a planar body's frame (Chen et al. 2018).
+
+    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
+    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
+    """
+
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
+    presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}
+
+
+@register_model("neural_ode_history")
+class NeuralOdeHistory(NetworkRate):
+    """dx/dt = network(x, u, earlier controls and states) + w(x), w the rotation of a planar body's frame.
+
+    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
+    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
+    Earlier samples are held over a step; how many is chosen by the simulation error on held-out
+    blocks of time unless given.
+    """

@@ -1,0 +1,199 @@
+"""A neural differential equation whose right-hand side is a torch module, trained through torchdiffeq."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
+import numpy as np
+
+from model_zoo.features import Features
+from model_zoo.networks.network import Network
+from model_zoo.networks.neural_ode import flow_predictor, flow_step
+from model_zoo.scaling import Standard
+from sysid_evo import Dataset, DynamicsModel, register_model
+from sysid_evo.carry import CarryLayout
+from sysid_evo.errors import InvalidArgument, ShapeError
+from sysid_evo.models.kernels import Predictor
+from sysid_evo.models.parameters import Limit, above, at_least
+from sysid_evo.processors import one_thread
+from sysid_evo.progress import Counter, Progress
+from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    import torch
+
+    from model_zoo.networks.torch_training import Equation
+
+
+HIDDEN = (32, 32)
+
+ACTIVATIONS = {"tanh": "Tanh", "silu": "SiLU", "gelu": "GELU", "elu": "ELU", "softplus": "Softplus", "relu": "ReLU"}
+
+TRAINED, STEPPED = 1e-5, 1e-12
+"""Tolerances of adaptive solvers: to step, so small that no row of a batch depends on the others."""
+
+
+@register_model("torch_ode")
+class TorchOde(DynamicsModel):
+    """dx/dt = module(x, u, earlier samples) + w(x), w the rotation of the frame, solved by torchdiffeq.
+
+    `module` is a multilayer perceptron with the layers ``hidden`` and the ``activation``; a family of your own derives
+    from this class and returns another. It sees standardised inputs (`Features`; of a periodic state sine and
+    cosine) and gives the rates in units of each state's usual change in one step, per second, in float64.
+
+    Two thirds of the ``updates`` of Adam are on single steps, the others on free runs of ``horizon`` steps from
+    measured states (multiple shooting); the weights that simulate held-out blocks of time best over one second are
+    kept (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint`` through its adjoint
+    equation, which takes less memory (only without ``state_lags``). Controls and earlier samples are held over a step.
+
+    The network with tanh under ``rk4`` is stepped in NumPy and has a compiled form: the classical method, where
+    torchdiffeq takes the 3/8 rule of the same order. Everything else is stepped by torch. A fit that is stopped
+    begins anew.
+    """
+
+    knowledge = "dark grey"
+    structure = "network"
+    periodic = True
+    requires = ("torch", "torchdiffeq")
+    limits: ClassVar[dict[str, Limit]] = {
+        **{name: at_least(1) for name in ("hidden", "updates", "horizon")},
+        "learning_rate": above(0),
+    }
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"hidden": [24], "updates": 700, "horizon": 10},
+        "paper": {"updates": 4500},
+    }
+
+    hidden: list[int] | None = None
+    activation: Literal["tanh", "silu", "gelu", "elu", "softplus", "relu"] = "tanh"
+    solver: Literal["rk4", "euler", "midpoint", "heun3", "explicit_adams", "implicit_adams", "dopri5", "dopri8"] = "rk4"
+    adjoint: bool = False
+    state_lags: int = 0
+    control_lags: int = 0
+    updates: int = 1500
+    horizon: int = 20
+    learning_rate: float = 6e-3
+    rest_hold: bool = False
+    most_steps: int | None = 100_000
+
+    def check_parameters(self) -> None:
+        super().check_parameters()
+        if self.adjoint and self.state_lags:
+            raise InvalidArgument(
+                f"{type(self).__name__}: adjoint: expected state_lags=0, got {self.state_lags}; the adjoint equation "
+                "knows only the present state"
+            )
+
+    def module(self, n_inputs: int, n_outputs: int) -> torch.nn.Module:
+        """Return a new module that turns inputs (B, ``n_inputs``) into outputs (B, ``n_outputs``), untrained."""
+        from torch import nn
+
+        layers: list[nn.Module] = []
+        for size in self.hidden or HIDDEN:
+            layers += [nn.Linear(n_inputs, size), getattr(nn, ACTIVATIONS[self.activation])()]
+            n_inputs = size
+        return nn.Sequential(*layers, nn.Linear(n_inputs, n_outputs))
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        from model_zoo.networks.torch_training import train
+
+        standard, counter = Standard.of(dataset), Counter(progress, self.updates)
+        self.centre_, self.scale_ = standard.of_inputs(CarryLayout(self.system.nx, self.system.nu, *self.lags))
+        self.rates_ = standard.change / self.system.dt
+        with one_thread(int(rng.integers(2**63))):
+            equation = self._equation(self._new_module(), TRAINED)
+            train(
+                equation,
+                dataset,
+                standard,
+                updates=self.updates,
+                horizon=self.horizon,
+                learning_rate=self.learning_rate,
+                rng=rng,
+                told=counter.advance,
+            )
+        weights = equation.module.state_dict()
+        self.weight_names_ = list(weights)
+        self.weights_ = [weight.numpy().copy() for weight in weights.values()]
+        return self
+
+    @property
+    def plain(self) -> bool:
+        """Whether this is the network with tanh under the method that NumPy and the compiled form have too."""
+        own = type(self).module is not TorchOde.module
+        return not own and self.activation == "tanh" and self.solver == "rk4"
+
+    @cached_property
+    def network(self) -> Network:
+        """The layers of a `plain` model, from what is seen of (carry, control) to rates."""
+        weights = [weight.T[None] for weight in self.weights_[::2]]
+        biases = [bias[None] for bias in self.weights_[1::2]]
+        return Network(weights, biases).folded(self.centre_, self.scale_, self.rates_)
+
+    @cached_property
+    def equation(self) -> Equation:
+        """What was learned, for torch."""
+        import torch
+
+        module = self._new_module()
+        weights = (torch.tensor(weight) for weight in self.weights_)
+        module.load_state_dict(dict(zip(self.weight_names_, weights, strict=True)))
+        return self._equation(module.eval(), STEPPED)
+
+    def predictor(self) -> Predictor | None:
+        return flow_predictor(self.network, self.system, self.lags) if self.plain else None
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return (
+            flow_step(self.network, self.system, self.lags, carry, control)
+            if self.plain
+            else self._by_torch(carry, control)
+        )
+
+    def _by_torch(self, carry: Array, control: Array) -> Array:
+        """Return the next states; nan in the rows that the solver cannot follow."""
+        import torch
+
+        from model_zoo.networks.torch_training import SOLVER_FAILED
+
+        try:
+            with one_thread(0), torch.no_grad():
+                return self.equation.after(torch.tensor(carry), torch.tensor(control)).numpy()
+        except SOLVER_FAILED:
+            if len(carry) == 1:
+                return np.full((1, self.system.nx), np.nan)
+            rows = range(len(carry))
+            return np.concatenate([self._by_torch(carry[i : i + 1], control[i : i + 1]) for i in rows])
+
+    def _new_module(self) -> torch.nn.Module:
+        """Return `module` for this system in float64. Raises `ShapeError` if its outputs have another shape."""
+        import torch
+
+        n_inputs, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
+        made = self.module(n_inputs, nx).double()
+        with torch.no_grad():
+            shape = tuple(made.eval()(torch.zeros(2, n_inputs, dtype=torch.float64)).shape)
+        if shape != (2, nx):
+            raise ShapeError(
+                f"{type(self).__name__}.module: expected a module that turns (2, {n_inputs}) into (2, {nx}), "
+                f"got {shape}"
+            )
+        return made
+
+    def _equation(self, module: torch.nn.Module, tolerance: float) -> Equation:
+        import torch
+
+        from model_zoo.networks.torch_training import Equation
+
+        return Equation(
+            module,
+            self.system,
+            self.layout,
+            centre=torch.tensor(self.centre_),
+            scale=torch.tensor(self.scale_),
+            rates=torch.tensor(self.rates_),
+            solver=self.solver,
+            adjoint=self.adjoint,
+            tolerance=tolerance,
+        )

@@ -1,0 +1,240 @@
+"""The torch part of torch_ode: the equation under torchdiffeq and its training."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
+from torchdiffeq import odeint, odeint_adjoint
+
+from model_zoo.networks.training import MOMENTUM, SPREAD, Batches, Plan, Shots, schedule, step_weights
+from model_zoo.scaling import Standard
+from sysid_evo.angles import TURN
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset, Windows
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.models.dynamics import chained
+from sysid_evo.system import System
+from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.simulation_error import judging_windows, relative_error
+
+ADAPTIVE = ("dopri5", "dopri8")
+"""Methods that choose their own steps; those of lower order would need too many to be as exact as a step must be."""
+
+MOST_STEPS = 10_000
+"""Steps of their own that they may take within dt."""
+
+SOLVER_FAILED = AssertionError
+"""What torchdiffeq raises where they would take more, or meet what is no number."""
+
+
+class Turning(torch.autograd.Function):
+    """w(x) of any motion, with the derivative that it has."""
+
+    @staticmethod
+    def forward(ctx: Any, state: Tensor, system: System) -> Tensor:
+        """Return w(x) for states (..., nx)."""
+        ctx.save_for_backward(state)
+        ctx.system = system
+        return torch.from_numpy(system.turning(state.detach().numpy()))
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        """Return the gradient by the states."""
+        (state,) = ctx.saved_tensors
+        return torch.from_numpy(ctx.system.motion_gradient().turned(state.numpy(), gradient.numpy())), None
+
+
+@dataclass(frozen=True)
+class Equation:
+    """dx/dt = ``rates`` module((seen - ``centre``) / ``scale``) + w(x), w the rotation of the frame, all in float64.
+
+    Seen are what `Features` lists: states, of periodic ones sine and cosine, earlier samples and the control, which
+    are held over a step. ``tolerance`` is that of adaptive methods, relative and in parts of the usual change in a
+    step; none of the rows of a batch is further off.
+    """
+
+    module: torch.nn.Module
+    system: System
+    layout: CarryLayout
+    centre: Tensor
+    scale: Tensor
+    rates: Tensor
+    solver: str
+    adjoint: bool
+    tolerance: float
+
+    def with_module(self, module: torch.nn.Module) -> Equation:
+        """Return the same equation with another module."""
+        return replace(self, module=module)
+
+    def run(self, states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
+        """Return the states (B, H, nx) of free runs from histories (B, L + 1, nx), (B, L, nu) under (B, H, nu)."""
+        carry = torch.cat(self.layout.started(states, past_controls), dim=-1)
+
+        def step(carry: Tensor, control: Tensor) -> Tensor:
+            return torch.cat(self.layout.moved(carry, control, self.after(carry, control)), dim=-1)
+
+        return torch.stack([carry[:, : self.layout.nx] for carry in chained(step, carry, controls)], dim=1)
+
+    def after(self, carry: Tensor, control: Tensor) -> Tensor:
+        """Return the state (B, nx) after dt. Raises `SOLVER_FAILED` where an adaptive method cannot get there."""
+        solve, options = odeint, None
+        if self.adjoint and torch.is_grad_enabled():
+            solve = partial(odeint_adjoint, adjoint_rtol=self.tolerance, adjoint_atol=self.tolerance)
+        if self.solver in ADAPTIVE:
+            options = {"max_num_steps": MOST_STEPS, "norm": _largest}
+        rate, state = Rate(self, carry[:, self.layout.nx :], control), carry[:, : self.layout.nx]
+        solved: Tensor = solve(
+            rate, state, self._times, rtol=self.tolerance, atol=self._absolute, method=self.solver, options=options
+        )
+        return solved[-1]
+
+    @cached_property
+    def _times(self) -> Tensor:
+        return torch.tensor([0.0, self.system.dt], dtype=torch.float64)
+
+    @cached_property
+    def _absolute(self) -> Tensor:
+        return self.tolerance * self.system.dt * self.rates
+
+
+class Rate(torch.nn.Module):
+    """dx/dt of one step as torchdiffeq asks for it: what is held, and what is seen of that, is computed once."""
+
+    def __init__(self, equation: Equation, held: Tensor, control: Tensor) -> None:
+        super().__init__()
+        self.module, self.equation = equation.module, equation
+        system, past = equation.system, equation.layout.earlier_controls.start - equation.layout.nx
+        earlier = [seen(system, held[:, at : at + system.nx]) for at in range(0, past, system.nx)]
+        self.n_seen = len(system.regressor_names)
+        fixed = torch.cat([*earlier, held[:, past:], control], dim=1)
+        self.fixed = (fixed - equation.centre[self.n_seen :]) / equation.scale[self.n_seen :]
+
+    def forward(self, time: Tensor, state: Tensor) -> Tensor:
+        """Return dx/dt (B, nx), which is the same at all times of the step."""
+        equation, n = self.equation, self.n_seen
+        present = (seen(equation.system, state) - equation.centre[:n]) / equation.scale[:n]
+        rate: Tensor = self.module(torch.cat([present, self.fixed], dim=1)) * equation.rates
+        if equation.system.motion is None:
+            return rate
+        turned: Any = Turning  # torch gives apply no types
+        turning: Tensor = turned.apply(state, equation.system)
+        return rate + turning
+
+
+def seen(system: System, states: Tensor) -> Tensor:
+    """Return `System.regressors` of ``states`` (B, nx)."""
+    if not system.periods:
+        return states
+    columns: list[Tensor] = []
+    for i, column in enumerate(states.unbind(dim=1)):
+        if i in system.periods:
+            angle = TURN / system.periods[i] * column
+            columns += [torch.sin(angle), torch.cos(angle)]
+        else:
+            columns.append(column)
+    return torch.stack(columns, dim=1)
+
+
+def _largest(error: Tensor) -> Tensor:
+    return error.abs().max()
+
+
+FOLDS = 5
+
+ON_SINGLE_STEPS = 2 / 3
+"""Share of the updates, which take little time each."""
+
+CHECKS = 12
+"""Times that the running mean of the weights is judged."""
+
+
+def train(
+    equation: Equation,
+    dataset: Dataset,
+    standard: Standard,
+    *,
+    updates: int,
+    horizon: int,
+    learning_rate: float,
+    rng: np.random.Generator,
+    told: Callable[[], None],
+) -> float:
+    """Train the module of ``equation`` in place on all but the held-out blocks of time; return the error on these.
+
+    Every window is a shot of its own from a measured state (multiple shooting), as `Plan` says: first of one step, then
+    of ``horizon`` steps. What stays are, of the running means of the weights, those that simulate the held-out blocks
+    best over one second. ``told`` is called after each update.
+    """
+    learned, held = time_blocks(dataset, 0, FOLDS)
+    history, module = equation.layout.history, equation.module
+    shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
+    batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
+    single = round(ON_SINGLE_STEPS * updates)
+    plan = Plan(single, updates - single, horizon, learning_rate=learning_rate)
+
+    def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
+        return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))
+
+    mean = AveragedModel(module, avg_fn=running)
+    optimiser = torch.optim.Adam(module.parameters(), betas=(MOMENTUM, SPREAD), weight_decay=2.0 * plan.weight_decay)
+    best, lowest = copy.deepcopy(module.state_dict()), math.inf
+    for update in range(updates):
+        steps, size, rate = schedule(plan, update, shots.horizon)
+        samples = batches.of([rng.integers(0, len(shots), size)], steps)[:, 0]
+        now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
+        noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, equation.layout.nx))
+        for group in optimiser.param_groups:
+            group["lr"] = rate
+        optimiser.zero_grad()
+        module.train()
+        if _pulled_back(equation, now, torch.from_numpy(noise), scale):
+            optimiser.step()
+        mean.update_parameters(module)
+        if update + 1 == updates or (update + 1) % max(1, updates // CHECKS) == 0:
+            error = _judged(equation, mean.module, windows)
+            if error < lowest:
+                best, lowest = copy.deepcopy(mean.module.state_dict()), error
+        told()
+    if not math.isfinite(lowest):
+        raise InvalidArgument(
+            f"no free run of the module was finite: expected one that solver={equation.solver!r} can follow; "
+            "give a lower learning_rate, or a module whose outputs are bounded"
+        )
+    module.load_state_dict(best)
+    return lowest
+
+
+def _pulled_back(equation: Equation, samples: Tensor, noise: Tensor, scale: Tensor) -> bool:
+    """Set the gradients for windows (B, L + 1 + H, nx + nu), shortened to 1; return whether they are finite."""
+    nx, history = equation.layout.nx, equation.layout.history
+    states, controls = samples[..., :nx], samples[..., nx:]
+    try:
+        found = equation.run(states[:, : history + 1] + noise, controls[:, :history], controls[:, history:-1])
+        error = (((found - states[:, history + 1 :]) / scale) ** 2).mean(dim=(0, 2))
+        weights = torch.from_numpy(step_weights(error.detach().numpy()[:, None]))
+        torch.autograd.backward((weights * error).sum())
+    except SOLVER_FAILED:
+        return False
+    return bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(equation.module.parameters(), 1.0)))
+
+
+def _judged(equation: Equation, module: torch.nn.Module, windows: Windows) -> float:
+    """Return the error of free runs over ``windows`` with the weights of ``module``."""
+    given = (torch.from_numpy(part) for part in (windows.past_states, windows.past_controls, windows.controls))
+    module.eval()
+    try:
+        with torch.no_grad():
+            simulated = equation.with_module(module).run(*given).numpy()
+    except SOLVER_FAILED:
+        return math.inf
+    return relative_error(equation.system, simulated, windows)

@@ -1,0 +1,427 @@
+"""Training on simulations: windows, schedule, Adam, early stopping, resuming.
+
+Every window is a shot of its own that starts at a measured state (multiple shooting with the
+measurements as nodes). The error of each step counts by the inverse of its present size to the
+power 2.5, so that the first steps matter more than the last, which they decide.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self, TypeAlias
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from model_zoo.networks.network import Single
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.errors import CheckpointWarning
+from sysid_evo.models import DynamicsModel
+from sysid_evo.progress import Checkpoint, State
+from sysid_evo.types import Array, IntArray
+
+SHARPNESS = 2.5
+"""Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
+
+SINGLE_STEPS = 0.75
+"""Share of the updates of more training that are on single steps."""
+
+TOLD_EVERY = 10
+"""Updates between two reports of progress."""
+
+FLOOR = 0.002
+"""Square of a relative error below which a step gains no more weight (the noise of the measurement)."""
+
+PIECE = 256
+"""Windows that are judged at once."""
+
+
+@dataclass(frozen=True)
+class Shots:
+    """Windows of ``horizon`` steps: where each one's present stands (N,) among samples of state and control (T, n).
+
+    The samples are those of all episodes, one after the other. Batches of them have the time first.
+    """
+
+    samples: Single
+    starts: IntArray
+    horizon: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, horizon: int, history: int) -> Shots:
+        """Cut windows at every moving sample, as long as ``horizon`` or as the data allow."""
+        horizon = min(horizon, max(len(episode) for episode in dataset.episodes) - history)
+        windows = dataset.windows(1, history=history, moving=True)
+        lengths = np.array([len(episode) for episode in dataset.episodes])
+        fits = windows.start + horizon <= lengths[windows.episode]
+        return cls.at(dataset, windows.episode[fits], windows.start[fits], horizon)
+
+    @classmethod
+    def at(cls, dataset: Dataset, episode: IntArray, start: IntArray, horizon: int) -> Shots:
+        """Return the windows that begin at these samples of these episodes, (N,) each."""
+        parts = []
+        for one in dataset.episodes:
+            ended = np.concatenate([one.controls, np.zeros((1, one.controls.shape[1]))])
+            parts.append(np.concatenate([one.states, ended], axis=1))
+        first = np.cumsum([0, *(len(part) for part in parts)])
+        return cls(np.concatenate(parts).astype(np.float32), first[episode] + start, horizon)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+
+class Batches:
+    """What batches of every member's windows are made of: all samples in one array."""
+
+    def __init__(self, shots: Sequence[Shots], history: int) -> None:
+        first = np.cumsum([0, *(len(one.samples) for one in shots)])
+        self.samples = np.concatenate([one.samples for one in shots])
+        self.starts = [one.starts + begin for one, begin in zip(shots, first, strict=False)]
+        self.history = history
+
+    def of(self, rows: Sequence[IntArray], horizon: int) -> Single:
+        """Return the samples (L + 1 + H, M, B, n) of one choice of windows (B,) for each member."""
+        starts = np.stack([start[row] for start, row in zip(self.starts, rows, strict=True)])
+        steps = np.arange(-self.history, horizon + 1)
+        found: Single = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
+        return found
+
+
+class FreeRunning(Protocol):
+    """M models with parameters (M, P) that run free and say how what they simulate depends on the parameters."""
+
+    layout: CarryLayout
+    parameters: Single
+
+    def run(self, samples: Single) -> Single:
+        """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
+
+    def gradient(self, by_states: Single) -> Single:
+        """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
+
+    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+        """Return what is learned from a batch."""
+
+    def as_recorded(self) -> None:
+        """Expect data as recorded from here on, to be judged by them."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long and how hard to train.
+
+    First ``one_step_updates`` on single steps with batches of 512, then ``updates`` on free runs of
+    ``horizon`` steps with ``batch`` windows. ``input_noise`` is added to measured states, in units
+    of their one-step change. The weights are a running mean (``averaging``) of those visited;
+    every ``check_every`` updates it is judged, and the best judged one is kept.
+    """
+
+    one_step_updates: int
+    updates: int
+    horizon: int
+    batch: int = 96
+    learning_rate: float = 6e-3
+    weight_decay: float = 1e-5
+    input_noise: float = 0.05
+    averaging: float = 0.99
+    check_every: int = 100
+
+    @classmethod
+    def further(cls, updates: int, horizon: int, input_noise: float) -> Plan:
+        """Return how what has learned goes on for so many ``updates`` with other data."""
+        single = round(SINGLE_STEPS * updates)
+        return cls(single, updates - single, horizon, input_noise=input_noise)
+
+    @property
+    def total(self) -> int:
+        return self.one_step_updates + self.updates
+
+
+def train(
+    model: FreeRunning,
+    shots: Sequence[Shots],
+    plan: Plan,
+    *,
+    state_scale: Array,
+    change_scale: Array,
+    trainings: Trainings,
+    judge: Callable[[Single], Array] | None = None,
+) -> Single:
+    """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters (M, P).
+
+    ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
+    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. It is the next of ``trainings``: done
+    already, stopped before its end, or not begun. Matrices are multiplied on one thread: they are small, and the
+    result is the same for any number of threads.
+    """
+    done = trainings.ended()
+    if done is not None:
+        trainings.report(plan.total)
+        return done
+    with threadpool_limits(1, user_api="blas"):
+        return _trained(model, shots, plan, state_scale, change_scale, trainings, judge)
+
+
+def _trained(
+    model: FreeRunning,
+    shots: Sequence[Shots],
+    plan: Plan,
+    state_scale: Array,
+    change_scale: Array,
+    trainings: Trainings,
+    judge: Callable[[Single], Array] | None,
+) -> Single:
+    rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.history)
+    standing = Standing.at(model.parameters)
+    scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
+    longest = min(shot.horizon for shot in shots)
+    present = slice(layout.history - layout.state_lags, layout.history + 1)
+    first = told = trainings.resume(standing)
+    if first:
+        trainings.report(first)
+    for update in range(first, plan.total):
+        horizon, size, rate = schedule(plan, update, longest)
+        batch = batches.of([rng.integers(0, len(shot), size) for shot in shots], horizon)
+        batch = model.augmented(batch, rng)
+        truth = batch[layout.history + 1 :, ..., : layout.nx].copy()
+        if plan.input_noise:
+            measured = batch[present, ..., : layout.nx]
+            measured += noise * rng.standard_normal(measured.shape, dtype=np.float32)
+        off = (model.run(batch) - truth) / scale
+        error = (off**2).mean(axis=(2, 3))
+        off *= (2.0 / (off.shape[2] * off.shape[3]) * step_weights(error))[:, None, None, None] / scale
+        standing.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
+        standing.average(min(plan.averaging, (update + 1) / (update + 10)))
+        last = update + 1 == plan.total
+        if judge is not None and (last or (update + 1) % plan.check_every == 0):
+            standing.keep(judge(standing.mean))
+        if last or update % TOLD_EVERY == 0:
+            trainings.reached(update + 1, standing)
+            trainings.report(update + 1 - told)
+            told = update + 1
+    found = standing.mean if judge is None else standing.best
+    trainings.end(found)
+    return found
+
+
+def step_weights(error: Single) -> Single:
+    """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (H, M) they have now."""
+    weight = (error.mean(axis=1) + FLOOR) ** -SHARPNESS
+    return np.asarray(weight / weight.sum())
+
+
+def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_scale: Array) -> Array:
+    """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
+
+    Infinite where a run is not finite. A member with fewer windows than another runs some twice, which do not count.
+    """
+    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.history)
+    model.as_recorded()
+    model.parameters = parameters
+    most, longest = max(len(shots) for shots in held), max(shots.horizon for shots in held)
+    square: list[Array] = [np.zeros((shots.horizon, layout.nx)) for shots in held]
+    for begin in range(0, most, PIECE):
+        rows = np.arange(begin, min(begin + PIECE, most))
+        batch = batches.of([rows % len(shots) for shots in held], longest)
+        with np.errstate(all="ignore"):
+            off = ((model.run(batch) - batch[layout.history + 1 :, ..., : layout.nx]) / state_scale) ** 2
+        for member, shots in enumerate(held):
+            square[member] += off[: shots.horizon, member, : max(0, len(shots) - begin)].sum(axis=1)
+    model.parameters = trained
+    errors = [float(np.sqrt(sums / len(shots)).mean()) for sums, shots in zip(square, held, strict=True)]
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def schedule(plan: Plan, update: int, longest: int) -> tuple[int, int, float]:
+    """Return the horizon, the number of windows and the learning rate of one update."""
+    if update < plan.one_step_updates:
+        share = update / plan.one_step_updates
+        return 1, 512, plan.learning_rate * (0.2 + 0.8 * math.cos(0.5 * math.pi * share))
+    index = update - plan.one_step_updates
+    share = index / plan.updates
+    rate = plan.learning_rate * (0.02 + 0.49 * (1.0 + math.cos(math.pi * share))) * min(1.0, (index + 1) / 20)
+    return min(plan.horizon, longest), plan.batch, rate
+
+
+Report: TypeAlias = Callable[[int], None]
+"""Told how many more updates are done."""
+
+MOMENTUM, SPREAD, TINY = 0.9, 0.99, 1e-8
+"""Adam's two decay rates and what keeps it from dividing by zero (Kingma, Ba 2015)."""
+
+
+@dataclass
+class Standing:
+    """All that changes while one training goes on, in place; arrays are (M, P), one row for each member.
+
+    ``first`` and ``second`` are Adam's moments of the gradient after so many ``steps`` (1,), ``mean`` is the running
+    mean of the ``parameters``, ``best`` the best of these means and ``lowest`` its errors (M,).
+    """
+
+    parameters: Single
+    first: Single
+    second: Single
+    mean: Single
+    best: Single
+    lowest: Array
+    steps: Array
+
+    @classmethod
+    def at(cls, parameters: Single) -> Self:
+        """Return how things stand before the first update of ``parameters``."""
+        zero = np.zeros_like(parameters)
+        lowest = np.full(len(parameters), np.inf)
+        return cls(parameters, zero, zero.copy(), parameters.copy(), parameters.copy(), lowest, np.zeros(1))
+
+    def descend(self, gradient: Single, rate: float) -> None:
+        """Do one step of Adam, down a ``gradient`` that is shortened to the root of M; none if it is not finite."""
+        norm = math.sqrt(float(np.vdot(gradient, gradient)))
+        if not math.isfinite(norm):
+            return
+        gradient = gradient * min(1.0, math.sqrt(len(gradient)) / (norm + 1e-6))
+        self.steps += 1
+        count = int(self.steps[0])
+        self.first += (1.0 - MOMENTUM) * (gradient - self.first)
+        self.second += (1.0 - SPREAD) * (gradient**2 - self.second)
+        deviation = np.sqrt(self.second / (1.0 - SPREAD**count))
+        deviation += TINY
+        self.parameters -= rate / (1.0 - MOMENTUM**count) * self.first / deviation
+
+    def average(self, keep: float) -> None:
+        """Take the parameters into the running mean, of which the share ``keep`` stays."""
+        self.mean += (1.0 - keep) * (self.parameters - self.mean)
+
+    def keep(self, errors: Array) -> None:
+        """Keep the means of those members whose ``errors`` (M,) are the lowest so far."""
+        better = errors < self.lowest
+        self.lowest[better], self.best[better] = errors[better], self.mean[better]
+
+    def state(self) -> dict[str, Array]:
+        """Return copies of all of it by name, as float64 arrays, which hold single precision exactly."""
+        return {name: np.array(value, dtype=np.float64) for name, value in vars(self).items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state`` of the same training. Raises `LookupError` or `ValueError` for that of another."""
+        for name, value in vars(self).items():
+            if np.shape(state[name]) != value.shape:
+                raise ValueError(f"expected the shape {value.shape}, got {np.shape(state[name])}")
+        for name, value in vars(self).items():
+            value[...] = state[name]
+
+
+class Trainings:
+    """The trainings of one fit, one after the other, and the source of their random numbers.
+
+    With a ``checkpoint`` a fit that is made again, with the same data and the same ``rng``, does not repeat the
+    trainings that had ended, and goes on within the one that had not. Use it in a ``with`` statement: what leaves it
+    by an exception, Ctrl-C too, is kept as it stood after the last updates that were told.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        *,
+        report: Report | None = None,
+        checkpoint: Checkpoint | None = None,
+        identity: str = "",
+    ) -> None:
+        self.rng, self.checkpoint, self.identity = rng, checkpoint, identity
+        self._report = report
+        self._begun = 0
+        self._state: dict[str, Any] = {"ended": 0}
+        self._saved = True
+        found = None if checkpoint is None else checkpoint.load(identity)
+        self._found: State = {"ended": 0} if found is None else found
+
+    @classmethod
+    def of(cls, model: DynamicsModel, dataset: Dataset, rng: np.random.Generator, report: Report | None) -> Self:
+        """Return the trainings of a fit of ``model``, kept in its checkpoint if somebody set one."""
+        asked = [type(model).__qualname__, repr(model.get_params(deep=False)), dataset.fingerprint, _text(rng)]
+        identity = hashlib.sha256(json.dumps([*asked, np.__version__]).encode()).hexdigest()
+        return cls(rng, report=report, checkpoint=model.checkpoint, identity=identity)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._save()
+
+    def report(self, updates: int) -> None:
+        """Tell that so many more updates are done."""
+        if self._report is not None:
+            self._report(updates)
+
+    def ended(self) -> Single | None:
+        """Begin the next training; return its parameters if it had ended before, None if it has to be done."""
+        number, found = self._begun, self._found
+        self._begun += 1
+        if number >= int(found["ended"]):
+            return None
+        own = {name: value for name, value in found.items() if name.startswith(f"{number}/")}
+        self._state |= {**own, "ended": number + 1}
+        _set(self.rng, str(own[f"{number}/rng"]))
+        return np.asarray(own[f"{number}/parameters"], dtype=np.float32)
+
+    def resume(self, standing: Standing) -> int:
+        """Bring ``standing`` to where the training was stopped; return the updates that it has behind it."""
+        found = self._found
+        if "updates" not in found or self._begun != int(found["ended"]) + 1:
+            return 0
+        before = standing.state()
+        try:
+            standing.restore({name.removeprefix("now/"): value for name, value in found.items()})
+            _set(self.rng, str(found["rng"]))
+        except (LookupError, TypeError, ValueError) as error:
+            warnings.warn(f"the checkpoint is ignored in this training: {error}", CheckpointWarning, stacklevel=2)
+            standing.restore(before)
+            return 0
+        return int(found["updates"])
+
+    def reached(self, updates: int, standing: Standing) -> None:
+        """Keep how things stand after so many updates, if it is time to save."""
+        if self.checkpoint is None:
+            return
+        now: dict[str, Any] = {f"now/{name}": value for name, value in standing.state().items()}
+        ended = {name: value for name, value in self._state.items() if _of_ended(name)}
+        self._state = {**ended, **now, "updates": updates, "rng": _text(self.rng)}
+        self._saved = False
+        if self.checkpoint.due():
+            self._save()
+
+    def end(self, parameters: Single) -> None:
+        """Keep the parameters of the training, which is over."""
+        if self.checkpoint is None:
+            return
+        number = self._begun - 1
+        ended = {name: value for name, value in self._state.items() if _of_ended(name)}
+        own = {f"{number}/parameters": parameters.astype(np.float64), f"{number}/rng": _text(self.rng)}
+        self._state = {**ended, **own, "ended": number + 1}
+        self._save(always=True)
+
+    def _save(self, *, always: bool = False) -> None:
+        if self.checkpoint is not None and (always or not self._saved):
+            self.checkpoint.save(self.identity, self._state)
+            self._saved = True
+
+
+def _of_ended(name: str) -> bool:
+    return name == "ended" or name.partition("/")[0].isdigit()
+
+
+def _text(rng: np.random.Generator) -> str:
+    """Return the state of a generator."""
+    return json.dumps(rng.bit_generator.state, default=lambda array: array.tolist())
+
+
+def _set(rng: np.random.Generator, text: str) -> None:
+    rng.bit_generator.state = json.loads(text)

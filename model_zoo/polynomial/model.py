@@ -1,0 +1,289 @@
+"""The base of polynomial families: monomials, step, equations in words, compiled form, stability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from model_zoo.features import Features, between_limits, integrals, next_state, next_state_predictor, quotient
+from sysid_evo.data import Dataset
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.kernels import Predictor, polynomial_predictor, with_angles, within
+from sysid_evo.models.kernels.shells import SeenRow, of_functions
+from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx).
+
+    ``added`` (nx,) says of which states the targets are changes. ``sample`` (N,) numbers the steps, with a gap where
+    one does not follow the one before.
+    """
+
+    regressors: Array
+    targets: Array
+    measured: Array
+    states: Array
+    added: BoolArray
+    sample: IntArray | None = None
+
+    def __getitem__(self, rows: IntArray) -> Regression:
+        sample = None if self.sample is None else self.sample[rows]
+        measured, states = self.measured[rows], self.states[rows]
+        return Regression(self.regressors[rows], self.targets[rows], measured, states, self.added, sample)
+
+
+class PolynomialFamily(Uncertain):
+    """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
+
+    The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
+    in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
+    """
+
+    structure = "polynomial"
+    periodic = True
+
+    def features_of(self, system: System, lags: tuple[int, int]) -> Features:
+        """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
+        return Features(system, lags)
+
+    @property
+    def features(self) -> Features:
+        """What the polynomial sees of (carry, control)."""
+        return self.features_of(self.system, self.lags)
+
+    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
+        """Return what the polynomial is fitted to."""
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        features, added = self.features_of(dataset.system, lags), integrals(dataset)
+        seen = features(data.carry, data.control)
+        found = Regression(seen, data.after - np.where(added, data.state, 0.0), seen, data.state, added)
+        return found[np.flatnonzero(between_limits(dataset.system, data.after))]
+
+    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
+        used = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        used = used if len(used) else np.array([0])
+        seen = self.kept_features(exponents[used])
+        self.coefficients_ = np.ascontiguousarray(coefficients[used])
+        self.exponents_ = np.ascontiguousarray(exponents[used][:, seen])
+        self.low_, self.high_ = data.measured.min(axis=0)[seen], data.measured.max(axis=0)[seen]
+        self.added_ = data.added.astype(np.float64)
+
+    def kept_features(self, exponents: IntArray) -> IntArray:
+        """Return which features to go on with, those of terms with ``exponents`` (T, n) among them; by default all."""
+        return np.arange(exponents.shape[1])
+
+    def polynomial(self, carry: Array, control: Array) -> Array:
+        """Return the right-hand side (B, nx), its features clipped to the training range."""
+        inputs = np.clip(self.features(carry, control), self.low_, self.high_)
+        return evaluate(inputs, self.exponents_) @ self.coefficients_
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        return next_state(self.added_, carry[:, : self.system.nx], self.polynomial(carry, control))
+
+    def predictor(self) -> Predictor | None:
+        right_side = self.right_side()
+        return None if right_side is None else next_state_predictor(self.added_, right_side)
+
+    def right_side(self) -> Predictor | None:
+        """Return the compiled form of the polynomial of the clipped features."""
+        if self.features.functions:
+            return self._of_functions()
+        seen = len(self.features.names) - self.system.nu
+        sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
+        clipped = within(sums, self.low_, self.high_, seen)
+        return with_angles(clipped, self.system, self.lags)
+
+    def _of_functions(self) -> Predictor:
+        """Return the compiled form where some features are functions of (carry, control)."""
+        rows, held = self.features.rows, self.layout.size
+        found = [
+            SeenRow(row.function, row.place if row.place < held else row.place - held, row.factor, low, high)
+            for row, low, high in zip(rows, self.low_, self.high_, strict=True)
+        ]
+        of_carry = [i for i, row in enumerate(rows) if row.place < held]
+        of_control = [i for i, row in enumerate(rows) if row.place >= held]
+        exponents = self.exponents_[:, [*of_carry, *of_control]]
+        sums = polynomial_predictor(exponents, self.coefficients_, len(of_carry), len(of_control))
+        return of_functions(sums, [found[i] for i in of_carry], [found[i] for i in of_control])
+
+    @cached_property
+    def stability(self) -> Stability:
+        """How disturbances grow and how free runs end; found when it is asked for."""
+        return stability(self.variant(stochastic=False))
+
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, and of an equation that runs away."""
+        return ", and ".join(part for part in (super().fit_note, self.stability.sentence) if part)
+
+    def left_sides(self) -> list[tuple[str, str]]:
+        """Return the left side of each equation and its unit."""
+        pairs = zip(self.system.states, self.added_, strict=True)
+        return [(f"{c.name}[+1]" + (f" - {c.name}" if added else ""), c.unit) for c, added in pairs]
+
+    def equations(self) -> list[str]:
+        """Return one equation for each state, with the unit of every coefficient in brackets."""
+        features = self.features
+        return [
+            equation(left, unit, self.coefficients_[:, channel], self.exponents_, features.names, features.units)
+            for channel, (left, unit) in enumerate(self.left_sides())
+        ]
+
+
+DEGREES = (2, 3)
+"""What is tried where the degree is left open."""
+
+MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
+"""Terms of the largest library that is tried, by how many lags are."""
+
+
+def library_size(n_inputs: int, degree: int) -> int:
+    """Return how many monomials up to ``degree`` there are."""
+    return math.comb(n_inputs + degree, degree)
+
+
+def monomials(n_inputs: int, degree: int) -> IntArray:
+    """Return the exponents (T, n_inputs) of all monomials up to ``degree``, constant first, by rising degree."""
+    rows = [
+        np.bincount(np.array(chosen, dtype=np.int64), minlength=n_inputs)
+        for order in range(degree + 1)
+        for chosen in combinations_with_replacement(range(n_inputs), order)
+    ]
+    return np.array(rows, dtype=np.int64)
+
+
+def evaluate(inputs: Array, exponents: IntArray) -> Array:
+    """Return the monomials (B, T) of ``inputs`` (B, n): factor by factor, for all terms at once."""
+    rows = np.concatenate([inputs.T, np.ones((1, len(inputs)))])
+    used = exponents.cumsum(axis=1)
+    degree = int(used[:, -1].max(initial=0)) if used.size else 0
+    terms = rows[np.sum(used <= 0, axis=1)]
+    for power in range(1, degree):
+        terms *= rows[np.sum(used <= power, axis=1)]  # past its last factor a term is multiplied by 1
+    return terms.T
+
+
+def term_name(exponents: IntArray, names: Sequence[str]) -> str:
+    """Return one monomial in words, such as ``forward_speed^2 steer``; ``1`` for the constant."""
+    parts = [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
+    return " ".join(parts) or "1"
+
+
+def equation(
+    left: str, unit: str, coefficients: Array, exponents: IntArray, names: Sequence[str], units: Sequence[str]
+) -> str:
+    """Return one equation; every coefficient (T,) that is not zero is followed by its unit in brackets."""
+    parts = []
+    for value, powers in zip(coefficients, exponents, strict=True):
+        if value:
+            dimension = quotient(unit, zip(units, (int(power) for power in powers), strict=True))
+            name = term_name(powers, names)
+            factor = f"{abs(value):.4g}" + (f" [{dimension}]" if dimension else "")
+            parts.append(("- " if value < 0 else "+ ") + factor + ("" if name == "1" else f" {name}"))
+    right = " ".join(parts) if parts else "0"
+    return f"{left} = {right.removeprefix('+ ')}"
+
+
+TRIAL = 25.0
+"""Seconds of a free run."""
+
+MOST_STEPS = 1000
+
+RUNS = 32
+
+HELD = 10
+"""Steps for which a free run holds each control."""
+
+STATES = 64
+"""Visited states at which the equation is linearised."""
+
+GROWS = 0.1
+"""Growth per second that is worth a sentence."""
+
+MOST = 0.5
+"""Share of recorded states with such growth that is worth one."""
+
+STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Growth rates of small disturbances in 1/s, and how free runs from recorded states end.
+
+    ``at_rest`` is that of the neutral state under neutral controls, ``visited`` (N,) those at recorded states under
+    recorded controls; below 0 disturbances die out. ``escaped`` is the share of free runs of ``seconds`` under
+    recorded controls, in random order, that reach the envelope.
+    """
+
+    at_rest: float
+    visited: Array
+    escaped: float
+    seconds: float
+
+    @property
+    def sentence(self) -> str:
+        """What there is to say against the model; empty if nothing."""
+        found = []
+        if self.escaped > 0:
+            found.append(
+                f"is unstable: {100 * self.escaped:.0f} % of free runs of {self.seconds:g} s from recorded states "
+                "reach the envelope"
+            )
+        if self.at_rest > GROWS:
+            found.append(f"lets small disturbances at rest grow by {self.at_rest:.1f} 1/s")
+        share = float((self.visited > GROWS).mean())
+        if share > MOST:
+            found.append(f"lets small disturbances grow at {100 * share:.0f} % of recorded states")
+        return ", and ".join(found)
+
+
+def stability(model: DynamicsModel) -> Stability:
+    """Return the `Stability` of a fitted model; the same every time."""
+    system, rng = model.system, np.random.default_rng(0)
+    nx = system.nx
+    states, controls = model.pairs_[:, :nx], model.pairs_[:, nx:]
+    some = rng.integers(len(states), size=STATES)
+    rest = growth(model, system.neutral_state[None], system.neutral_control[None])
+    steps = min(MOST_STEPS, max(1, round(TRIAL / system.dt)))
+    began = rng.integers(len(states), size=RUNS)
+    pieces = rng.integers(len(controls), size=(RUNS, -(-steps // HELD)))
+    history = np.repeat(states[began][:, None], model.n_lags + 1, axis=1)
+    past = np.tile(system.neutral_control, (RUNS, model.n_lags, 1))
+    runs = model.simulate(history, past, np.repeat(controls[pieces], HELD, axis=1)[:, :steps])
+    low, high = model.envelope_
+    with np.errstate(invalid="ignore"):
+        escaped = ~np.isfinite(runs) | (runs <= low) | (runs >= high)
+    return Stability(
+        float(rest[0]),
+        growth(model, states[some], controls[some]),
+        float(escaped.any(axis=(1, 2)).mean()),
+        steps * system.dt,
+    )
+
+
+def growth(model: DynamicsModel, states: Array, controls: Array) -> Array:
+    """Return how fast (N,) in 1/s the fastest small disturbance of the carry grows, under held controls."""
+    system, lags = model.system, model.n_lags
+    carry = model.start(np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1))
+    spread = np.where(np.isfinite(np.ptp(carry, axis=0)), np.ptp(carry, axis=0), 0.0)
+    usual = np.ptp(model.pairs_[:, : system.nx], axis=0).max()
+    size = STEP * np.where(spread > 0, spread, usual if usual > 0 else 1.0)
+    columns = []
+    for place in range(carry.shape[1]):
+        off = np.zeros(carry.shape[1])
+        off[place] = size[place]
+        with np.errstate(all="ignore"):
+            columns.append((model.step(carry + off, controls) - model.step(carry - off, controls)) / (2 * size[place]))
+    jacobian = np.nan_to_num(np.stack(columns, axis=2))
+    fastest = np.abs(np.linalg.eigvals(jacobian)).max(axis=1)
+    return np.asarray(np.log(np.maximum(fastest, np.finfo(float).tiny)) / system.dt)

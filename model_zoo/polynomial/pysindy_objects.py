@@ -1,0 +1,117 @@
+"""pysindy's optimisers by name with arguments, such as ``SR3(reg_weight_lam=0.1)``, and how one is run."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.types import Array
+
+NAMES = (
+    "STLSQ", "SR3", "ConstrainedSR3", "FROLS", "SSR", "MIOSR", "SBR", "EnsembleOptimizer", "WrappedOptimizer",
+)  # fmt: skip
+
+NEEDS: Mapping[str, str] = {"ConstrainedSR3": "cvxpy", "MIOSR": "gurobipy", "SBR": "numpyro"}
+"""What must be installed beside pysindy."""
+
+REFUSED: Mapping[str, str] = {
+    "StableLinearSR3": "what it guarantees is lost where states have units of their own and controls act",
+    "TrappingSR3": "what it guarantees holds for quadratic systems without controls",
+    "SINDyPI": "an implicit equation cannot be stepped",
+}
+
+ROWS_COUNT = ("EnsembleOptimizer", "SBR", "WrappedOptimizer")
+"""Those that draw single samples, or whose penalty depends on how many there are."""
+
+AGGREGATORS = {"mean": lambda fits: np.mean(fits, axis=0), "median": lambda fits: np.median(fits, axis=0)}
+
+NEGLIGIBLE = 1e-6
+"""What a solver leaves of a coefficient that is zero, of quantities divided by their root mean squares."""
+
+
+def read_optimizer(text: str) -> Spec:
+    """Return the name, as pysindy writes it, and the arguments. Raises `InvalidArgument`; imports nothing."""
+    spec = Spec.parse(text)
+    if spec.name in REFUSED:
+        raise InvalidArgument(f"optimizer: {spec.name} is of no use here: {REFUSED[spec.name]}")
+    for name in NAMES:
+        if name.lower() == spec.name.lower():
+            return Spec(name, spec.parameters)
+    raise InvalidArgument(f"optimizer: expected one of {', '.join(NAMES)}, got {spec.name!r}")
+
+
+def make_optimizer(text: str, **further: Any) -> Any:
+    """Return pysindy's optimiser. Raises `InvalidArgument` if it refuses its arguments, or a package is missing."""
+    spec = read_optimizer(text)
+    needed = NEEDS.get(spec.name)
+    try:
+        if needed is not None:
+            importlib.import_module(needed)
+        family = getattr(importlib.import_module("pysindy.optimizers"), spec.name)
+    except (ImportError, AttributeError) as error:
+        raise InvalidArgument(
+            f"optimizer: {spec.name} needs the package {needed}: pip install {needed}, or take another of "
+            f"{', '.join(name for name in NAMES if name not in NEEDS)}"
+        ) from error
+    given = {name: _value(spec, name, value) for name, value in spec.parameters.items()}
+    known = [name for name in inspect.signature(family).parameters if name not in ("args", "kwargs")]
+    unknown = [name for name in given if name not in known]
+    if unknown:
+        raise InvalidArgument(f"optimizer: {spec.name} has no parameter {unknown[0]!r}; it has {', '.join(known)}")
+    try:
+        return family(**given, **further)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise InvalidArgument(f"optimizer: {spec.text}: {error}") from error
+
+
+def _value(spec: Spec, name: str, value: Any) -> Any:
+    """Return an argument; an optimiser, an estimator of scikit-learn and an aggregator are named by text."""
+    if name.startswith("constraint_") or name in ("initial_guess", "sparse_ind"):
+        raise InvalidArgument(f"optimizer: {spec.name}: {name} is an array; say constraints=['TERM in STATE <= 0']")
+    if name == "opt" and isinstance(value, str):
+        return make_optimizer(value)
+    if name == "ensemble_aggregator" and value is not None:
+        if value not in AGGREGATORS:
+            raise InvalidArgument(f"optimizer: ensemble_aggregator: expected mean or median, got {value!r}")
+        return AGGREGATORS[value]
+    if name == "optimizer" and isinstance(value, str):
+        from sklearn import linear_model
+
+        inner = Spec.parse(value)
+        estimator = getattr(linear_model, inner.name, None) if inner.name in linear_model.__all__ else None
+        if not inspect.isclass(estimator):
+            raise InvalidArgument(f"optimizer: expected an estimator of sklearn.linear_model, got {inner.name!r}")
+        try:
+            return estimator(**{"fit_intercept": False, **inner.parameters})
+        except TypeError as error:
+            raise InvalidArgument(f"optimizer: {inner.text}: {error}") from error
+    return value
+
+
+def counts_rows(text: str) -> bool:
+    """Whether what the optimiser finds depends on single rows, not on the products of columns alone."""
+    spec = read_optimizer(text)
+    return spec.name in ROWS_COUNT or bool(spec.parameters.get("trimming_fraction"))
+
+
+def run(optimizer: Any, terms: Array, targets: Array, seed: int) -> Array:
+    """Return what pysindy's ``optimizer`` finds, (T, nx); it draws from NumPy's own generator, which is seeded here."""
+    before = np.random.get_state()  # noqa: NPY002  # pysindy knows no other generator
+    np.random.seed(seed)  # noqa: NPY002
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+            optimizer.fit(terms, targets)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InvalidArgument(f"optimizer: {type(optimizer).__name__} fails on these terms: {error}") from error
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
+    found = np.asarray(optimizer.coef_, dtype=np.float64).T
+    return np.where(np.abs(found) > NEGLIGIBLE, found, 0.0)

@@ -1,0 +1,116 @@
+"""Families sindy, sindy_bagged, sindy_discrete; how an equation continues outside the data."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from model_zoo.features import between_limits, integrals
+from model_zoo.polynomial.model import Regression
+from model_zoo.polynomial.regression import SparsePolynomial
+from sysid_evo import Dataset, register_model
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.models.kernels import Predictor, runge_kutta_predictor, turning_frame
+from sysid_evo.types import Array, BoolArray, IntArray
+
+
+@register_model("sindy")
+class Sindy(SparsePolynomial):
+    """dx/dt = Theta(x, u) Xi + w(x), Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
+
+    w is the rotation of a planar body's frame, (r v, -r u, 0); without one it is zero. The derivative
+    is the difference over one step, the state the mean of its two ends, the control the one held:
+    correct to second order in dt. Sequentially thresholded least squares drops coefficients below
+    ``threshold`` (of quantities divided by their RMS) and shrinks by ``ridge``; what is left open is chosen by
+    free runs, as `SparsePolynomial` says, which also tells of periodic states and of ``functions``. Stepped with the
+    fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range. Outside it the equation
+    goes on bounded, see `continued`: a polynomial that pushes outwards there cannot run away. Integrals run on.
+    """
+
+    has_weak_form = True
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
+
+    def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
+        system = dataset.system
+        data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
+        middle = 0.5 * (data.state + data.after)
+        rate = (data.after - data.state) / system.dt - system.turning(middle)
+        carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
+        features = self.features_of(system, lags)
+        seen, measured = features(carry, data.control), features(data.carry, data.control)
+        found = Regression(seen, rate, measured, data.state, integrals(dataset), self.sampled(dataset, lags))
+        return found[np.flatnonzero(between_limits(system, data.after))]
+
+    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        super().adopt(data, coefficients, exponents)
+        self.continuation_ = limits(data.states, data.targets, data.added)
+
+    def left_sides(self) -> list[tuple[str, str]]:
+        return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
+
+    def predictor(self) -> Predictor | None:
+        polynomial = self.right_side()
+        if polynomial is None:
+            return None
+        rate = turning_frame(polynomial, self.system, bounds=self.continuation_)
+        return None if rate is None else runge_kutta_predictor(rate, self.system, n_carry=self.n_carry)
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        system = self.system
+        held = carry[:, system.nx :]
+
+        def rate(state: Array) -> Array:
+            learned = self.polynomial(np.concatenate([state, held], axis=1), control)
+            return continued(learned, system.turning(state), state, self.continuation_, system.dt)
+
+        return rk4(rate, carry[:, : system.nx], system.dt)
+
+
+@register_model("sindy_discrete")
+class SindyDiscrete(SparsePolynomial):
+    """x_{k+1} = Theta(x_k, u_k) Xi with all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
+
+    Sequentially thresholded least squares drops coefficients below ``threshold`` (of quantities
+    divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
+    open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `integrals`.
+    """
+
+    knowledge = "black"
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
+
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
+    few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))
+
+
+MARGIN = 0.1
+"""Share of the range of a state within which what drives it further out fades away."""
+
+
+def limits(states: Array, rates: Array, endless: BoolArray) -> Array:
+    """Return what bounds the continuation (5, nx): lowest and highest state, 1 / margin, lowest and highest rate.
+
+    ``states`` and ``rates`` (N, nx) are those of the training data; a state that is ``endless`` (nx,), such as a
+    position, has no bounds.
+    """
+    low, high = states.min(axis=0), states.max(axis=0)
+    width = np.where(high > low, high - low, 1.0)
+    found = np.stack([low, high, 1.0 / (MARGIN * width), rates.min(axis=0), rates.max(axis=0)])
+    free = np.array([[-np.inf], [np.inf], [1.0], [-np.inf], [np.inf]])
+    return np.where(endless, free, found)
+
+
+def continued(rate: Array, turning: Array, state: Array, bounds: Array, dt: float) -> Array:
+    """Return dx/dt (B, nx) of a learned ``rate`` and the known ``turning`` of the frame.
+
+    The rate stays within those of the data. Of a state above its range, what drives it further up fades to nothing
+    over a tenth of the range, and the excess decays with the time constant dt; likewise below. So beyond the margin
+    every state moves back, whatever the polynomial says there, and no state gets further than the margin and what
+    one step of bounded rates adds.
+    """
+    low, high, per_margin, slowest, fastest = bounds
+    total = np.clip(rate, slowest, fastest) + turning
+    above, below = np.maximum(state - high, 0.0), np.maximum(low - state, 0.0)
+    up = np.maximum(total, 0.0) * np.maximum(1.0 - above * per_margin, 0.0)
+    down = np.minimum(total, 0.0) * np.maximum(1.0 - below * per_margin, 0.0)
+    return up + down - (above - below) / dt

@@ -1,1 +1,0 @@
-"""Gaussian processes: their covariance and its likelihood."""

@@ -1,0 +1,322 @@
+"""From recordings to trained spaces: linear start, short then long simulations, observers, stability screening."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from model_zoo.state_space.recordings import Record, Scales, Segments, records
+from model_zoo.state_space.shooting import FAR, Spaces, Trained, train
+from model_zoo.state_space.subspace import Subspace, flowing, linear_space
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.data.trajectory import WindowPlaces, Windows
+from sysid_evo.types import Array, BoolArray
+
+SHORT, MIDDLE = 100, 300
+"""Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
+
+UNSTABLE, STABLE = 1.0005, 0.999
+"""Spectral radius from which a linear space is unstable, and what it is then brought to."""
+
+MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
+"""Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
+largest recorded output is too far."""
+
+SLOWER, LOUDER = 2, 1.25
+"""How many times longer controls are held, and how many times farther from their mean they are, within their range."""
+
+ALONE, APART = 5.0, 0.1
+"""A space that is so many times as far from the median of three or more as is usual, and so many deviations."""
+
+LOST = 1.0
+"""A root mean square residual, in deviations, from which a training begins anew at the linear start."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """Recordings in units of deviation, and segments of at most ``horizon`` steps of them.
+
+    With ``flow`` what learns from them is a differential equation.
+    """
+
+    scales: Scales
+    parts: list[Record]
+    horizon: int
+    flow: bool = False
+
+    @classmethod
+    def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
+        """Prepare ``dataset`` in its own units of deviation."""
+        scales = Scales.of(dataset)
+        return cls(scales, records(dataset, scales), horizon, flow)
+
+    @cached_property
+    def subspace(self) -> Subspace:
+        """What the past tells of the outputs."""
+        return Subspace.of(self.parts)
+
+    @cached_property
+    def short(self) -> Segments:
+        return Segments.of(self.parts, min(SHORT, self.horizon))
+
+    @cached_property
+    def middle(self) -> Segments:
+        return Segments.of(self.parts, MIDDLE) if self.horizon > MIDDLE else self.long
+
+    @cached_property
+    def long(self) -> Segments:
+        return Segments.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
+
+    def linear(self, order: int) -> Spaces:
+        """Return the linear space that the subspace gives, made stable if it is not."""
+        found = linear_space(self.subspace, order)
+        rates = flowing(found.rates) if self.flow else found.rates
+        outer = rates / found.pace[:, None]
+        return stabilised(Spaces.linear(outer[None], found.pace, flow=self.flow))
+
+    def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
+        """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
+        start = self.linear(order)
+        trained = self.learned(start, self.blank(self.short, start), short, told)
+        if radius(trained.spaces) > UNSTABLE:
+            trained = self.learned(start, self.blank(self.short, start), 1, lambda: None)
+        trained = self.lengthened(trained, start, long, told)
+        if radius(trained.spaces) <= UNSTABLE:
+            return trained
+        stable = stabilised(trained.spaces)
+        return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
+
+    def blank(self, segments: Segments, spaces: Spaces) -> Array:
+        """Return initial states (S, B, n) of which the outputs alone are known."""
+        starts = np.zeros((len(spaces), len(segments), spaces.n))
+        ny = segments.outputs.shape[2]
+        starts[:, :, :ny] = segments.outputs[:, 0]
+        return starts
+
+    def states(self, trained: Trained, segments: Segments) -> Array:
+        """Return the states (S, N, n) of the runs at all samples that count, in a row."""
+        runs = trained.spaces.run(trained.starts, segments.controls)
+        return np.stack([segments.rows(run) for run in runs])
+
+    def learned(self, spaces: Spaces, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
+        """Train on short free runs, which begin at ``starts`` (S, B, n)."""
+        return train(spaces, self.short, starts, iterations, told)
+
+    def lengthened(self, trained: Trained, fallback: Spaces, iterations: int, told: Callable[[], None]) -> Trained:
+        """Go on with longer and longer free runs, ``iterations`` in all.
+
+        Spaces that lose their way there begin at ``fallback`` (one space) again.
+        """
+        before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
+        later = later[:1] if later and later[0] is later[-1] else later
+        for number, segments in enumerate(later):
+            starts = self.states(trained, before)[:, segments.begins]
+            spaces = trained.spaces
+            runs = spaces.run(starts, segments.controls)[..., : segments.outputs.shape[2]]
+            off = ((runs - segments.outputs) ** 2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
+            lost = off > LOST**2 * segments.counts.sum() * runs.shape[3]
+            if lost.any():
+                outer = spaces.outer.copy()
+                outer[lost] = 0.0
+                outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
+                spaces = replace(spaces, outer=outer)
+                starts[lost] = self.blank(segments, spaces)[lost]
+            share = iterations * (number + 1) // len(later) - iterations * number // len(later)
+            trained, before = train(spaces, segments, starts, share, told), segments
+        for _ in range(0 if later else iterations):
+            told()
+        return trained
+
+    def at_length(self, trained: Trained) -> Trained:
+        """Return a training on short free runs with the initial states of long ones."""
+        return replace(trained, starts=self.states(trained, self.short)[:, self.long.begins])
+
+    def observers(self, trained: Trained) -> list[Observer]:
+        """Return an observer of every space of a training on long free runs."""
+        runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
+        return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
+
+    def judged(self, trained: Trained) -> tuple[list[Observer], Array]:
+        """Return the observers of a training on long free runs, and the errors (S,) of runs that begin with them."""
+        found = self.observers(trained)
+        return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])
+
+    def from_history(self, space: Spaces, own: Observer) -> float:
+        """Return the mean square error of one space on long free runs that begin where its observer finds it.
+
+        In training the initial states are free, which hides a slow or unstable state that no history tells.
+        """
+        outputs, controls = self.long.outputs, self.long.controls
+        ny, history = outputs.shape[2], min(own.history, controls.shape[1] // 2)
+        states = (outputs[:, 0] @ own.first[:, :ny].T + own.first[:, ny])[None]
+        for k in range(history + 1):
+            off = outputs[:, k] - states[..., :ny]
+            states = np.clip(space.step(states, controls[:, k]) + off @ own.gain.T, -FAR, FAR)
+        runs = space.run(states, controls[:, history + 1 :])[0, ..., :ny]
+        counts = self.long.counts[:, history + 1 :, None]
+        off = (runs - outputs[:, history + 1 :]) ** 2 * counts
+        return float(off.sum() / max(counts.sum() * ny, 1.0))
+
+    def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
+        """Return which spaces (S,) go astray under controls that the system might meet as well.
+
+        Backwards in time, and in blocks that change places, no output goes far beyond the recorded ones: what is
+        unstable shows there. Among three or more, one is astray too that is far from what most of them say, there,
+        where controls are held longer, or where they are larger: beyond the recorded outputs a network may run away,
+        and only the others tell that the system would not.
+        """
+        longest = max(self.parts, key=len)
+        ny, controls = longest.outputs.shape[1], longest.controls[:MOST_REORDERED]
+        orders = [np.arange(len(controls))[::-1]]
+        blocks = np.array_split(np.arange(len(controls)), max(1, len(controls) // BLOCK))
+        for seed in range(SHUFFLES):
+            places = np.random.default_rng(seed).permutation(len(blocks))
+            orders.append(np.concatenate([blocks[place] for place in places]))
+        slower = np.array_split(controls.repeat(SLOWER, axis=0), SLOWER)
+        low, middle, high = controls.min(axis=0), controls.mean(axis=0), controls.max(axis=0)
+        louder = np.clip(middle + LOUDER * (controls - middle), low, high)
+        first = np.stack([own.first[:, ny] for own in observers])[:, None]
+
+        def runs(driven: list[Array]) -> Array:
+            return spaces.run(first.repeat(len(driven), axis=1), np.stack(driven))[..., :ny]
+
+        reordered = runs([controls[order] for order in orders])
+        limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
+        astray = (np.abs(reordered) > limit).any(axis=(1, 2, 3))
+        for found in (reordered, runs(slower), runs([louder])):  # of two, both are as far from the middle
+            apart = np.sqrt(((found - np.median(found, axis=0)) ** 2).mean(axis=(1, 2, 3)))
+            astray |= apart > max(ALONE * float(np.median(apart)), APART)
+        return np.asarray(astray)
+
+
+def joined(one: Trained, other: Trained) -> Trained:
+    """Return the spaces of both trainings, which are alike but for their weights, side by side."""
+    spaces = replace(
+        one.spaces,
+        outer=np.concatenate([one.spaces.outer, other.spaces.outer]),
+        inner=np.concatenate([one.spaces.inner, other.spaces.inner]),
+        kinds=np.concatenate([one.spaces.kinds, other.spaces.kinds]),
+    )
+    return Trained(spaces, np.concatenate([one.starts, other.starts]), np.concatenate([one.error, other.error]))
+
+
+def radius(space: Spaces) -> float:
+    """Return the spectral radius of the linear part of one space."""
+    seen = space.inner.shape[2]
+    linear = Spaces.linear(space.outer[..., :seen], space.pace, flow=space.flow)
+    drift = linear.jacobian(np.zeros((1, 1, space.n)), np.zeros((1, seen - space.n - 1)))[0, 0]
+    return float(np.abs(np.linalg.eigvals(drift)).max())
+
+
+def stabilised(space: Spaces) -> Spaces:
+    """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
+    if radius(space) <= UNSTABLE:
+        return space
+    one = np.zeros((space.n, space.n)) if space.flow else np.eye(space.n)
+    values, vectors = np.linalg.eig(one + space.pace[:, None] * space.outer[0, :, : space.n])
+    if space.flow:
+        values = np.minimum(values.real, np.log(STABLE)) + 1j * values.imag
+    else:
+        values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
+    outer = space.outer.copy()
+    kept = (vectors * values) @ np.linalg.pinv(vectors)
+    outer[0, :, : space.n] = (kept.real - one) / space.pace[:, None]
+    return replace(space, outer=outer)
+
+
+RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Noise of the state in one step, in units of its usual change, to noise of the output in units of its deviation."""
+
+RICCATI_STEPS, SETTLED = 400, 1e-6
+
+HORIZON, MOST_WINDOWS = 30, 300
+
+FORGOTTEN = 0.02
+"""Share of a wrong first guess that may be left after the history."""
+
+SHORTEST, LONGEST = 4, 64
+"""Samples of history."""
+
+EPISODE_SHARE = 12
+"""A history takes at most one part in so many of the longest episode."""
+
+RIDGE = 1e-6
+
+
+@dataclass(frozen=True)
+class Observer:
+    """What corrects the states of one space by the output: ``gain`` (n, ny); the first guess is ``first`` (n, ny + 1).
+
+    ``history`` samples are enough to forget the first guess.
+    """
+
+    gain: Array
+    first: Array
+    history: int
+
+
+def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) -> Observer:
+    """Return the observer of one space, with the ratio of noises that makes free runs best.
+
+    ``runs`` (N, n) are states of the training runs and ``outputs`` (N, ny) what was measured then.
+    """
+    ny = outputs.shape[1]
+    regressors = np.concatenate([outputs, np.ones((len(outputs), 1))], axis=1)
+    square = regressors.T @ regressors + RIDGE * len(regressors) * np.eye(ny + 1)
+    first = np.linalg.solve(square, regressors.T @ runs).T
+    first[:ny] = np.eye(ny, ny + 1)
+    controls = np.concatenate([part.controls for part in parts])
+    longest = max(len(part) for part in parts)
+    room = min(max(SHORTEST, min(LONGEST, longest // EPISODE_SHARE)), longest - 1)
+    places = np.linspace(0, len(runs) - 1, min(200, len(runs))).astype(np.int64)
+    middle = controls[np.linspace(0, len(controls) - 1, len(places)).astype(np.int64)]
+    slope = space.jacobian(runs[None, places], middle)[0].mean(axis=0)
+    gains = _riccati(slope, space.pace, ny)
+    errors = _errors(space, gains, first, _windows(parts, room))
+    best = int(np.argmin(errors))
+    closed = slope.copy()
+    closed[:, :ny] -= gains[best]
+    radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    memory = LONGEST if radius >= 1.0 else np.log(FORGOTTEN) / np.log(max(radius, 1e-3))
+    return Observer(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
+
+
+def _riccati(slope: Array, pace: Array, ny: int) -> Array:
+    """Return the stationary gains (G, n, ny) of the Kalman predictors, for all `RATIOS`."""
+    ratios = np.array(RATIOS)[:, None, None]
+    drift, spread = (ratios * np.diag(pace)) ** 2, np.eye(len(slope)) * (ratios > 0.0)
+    gain = np.zeros((len(ratios), len(slope), ny))
+    for _ in range(RICCATI_STEPS):
+        before = gain
+        gain = slope @ spread[:, :, :ny] @ np.linalg.inv(spread[:, :ny, :ny] + np.eye(ny))
+        spread = slope @ spread @ slope.T - gain @ (spread[:, :ny] @ slope.T) + drift
+        spread = np.clip(0.5 * (spread + spread.swapaxes(1, 2)), -1e6, 1e6)
+        if np.abs(gain - before).max() < SETTLED:
+            break
+    return gain
+
+
+def _errors(space: Spaces, gains: Array, first: Array, windows: Windows) -> Array:
+    """Return the mean square error (G,) of free runs from what each of the ``gains`` (G, n, ny) finds."""
+    ny, many = first.shape[1] - 1, space[np.zeros(len(gains), dtype=np.int64)]
+    past, history = windows.past_states, windows.past_controls.shape[1]
+    states = past[:, 0] @ first[:, :ny].T + first[:, ny]
+    states = np.broadcast_to(states, (len(gains), *states.shape))
+    for k in range(history + 1):
+        control = windows.past_controls[:, k] if k < history else windows.controls[:, 0]
+        off = past[:, k] - states[..., :ny]
+        states = np.clip(many.step(states, control) + off @ gains.swapaxes(1, 2), -FAR, FAR)
+    runs = many.run(states, windows.controls[:, 1:])[..., :ny]
+    return np.asarray(((runs - windows.states) ** 2).mean(axis=(1, 2, 3)))
+
+
+def _windows(parts: list[Record], history: int) -> Windows:
+    """Return some windows of the records, in their units, each with ``history`` samples before it."""
+    episodes = [Trajectory(part.outputs, part.controls, 1.0) for part in parts]
+    ahead = max(1, min(HORIZON, max(len(part) for part in parts) - history))
+    places = WindowPlaces.of(episodes, ahead, history=history)
+    return places[np.unique(np.linspace(0, len(places) - 1, min(MOST_WINDOWS, len(places))).astype(np.int64))]

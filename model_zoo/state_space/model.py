@@ -1,0 +1,161 @@
+"""What the families with hidden states share: an observer in the carry, the step, its compiled form."""
+
+from __future__ import annotations
+
+import functools
+from typing import ClassVar
+
+import numpy as np
+
+from model_zoo.state_space.estimation import Observer
+from model_zoo.state_space.kernel import state_space_kernel
+from model_zoo.state_space.recordings import Scales
+from model_zoo.state_space.shooting import FAR, Spaces
+from model_zoo.state_space.units import values
+from sysid_evo.carry import REST_BAND
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.models.parameters import Limit, at_least
+from sysid_evo.types import Array
+
+SETTLING = 300
+"""Steps after which a body that is left alone rests."""
+
+
+class StateSpaceModel(DynamicsModel):
+    """A family whose states are outputs alone; the carry is (outputs y, hidden states x of all members).
+
+        x' = outer (x, u, 1, units(inner (x, u, 1))) + gain (y - output x - offset),  y' = output x' + offset
+
+    Of a flow the first term is dx/dt, time in samples, and x' the state after one Runge-Kutta step of it, plus the
+    correction. Each member has states of its own; the output is their weighted mean. In a free run y is the model's
+    own, and the gain corrects nothing. Where y is overwritten, by a measurement, a limit, or another model, it corrects
+    the hidden states. `start` runs this observer over the last ``history_`` samples. Samples that were only repeated
+    before the first are left out there: the first state again under neutral controls.
+    """
+
+    knowledge = "black"
+    structure = "state space"
+    limits: ClassVar[dict[str, Limit]] = {"order": at_least(1), "iterations": at_least(1), "horizon": at_least(2)}
+
+    @property
+    def n_lags(self) -> int:
+        return int(getattr(self, "history_", 0))
+
+    @property
+    def n_carry(self) -> int:
+        return self.system.nx + len(self.rest_)
+
+    @property
+    def flows(self) -> bool:
+        """Whether what was learned is a differential equation."""
+        return bool(getattr(self, "flow_", False))
+
+    def adopt(self, scales: Scales, members: list[Spaces], observers: list[Observer], weights: Array) -> None:
+        """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
+        ny = len(scales.output_scale)
+        if members[0].flow:
+            self.flow_ = True
+        self.outer_, self.inner_, self.kinds_ = [], [], [member.kinds[0] for member in members]
+        outputs = []
+        for member, weight in zip(members, weights, strict=True):
+            outer = member.pace[:, None] * member.outer[0]
+            if not member.flow:
+                outer[:, : member.n] += np.eye(member.n)
+            self.outer_.append(_of_raw_controls(outer, member.n, scales))
+            self.inner_.append(_of_raw_controls(member.inner[0].copy(), member.n, scales))
+            outputs.append(weight * np.diag(scales.output_scale) @ np.eye(ny, member.n))
+        self.output_, self.offset_ = np.concatenate(outputs, axis=1), scales.output_centre.copy()
+        self.gain_ = np.concatenate([one.gain / scales.output_scale for one in observers])
+        first = np.concatenate([one.first for one in observers])
+        slope = first[:, :ny] / scales.output_scale
+        self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
+        self.history_ = max(one.history for one in observers)
+        self.rest_ = self._settled()
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        neutral, idle = self.system.neutral_state, self.system.neutral_control
+        hidden = states[:, 0] @ self.first_[:, :-1].T + self.first_[:, -1]
+        resting = (states[:, 0] == neutral).all(axis=1)
+        hidden = np.where(resting[:, None], self.rest_, hidden)
+        repeated = np.ones(len(states), dtype=bool)
+        for k in range(controls.shape[1]):
+            repeated &= (states[:, k] == states[:, 0]).all(axis=1) & (controls[:, k] == idle).all(axis=1)
+            after = self._advanced(states[:, k], hidden, controls[:, k])
+            hidden = np.where(repeated[:, None], hidden, after)
+        return np.concatenate([states[:, -1], hidden], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        ny, system = self.system.nx, self.system
+        hidden = self._advanced(carry[:, :ny], carry[:, ny:], control)
+        after = hidden @ self.output_.T + self.offset_
+        if system.limited:
+            after = np.clip(after, *system.limits)
+        following = np.concatenate([after, hidden], axis=1)
+        if not self.rest_hold:
+            return following
+        rest, band = self._rest
+        still = (np.abs(carry - rest) <= band).all(axis=1) & (control == system.neutral_control).all(axis=1)
+        return np.where(still[:, None], rest, following)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._observing_kernel
+
+    @functools.cached_property
+    def _observing_kernel(self) -> DynamicsKernel:
+        rest, band = self._rest
+        return state_space_kernel(
+            self.system,
+            self.outer_,
+            self.inner_,
+            self.kinds_,
+            output=self.output_,
+            offset=self.offset_,
+            gain=self.gain_,
+            far=FAR,
+            flow=self.flows,
+            rest=np.concatenate([band, rest, self.system.neutral_control]) if self.rest_hold else None,
+        )
+
+    @property
+    def _rest(self) -> tuple[Array, Array]:
+        """The carry (n_carry,) at rest, and how near to it counts as rest."""
+        band = self.rest_band
+        outer = np.zeros(self.system.nx) if band is None else band
+        return (
+            np.concatenate([self.system.neutral_state, self.rest_]),
+            np.concatenate([outer, np.full(len(self.rest_), 2.0 * REST_BAND)]),
+        )
+
+    def _settled(self) -> Array:
+        """Return the hidden states (n,) after a long time with neutral outputs under neutral controls."""
+        neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
+        hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
+        for _ in range(SETTLING):
+            hidden = self._advanced(neutral, hidden, idle)
+        return np.asarray(hidden[0])
+
+    def _advanced(self, outputs: Array, hidden: Array, control: Array) -> Array:
+        """Return the next hidden states (B, n), corrected by how far ``outputs`` (B, ny) are off."""
+        off = outputs - hidden @ self.output_.T - self.offset_
+        after = rk4(lambda at: self._rates(at, control), hidden, 1.0) if self.flows else self._rates(hidden, control)
+        return np.clip(after + off @ self.gain_.T, -FAR, FAR)
+
+    def _rates(self, hidden: Array, control: Array) -> Array:
+        """Return the next states (B, n) before any correction, or the rates of a flow."""
+        parts, at, ones = [], 0, np.ones((len(hidden), 1))
+        for outer, inner, kinds in zip(self.outer_, self.inner_, self.kinds_, strict=True):
+            seen = np.concatenate([hidden[:, at : at + len(outer)], control, ones], axis=1)
+            units = values(kinds, seen @ inner.T)
+            parts.append(np.concatenate([seen, units], axis=1) @ outer.T)
+            at += len(outer)
+        return np.concatenate(parts, axis=1)
+
+
+def _of_raw_controls(weights: Array, n: int, scales: Scales) -> Array:
+    """Return weights (r, n + nu + 1 + ...) of (x, u, 1, ...) for controls in raw units."""
+    nu = len(scales.control_scale)
+    weights[:, n : n + nu] /= scales.control_scale
+    weights[:, n + nu] -= weights[:, n : n + nu] @ scales.control_centre
+    return weights

@@ -1,0 +1,344 @@
+"""Training of state spaces on free runs from free initial states: Levenberg-Marquardt, several starts side by side.
+
+    x' = x + pace (Outer (x, u, 1, units(Inner (x, u, 1)))),  y = the first states
+
+or the flow of dx/dt = pace (...), time in samples, by one step of the classical Runge-Kutta method. The Jacobian comes
+from forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from model_zoo.state_space.recordings import Segments
+from model_zoo.state_space.units import slopes, values
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.types import Array, BoolArray, IntArray
+
+FAR = 30.0
+"""Deviations from the centre at which a run has diverged."""
+
+START_PRIOR = 0.05
+"""Weight of the squares of initial states beside the residuals' in units of the noise."""
+
+LINEAR_PRIOR = 1e-4
+
+MOST_MEMORY = 3.0
+"""Residuals that are alike for so long count once, at most."""
+
+EASIER, HARDER = 0.3, 5.0
+
+STIFFEST = 1e8
+
+SAME, LOOSE = 1e-5, 1e-2
+"""A share of the objective that is not worth another step, unless steps are damped more than that."""
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``kinds`` (S, h).
+
+    They step by the change in one sample, or with ``flow`` by a differential equation.
+    """
+
+    outer: Array
+    inner: Array
+    pace: Array
+    kinds: IntArray
+    flow: bool = False
+
+    @classmethod
+    def linear(cls, outer: Array, pace: Array, *, flow: bool = False) -> Self:
+        """Return spaces without units, from ``outer`` (S, n, n + nu + 1)."""
+        none = np.empty((len(outer), 0, outer.shape[2]))
+        return cls(outer, none, pace, np.empty((len(outer), 0), dtype=np.int64), flow)
+
+    def __len__(self) -> int:
+        return len(self.outer)
+
+    def __getitem__(self, rows: Sequence[int] | IntArray) -> Spaces:
+        chosen = np.asarray(rows, dtype=np.int64)
+        return replace(self, outer=self.outer[chosen], inner=self.inner[chosen], kinds=self.kinds[chosen])
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.outer.shape[1]
+
+    @property
+    def flat(self) -> Array:
+        """All parameters, (S, P)."""
+        return np.concatenate([self.outer.reshape(len(self), -1), self.inner.reshape(len(self), -1)], axis=1)
+
+    def with_flat(self, flat: Array) -> Spaces:
+        """Return the spaces with other parameters (S, P)."""
+        split = self.outer[0].size
+        return replace(
+            self, outer=flat[:, :split].reshape(self.outer.shape), inner=flat[:, split:].reshape(self.inner.shape)
+        )
+
+    @property
+    def prior(self) -> Array:
+        """The weight (P,) of every parameter's square: that of the linear part is next to none."""
+        outer = np.ones(self.outer.shape[1:])
+        outer[:, : self.inner.shape[2]] = LINEAR_PRIOR
+        return np.concatenate([outer.ravel(), np.ones(self.inner[0].size)])
+
+    @property
+    def blind(self) -> BoolArray:
+        """Which parameters (S, P) stay as they are: weights into units that are nothing, and those of such a unit."""
+        nothing = self.inner == 0.0
+        outer = np.zeros(self.outer.shape, dtype=bool)
+        outer[..., self.inner.shape[2] :] = nothing.all(axis=2)[:, None, :]
+        return np.concatenate([outer.reshape(len(self), -1), nothing.reshape(len(self), -1)], axis=1)
+
+    def step(self, states: Array, controls: Array) -> Array:
+        """Return the next states (S, B, n) under ``controls`` (B, nu)."""
+        if self.flow:
+            return np.asarray(rk4(lambda at: self.rates(at, controls), states, 1.0))
+        return states + self.rates(states, controls)
+
+    def rates(self, states: Array, controls: Array) -> Array:
+        """Return the change of the states (S, B, n) in one sample, of a flow if it went on as it begins."""
+        regressors = self._regressors(states, controls)
+        inside = regressors @ self.inner.swapaxes(1, 2)
+        units = np.stack([values(own, s) for own, s in zip(self.kinds, inside, strict=True)])
+        return self.pace * (np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2))
+
+    def run(self, states: Array, controls: Array) -> Array:
+        """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
+        from model_zoo.state_space.shooting_kernel import compiled_flow_run, compiled_run
+
+        out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
+        room = np.empty(self._room + 2 * self.n)
+        compiled = compiled_flow_run() if self.flow else compiled_run()
+        for s in range(len(self)):
+            own = self._arguments(s, states[s], controls, 0)
+            compiled(*own, np.array([FAR]), out[s].reshape(-1), room)
+        return out
+
+    def jacobian(self, states: Array, controls: Array) -> Array:
+        """Return dx'/dx (S, B, n, n)."""
+        one = np.eye(self.n)
+        if not self.flow:
+            through, linear = self._slopes(states, controls)
+            return np.asarray(through + one + linear)
+
+        def rates(at: Array) -> Array:
+            own, (through, linear) = at[..., 0], self._slopes(at[..., 0], controls)
+            return np.concatenate([self.rates(own, controls)[..., None], (through + linear) @ at[..., 1:]], axis=3)
+
+        begin = np.concatenate([states[..., None], np.broadcast_to(one, (*states.shape, self.n))], axis=3)
+        return np.asarray(rk4(rates, begin, 1.0)[..., 1:])
+
+    def _slopes(self, states: Array, controls: Array) -> tuple[Array, Array]:
+        """Return the derivatives of `rates` by the states, through the units (S, B, n, n) and of the linear part."""
+        regressors = self._regressors(states, controls)
+        inside = regressors @ self.inner.swapaxes(1, 2)
+        steep = np.stack([slopes(own, s) for own, s in zip(self.kinds, inside, strict=True)])
+        weights = self.pace[:, None] * self.outer[:, None, :, regressors.shape[2] :]
+        through = weights @ steep @ self.inner[:, None, :, : self.n]
+        return through, self.pace[:, None] * self.outer[:, None, :, : self.n]
+
+    def _regressors(self, states: Array, controls: Array) -> Array:
+        shape = *states.shape[:2], controls.shape[1]
+        ones = np.ones((*shape[:2], 1))
+        return np.concatenate([states, np.broadcast_to(controls, shape), ones], axis=2)
+
+    @property
+    def _room(self) -> int:
+        return self.outer.shape[2] + 2 * self.inner.shape[1]
+
+    def _arguments(self, s: int, starts: Array, controls: Array, n_outputs: int) -> tuple[Any, ...]:
+        """Return what the compiled functions take first, of space ``s`` from ``starts`` (B, n)."""
+        pieces, steps, nu = controls.shape
+        sizes = np.array([pieces, steps, self.n, nu, self.inner.shape[1], n_outputs])
+        numbers = (self.outer[s], self.inner[s], self.kinds[s], self.pace, starts, controls)
+        return sizes, *(np.ascontiguousarray(own).reshape(-1) for own in numbers)
+
+    def sensitivities(self, s: int, starts: Array, segments: Segments) -> tuple[Array, Array]:
+        """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
+
+        States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
+        a sample does not count; the last n are those by the start.
+        """
+        from model_zoo.state_space.shooting_kernel import compiled_flow_sensitivities, compiled_sensitivities
+
+        ny = segments.outputs.shape[2]
+        size = self.outer[s].size + self.inner[s].size + self.n
+        states = np.empty((*segments.counts.shape, self.n))
+        derivatives = np.empty((*segments.counts.shape, ny, size))
+        room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2 + 2 * size * self.flow))
+        compiled = compiled_flow_sensitivities() if self.flow else compiled_sensitivities()
+        compiled(
+            *self._arguments(s, starts, segments.controls, ny),
+            segments.counts.reshape(-1),
+            np.array([np.inf]),
+            states.reshape(-1),
+            derivatives.reshape(-1),
+            *np.empty((2, self.n * size)),
+            room,
+        )
+        return states[..., :ny], derivatives
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Spaces after training, the initial states (S, B, n) of the segments, and the mean square residual (S,)."""
+
+    spaces: Spaces
+    starts: Array
+    error: Array
+
+    def __getitem__(self, rows: IntArray) -> Trained:
+        return Trained(self.spaces[rows], self.starts[rows], self.error[rows])
+
+
+@dataclass
+class _Objective:
+    """What is minimised: residuals in units of the noise, priors on parameters and initial states."""
+
+    segments: Segments
+    prior: Array
+
+    def residuals(self, outputs: Array) -> Array:
+        return (outputs - self.segments.outputs) * self.segments.counts[:, :, None]
+
+    def error(self, residuals: Array) -> Array:
+        count = self.segments.counts.sum() * residuals.shape[3]
+        return np.asarray((residuals**2).sum(axis=(1, 2, 3)) / count)
+
+    def scale(self, residuals: Array) -> Array:
+        """Return what a squared residual counts, (S,): less if residuals are alike for long."""
+        power = (residuals**2).sum(axis=(1, 2, 3))
+        alike = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
+        memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MOST_MEMORY)
+        return np.asarray(1.0 / (np.maximum(self.error(residuals), 1e-12) * memory))
+
+    def value(self, residuals: Array, scale: Array, flat: Array, starts: Array) -> Array:
+        with np.errstate(all="ignore"):
+            total = scale * (residuals**2).sum(axis=(1, 2, 3)) + (self.prior * flat**2).sum(axis=1)
+            total = total + START_PRIOR * (starts**2).sum(axis=(1, 2))
+        return np.where(np.isfinite(total), total, np.inf)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a space that runs away counts as the worst there is
+def train(
+    spaces: Spaces, segments: Segments, starts: Array, iterations: int, told: Callable[[], None] = lambda: None
+) -> Trained:
+    """Fit all parameters and the initial states ``starts`` (S, B, n) by Levenberg-Marquardt, each space for itself.
+
+    ``told`` is called after each iteration, ``iterations`` times whatever happens.
+    """
+    objective, ny = _Objective(segments, spaces.prior), segments.outputs.shape[2]
+    damping, going = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
+    starts = starts.copy()
+    for _ in range(iterations):
+        rows = np.flatnonzero(going).astype(np.int64)
+        if len(rows):
+            own = spaces[rows]
+            done, going[rows] = _improve(own, starts[rows], damping[rows], objective, ny)
+            flat = spaces.flat
+            flat[rows], starts[rows], damping[rows] = done.flat, done.starts, done.damping
+            spaces = spaces.with_flat(flat)
+        told()
+    outputs = spaces.run(starts, segments.controls)[..., :ny]
+    return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Parameters (S, P), initial states and damping after one iteration."""
+
+    flat: Array
+    starts: Array
+    damping: Array
+
+
+TRIES = 6
+
+
+def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objective, ny: int) -> tuple[_Step, BoolArray]:
+    """Return one iteration of every space, and which are worth going on with."""
+    flat, damping = spaces.flat.copy(), damping.copy()
+    starts = starts.copy()
+    outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
+    tangents = []
+    for member, blind in enumerate(spaces.blind):
+        outputs[member], derivatives = spaces.sensitivities(member, starts[member], objective.segments)
+        derivatives[..., np.flatnonzero(blind)] = 0.0
+        tangents.append(derivatives)
+    residuals = objective.residuals(outputs)
+    scale = objective.scale(residuals)
+    value = objective.value(residuals, scale, flat, starts)
+    systems = [
+        _Normal.of(*own, objective.prior, flat[member], starts[member])
+        for member, own in enumerate(zip(tangents, residuals, scale, strict=True))
+    ]
+    left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
+    for _ in range(TRIES):
+        rows = np.flatnonzero(left).astype(np.int64)
+        if not len(rows):
+            break
+        moved = [systems[s].solve(damping[s]) for s in rows]
+        new_flat = flat[rows] - np.stack([step for step, _ in moved])
+        new_starts = starts[rows] - np.stack([step for _, step in moved])
+        with np.errstate(all="ignore"):
+            run = spaces[rows].with_flat(new_flat).run(new_starts, objective.segments.controls)
+        tried = objective.value(objective.residuals(run[..., :ny]), scale[rows], new_flat, new_starts)
+        for i, s in enumerate(rows):
+            if tried[i] < value[s]:
+                flat[s], starts[s] = new_flat[i], new_starts[i]
+                going[s] = value[s] - tried[i] > SAME * value[s] or damping[s] > LOOSE
+                damping[s] *= EASIER
+                left[s] = False
+            else:
+                damping[s] *= HARDER
+    return _Step(flat, starts, damping), going & (damping < STIFFEST)
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The normal equations of one space: parameters (P), and B initial states (n) that are eliminated."""
+
+    square: Array
+    gradient: Array
+    cross: Array
+    own: Array
+    own_gradient: Array
+
+    @classmethod
+    def of(
+        cls, derivatives: Array, residuals: Array, scale: float, prior: Array, flat: Array, starts: Array
+    ) -> _Normal:
+        pieces, size = len(starts), len(flat)
+        jacobian = derivatives.reshape(pieces, -1, derivatives.shape[3])
+        off = residuals.reshape(pieces, -1)
+        by_parameters, by_start = jacobian[..., :size], jacobian[..., size:]
+        whole = by_parameters.reshape(-1, size)
+        return cls(
+            scale * (whole.T @ whole) + np.diag(prior),
+            scale * (whole.T @ off.ravel()) + prior * flat,
+            scale * (by_parameters.swapaxes(1, 2) @ by_start),
+            scale * (by_start.swapaxes(1, 2) @ by_start) + START_PRIOR * np.eye(starts.shape[1]),
+            scale * (by_start.swapaxes(1, 2) @ off[..., None])[..., 0] + START_PRIOR * starts,
+        )
+
+    def solve(self, damping: float) -> tuple[Array, Array]:
+        """Return the steps of parameters (P,) and initial states (B, n), both to be taken away."""
+        square = self.square + damping * np.diag(np.diag(self.square))
+        own = self.own * (1.0 + damping * np.eye(self.own.shape[1]))
+        inverse = np.linalg.inv(own)
+        through = self.cross @ inverse
+        reduced = square - (through @ self.cross.swapaxes(1, 2)).sum(axis=0)
+        gradient = self.gradient - (through @ self.own_gradient[..., None])[..., 0].sum(axis=0)
+        try:
+            step = np.linalg.solve(reduced, gradient)
+        except np.linalg.LinAlgError:
+            step = np.linalg.lstsq(reduced, gradient, rcond=None)[0]
+        rest = self.own_gradient - self.cross.swapaxes(1, 2) @ step
+        return step, (inverse @ rest[..., None])[..., 0]

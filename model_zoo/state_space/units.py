@@ -1,0 +1,87 @@
+"""Hidden units: what each kind does, its slope, and the mixtures that are tried."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from sysid_evo.types import Array, IntArray
+
+UNITS = ("smooth", "kinked", "sharp", "cubic", "gate")
+
+SHARP = 0.1
+"""How wide the kink of a sharp unit is, where that of a kinked one is 1."""
+
+BOUND = 3.0
+"""A cube stands still beyond it, so that nothing runs away."""
+
+
+def values(kinds: IntArray, s: Array) -> Array:
+    """Return of each column of ``s`` (..., h) what its kind makes of it.
+
+    That is tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP`, s^3 / 3, or s times what the unit before
+    it gives; cubes and gates take s within `BOUND`. The kinks are the smooth ramp of Barron (2021) without s / 2,
+    which the linear part holds.
+    """
+    out = np.empty_like(s)
+    for h, kind in enumerate(kinds):
+        own = s[..., h]
+        if UNITS[kind] == "smooth":
+            out[..., h] = np.tanh(own)
+        elif UNITS[kind] == "cubic":
+            out[..., h] = np.clip(own, -BOUND, BOUND) ** 3 / 3.0
+        elif UNITS[kind] == "gate":
+            out[..., h] = out[..., h - 1] * np.clip(own, -BOUND, BOUND)
+        else:
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            out[..., h] = 0.5 * (np.sqrt(own**2 + width**2) - width)
+    return out
+
+
+def slopes(kinds: IntArray, s: Array) -> Array:
+    """Return the derivatives (..., h, h) of all `values` by all that goes into them."""
+    found = values(kinds, s)
+    out = np.zeros((*s.shape, s.shape[-1]))
+    for h, kind in enumerate(kinds):
+        own = s[..., h]
+        if UNITS[kind] == "smooth":
+            out[..., h, h] = 1.0 - found[..., h] ** 2
+        elif UNITS[kind] == "cubic":
+            out[..., h, h] = np.where(np.abs(own) < BOUND, own**2, 0.0)
+        elif UNITS[kind] == "gate":
+            out[..., h, h] = np.where(np.abs(own) < BOUND, found[..., h - 1], 0.0)
+            out[..., h, h - 1] = out[..., h - 1, h - 1] * np.clip(own, -BOUND, BOUND)
+        else:
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            out[..., h, h] = 0.5 * own / np.sqrt(own**2 + width**2)
+    return out
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of a kind in `UNITS`; with ``controls`` it sees the controls alone, as a dead band at the input does."""
+
+    kind: str
+    controls: bool = False
+
+
+SMOOTH, MIXTURES_SHARP, KINKED, CUBIC, GATE = (Unit(kind) for kind in ("smooth", "sharp", "kinked", "cubic", "gate"))
+
+SHARP_INPUT = Unit("sharp", controls=True)
+
+Mixture: TypeAlias = tuple[Unit | None, ...]
+
+MIXTURES: tuple[Mixture, ...] = (
+    (SMOOTH,),
+    (SHARP_INPUT, GATE, SHARP_INPUT, GATE, None, None),
+    (SMOOTH, MIXTURES_SHARP),
+    (MIXTURES_SHARP,),
+    (SHARP_INPUT, SMOOTH),
+    (MIXTURES_SHARP, GATE, MIXTURES_SHARP, GATE, None, None),
+    (SMOOTH, SMOOTH, SMOOTH, None, None, None),
+    (SHARP_INPUT, GATE, SHARP_INPUT, GATE, SMOOTH, SMOOTH),
+    (SMOOTH, KINKED, CUBIC),
+)
+"""The units of a network take turns; None is no unit, for a smaller network is told by fewer data."""

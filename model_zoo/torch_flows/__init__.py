@@ -1,1 +1,0 @@
-"""Differential equations whose right-hand side is a torch module: solved by torchdiffeq, trained on free runs."""

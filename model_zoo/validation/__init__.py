@@ -1,1 +1,0 @@
-"""Blocks of time held out: what chooses hyper-parameters, and how far a prediction may be off."""

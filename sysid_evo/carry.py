@@ -1,0 +1,110 @@
+"""The carry: where states, lags and controls stand in it, clipping, and what holds a body at rest.
+
+The functions only cut and list parts; whoever calls joins them along the last axis, with its own library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from sysid_evo.system import System
+    from sysid_evo.types import Array
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class CarryLayout:
+    """The state (nx), ``state_lags`` earlier states, ``control_lags`` earlier controls (nu), newest first."""
+
+    nx: int
+    nu: int
+    state_lags: int = 0
+    control_lags: int = 0
+
+    @property
+    def size(self) -> int:
+        """Length of the carry."""
+        return self.nx * (1 + self.state_lags) + self.nu * self.control_lags
+
+    @property
+    def history(self) -> int:
+        """Number of samples before the present that it takes to start."""
+        return max(self.state_lags, self.control_lags)
+
+    @property
+    def earlier_controls(self) -> slice:
+        """Where the earlier controls stand."""
+        return slice(self.nx * (1 + self.state_lags), self.size)
+
+    def started(self, states: Any, controls: Any) -> list[Any]:
+        """Return the parts of a carry after a history of states (..., L + 1, nx) and controls (..., L, nu)."""
+        parts = [states[..., -1 - lag, :] for lag in range(self.state_lags + 1)]
+        return parts + [controls[..., -1 - lag, :] for lag in range(self.control_lags)]
+
+    def moved(self, carry: Any, control: Any, after: Any) -> list[Any]:
+        """Return the parts of the next carry (..., size): states and controls move one place back."""
+        parts = [after, carry[..., : self.nx * self.state_lags]] if self.state_lags else [after]
+        if self.control_lags:
+            first = self.earlier_controls.start
+            parts += [control, carry[..., first : first + self.nu * (self.control_lags - 1)]]
+        return parts
+
+    def each_input(self, of_states: Iterable[T], of_controls: Iterable[T]) -> list[T]:
+        """Return one value for every number of (carry, control), from one for every state and control."""
+        return [*of_states] * (1 + self.state_lags) + [*of_controls] * (self.control_lags + 1)
+
+    def input_names(self, states: Sequence[str], controls: Sequence[str]) -> list[str]:
+        """Return the names of (carry, control); ``speed[-1]`` is the speed one sample ago."""
+        earlier = [f"{name}[-{lag}]" for lag in range(1, self.state_lags + 1) for name in states]
+        held = [f"{name}[-{lag}]" for lag in range(1, self.control_lags + 1) for name in controls]
+        return [*states, *earlier, *held, *controls]
+
+
+REST_BAND = 0.005
+"""Share of the range of the training states, around neutral, that counts as rest."""
+
+
+def band_of(system: System, envelope: Array, multiple: float) -> Array:
+    """Return how near to neutral (nx,) a state counts as rest, by an ``envelope`` (2, nx) ``multiple`` ranges wide."""
+    ranges = (envelope[1] - envelope[0]) / multiple
+    for i, period in system.periods.items():
+        ranges[i] = period
+    return np.asarray(REST_BAND * ranges)
+
+
+def held_at_rest(system: System, layout: CarryLayout, band: Array, carry: Array, control: Array, after: Array) -> Array:
+    """Return ``after`` (B, nx), neutral where the body rests within ``band`` (nx,) and all controls are neutral.
+
+    Earlier controls in the carry count too: with dead time, a short pulse acts after it has ended.
+    """
+    neutral, idle_control = system.neutral_state, system.neutral_control
+    still = (np.abs(carry[..., : layout.nx] - neutral) <= band).all(axis=-1)
+    past = carry[..., layout.earlier_controls]
+    idle = (control == idle_control).all(axis=-1) & (past == np.tile(idle_control, layout.control_lags)).all(axis=-1)
+    return np.where((still & idle)[..., None], neutral, after)
+
+
+def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:
+    """Clip the state at the head of ``carry`` to ``envelope``; also return which rows were changed (B,).
+
+    A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
+    """
+    if envelope is None:
+        return carry, np.zeros(len(carry), dtype=bool)
+    low, high = envelope
+    inside = np.ones(len(carry), dtype=bool)
+    for value, least, most in zip(carry.T, low, high, strict=False):
+        inside &= (value >= least) & (value <= most)
+    if inside.all():
+        return carry, ~inside
+    clipped = carry.copy()
+    for value, least, most in zip(clipped.T, low, high, strict=False):
+        np.maximum(np.fmin(value, most), least, out=value)
+    return clipped, ~inside

@@ -1,0 +1,271 @@
+"""A control law as a short program over vectors, from which files in several languages are written.
+
+A program is a list of statements, ``name = expression``. Expressions work element by element on vectors of one
+length (a vector of one element goes with any), except for `Dot`, a matrix times a vector, and `Take`, some elements
+of a vector::
+
+    seen = variable("observation", 5)
+    hidden = Statement("hidden", tanh(Dot("W_IN", weights, seen)))
+    raw = Statement("raw", tanh(Dot("W_OUT", more, hidden.value)))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from sysid_evo.types import Array
+
+Vectors: TypeAlias = Mapping[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Expression:
+    """Something with ``size`` elements; ``+ - * /`` combine two."""
+
+    size: int
+
+    def __add__(self, other: Operand) -> Expression:
+        return _binary("+", self, other)
+
+    def __sub__(self, other: Operand) -> Expression:
+        return _binary("-", self, other)
+
+    def __mul__(self, other: Operand) -> Expression:
+        return _binary("*", self, other)
+
+    def __truediv__(self, other: Operand) -> Expression:
+        return _binary("/", self, other)
+
+
+Operand: TypeAlias = Expression | float
+
+
+@dataclass(frozen=True, eq=False)
+class Number(Expression):
+    """A number."""
+
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Variable(Expression):
+    """An input, a vector that is remembered, or the result of an earlier statement."""
+
+    name: str
+    remembered: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Constant(Expression):
+    """A vector of constants with a name."""
+
+    name: str
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Dot(Expression):
+    """A matrix of constants with a name, (size, of.size), times a vector."""
+
+    name: str
+    matrix: Array
+    of: Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Take(Expression):
+    """The elements of a vector at ``places``."""
+
+    name: str
+    places: tuple[int, ...]
+    of: Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Binary(Expression):
+    """Two vectors, element by element: ``+ - * / min max``."""
+
+    operator: str
+    left: Expression
+    right: Expression
+
+
+@dataclass(frozen=True, eq=False)
+class Unary(Expression):
+    """A function of each element: one of `FUNCTIONS`."""
+
+    function: str
+    of: Expression
+
+
+@dataclass(frozen=True, eq=False)
+class Choice(Expression):
+    """``yes`` where left ``>`` (or ``>=``) right, else ``no``."""
+
+    operator: str
+    left: Expression
+    right: Expression
+    yes: Expression
+    no: Expression
+
+
+FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    "tanh": np.tanh, "abs": np.abs, "round": np.rint, "sqrt": np.sqrt, "sin": np.sin,
+}  # fmt: skip
+
+OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "min": np.minimum, "max": np.maximum,
+    ">": np.greater, ">=": np.greater_equal,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Statement:
+    """``name = expression``, and what it is in words."""
+
+    name: str
+    expression: Expression
+    remark: str = ""
+
+    @property
+    def value(self) -> Variable:
+        """The result, for later statements."""
+        return Variable(self.expression.size, self.name)
+
+
+@dataclass(frozen=True)
+class Program:
+    """Statements in order; the ``result`` is the value of one of them.
+
+    ``remembered`` maps each vector of the memory, zeros at first, to the statement whose value it has in the next
+    sample. The one input is called `OBSERVATION`.
+    """
+
+    statements: tuple[Statement, ...]
+    result: Variable
+    remembered: Mapping[str, Variable] = field(default_factory=dict)
+
+    def begin(self) -> dict[str, Array]:
+        """Return the memory before the first sample."""
+        return {name: np.zeros(value.size) for name, value in self.remembered.items()}
+
+    def run(self, observation: Array, memory: Vectors) -> tuple[Array, dict[str, Array]]:
+        """Return the result for one observation (n,), and the memory after it, in the precision of what is given."""
+        known: dict[str, Array] = {OBSERVATION: observation}
+        for statement in self.statements:
+            value = _value(statement.expression, known, memory, observation.dtype)
+            known[statement.name] = np.broadcast_to(value, (statement.expression.size,))
+        return known[self.result.name], {name: known[value.name] for name, value in self.remembered.items()}
+
+    def constants(self) -> dict[str, Array]:
+        """Return every table of numbers by its name, in order: vectors, matrices, and places as whole numbers."""
+        found: dict[str, Array] = {}
+        for statement in self.statements:
+            for part in parts_of(statement.expression):
+                if isinstance(part, Constant):
+                    found[part.name] = part.values
+                elif isinstance(part, Dot):
+                    found[part.name] = part.matrix
+                elif isinstance(part, Take) and part.size > 1:
+                    found[part.name] = np.array(part.places)
+        return found
+
+
+OBSERVATION = "observation"
+
+
+def observation(n: int) -> Variable:
+    """Return the input of a program, (n,)."""
+    return Variable(n, OBSERVATION)
+
+
+def remembered(name: str, n: int) -> Variable:
+    """Return a vector of the memory."""
+    return Variable(n, name, remembered=True)
+
+
+def constant(name: str, values: Any) -> Constant:
+    """Return a vector of constants."""
+    numbers = np.asarray(values, dtype=np.float64)
+    return Constant(len(numbers), name, numbers)
+
+
+def dot(name: str, matrix: Array, of: Variable) -> Dot:
+    """Return ``matrix`` (n_out, n_in) times a vector."""
+    return Dot(len(matrix), name, np.asarray(matrix, dtype=np.float64), of)
+
+
+def take(name: str, of: Variable, *places: int) -> Take:
+    """Return the elements of a vector at ``places``."""
+    return Take(len(places), name, places, of)
+
+
+def tanh(of: Expression) -> Unary:
+    """Return the hyperbolic tangent."""
+    return Unary(of.size, "tanh", of)
+
+
+def limited(of: Expression, low: float = -1.0, high: float = 1.0) -> Expression:
+    """Return ``of`` within its limits."""
+    return Binary(of.size, "min", Binary(of.size, "max", of, number(low)), number(high))
+
+
+def number(value: Operand) -> Expression:
+    """Return a number as an expression."""
+    return value if isinstance(value, Expression) else Number(1, float(value))
+
+
+def choose(left: Expression, operator: str, right: Operand, yes: Operand, no: Operand) -> Choice:
+    """Return ``yes`` where ``left operator right``, else ``no``."""
+    sides = (left, number(right), number(yes), number(no))
+    return Choice(max(side.size for side in sides), operator, *sides)
+
+
+def apply(function: str, of: Expression) -> Unary:
+    """Return one of `FUNCTIONS` of ``of``."""
+    return Unary(of.size, function, of)
+
+
+def _binary(operator: str, left: Operand, right: Operand) -> Binary:
+    a, b = number(left), number(right)
+    return Binary(max(a.size, b.size), operator, a, b)
+
+
+def parts_of(expression: Expression) -> Iterator[Expression]:
+    """Yield ``expression`` and all that it is made of."""
+    yield expression
+    for name in ("left", "right", "yes", "no", "of"):
+        part = getattr(expression, name, None)
+        if isinstance(part, Expression):
+            yield from parts_of(part)
+
+
+def _value(e: Expression, known: Vectors, memory: Vectors, real: Any) -> Any:
+    """Return the value of an expression in the precision ``real``."""
+
+    def value(part: Expression) -> Any:
+        return _value(part, known, memory, real)
+
+    match e:
+        case Number():
+            return np.asarray(e.value, dtype=real)
+        case Variable():
+            return memory[e.name].astype(real) if e.remembered else known[e.name]
+        case Constant():
+            return e.values.astype(real)
+        case Dot():
+            return e.matrix.astype(real) @ value(e.of)
+        case Take():
+            return value(e.of)[list(e.places)]
+        case Unary():
+            return FUNCTIONS[e.function](value(e.of))
+        case Binary():
+            return OPERATORS[e.operator](value(e.left), value(e.right))
+        case Choice():
+            return np.where(OPERATORS[e.operator](value(e.left), value(e.right)), value(e.yes), value(e.no))
+        case _:
+            raise TypeError(f"program: expected an expression, got {type(e).__name__}")

@@ -1,0 +1,423 @@
+"""How states respond to controls: linear fit, delays, measured manoeuvres.
+
+Commands are strongly correlated with their own past, so that a plain cross-correlation is smeared
+over many lags. Both series are therefore filtered with the autoregressive model that turns the
+control into white noise; what is left of their correlation is the response to one impulse.
+Source: Box and Jenkins, Time Series Analysis, chapter on transfer functions.
+
+What a state does by itself is taken out of its acceleration first (`fit_linear`), so that the swing
+back of a pendulum, or a position that follows its speed, is no answer to a control. The delay is that
+of the first peak worth mentioning, as a later one may be a backswing, however large.
+
+The change of a state is partly the answer to a control and partly what the state does by itself: a
+pendulum that was pushed swings back. The fit tells the two apart, and its modes are the system's own
+time scales.
+
+They are episodes whose names begin with ``step``, ``coast_down`` or ``circle``, as `sysid-evo record --manoeuvre` makes
+them: first guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in reinforcement learning").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.angles import TURN
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.trajectory import Trajectory, recording
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+ORDER = 8
+"""Order of the autoregressive model of a control."""
+
+LATEST, LATEST_STEPS, MOST_STEPS = 0.5, 10, 50
+
+EARLIEST = -0.1
+"""Lags looked at: from -0.1 s to 0.5 s, but to 10 steps at least and to 50 at most.
+
+A lag below 0 means that the body moved before the command was logged, so that the log's clocks
+disagree; a human driver, who reacts later than 0.1 s, cannot cause it.
+"""
+
+CLEAR, WEAK = 4.0, 0.1
+"""A peak is clear from this many standard deviations of the correlation of unrelated series on, and from
+this correlation on."""
+
+FIRST = 0.5
+"""Share of the highest peak that makes a first peak worth mentioning."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How ``control`` acts on the acceleration of ``state``: first ``steps`` after it is set.
+
+    0 steps: the control at sample k acts on the change from k to k + 1. ``seconds`` is that between
+    steps, from a parabola through the peak. ``strength`` is the correlation there, in [-1, 1];
+    ``clear`` tells whether unrelated series of this length would rarely reach it.
+    """
+
+    control: str
+    state: str
+    steps: int
+    seconds: float
+    strength: float
+    clear: bool
+    at_speed: bool
+
+
+def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
+    """Return the delay of every control on every state; a control that is constant has none.
+
+    On a planar body the control and its product with the forward speed are tried, and the stronger
+    kept; not on the forward speed itself, whose noise would be on both sides.
+    """
+    system = dataset.system
+    latest = min(max(LATEST_STEPS, round(LATEST / system.dt)), MOST_STEPS)
+    lags = range(max(round(EARLIEST / system.dt), -MOST_STEPS), latest + 1)
+    episodes = [episode for episode in dataset if len(episode) > ORDER + len(lags)]
+    changes = [system.acceleration(episode.states[:-1], episode.states[1:]) for episode in episodes]
+    fit = fit_linear(dataset, latest)
+    if fit is not None:
+        changes = [a - state_terms(system, e.states[:-1]) @ fit.rate for a, e in zip(changes, episodes, strict=True)]
+    forward, speeds = -1, None
+    if isinstance(system.motion, PlanarBody):
+        forward = system.motion.indices(system.state_names)[0]
+        speeds = [episode.states[:-1, forward] for episode in episodes]
+    delays = []
+    for i, control in enumerate(system.control_names):
+        if not episodes or np.ptp(np.concatenate([episode.controls[:, i] for episode in episodes])) == 0.0:
+            continue
+        plain = [episode.controls[:, i] for episode in episodes]
+        inputs = {False: _Whitened.of(plain)}
+        if speeds is not None:
+            inputs[True] = _Whitened.of([u * speed for u, speed in zip(plain, speeds, strict=True)])
+        for j, state in enumerate(system.state_names):
+            outputs = [change[:, j] for change in changes]
+            curves = {False: inputs[False].response(outputs, lags)}
+            if speeds is not None and j != forward:
+                curves[True] = inputs[True].response(outputs, lags)
+            at_speed = max(curves, key=lambda key: np.abs(curves[key]).max())
+            delays.append(_delay(control, state, curves[at_speed], at_speed, lags, episodes, system.dt))
+    return tuple(delays)
+
+
+def _delay(
+    control: str, state: str, curve: Array, at_speed: bool, lags: range, episodes: list[Trajectory], dt: float
+) -> Delay:
+    samples = sum(len(episode) - ORDER for episode in episodes)
+    clear = max(CLEAR / np.sqrt(samples), WEAK)
+    peak = _first_peak(curve, clear)
+    return Delay(
+        control,
+        state,
+        steps=lags[peak],
+        seconds=float((lags[peak] + _vertex(np.abs(curve), peak)) * dt),
+        strength=float(curve[peak]),
+        clear=bool(np.abs(curve[peak]) > clear),
+        at_speed=at_speed,
+    )
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """One control through the ``filter`` (ORDER + 1,) that makes it white, one series for each episode."""
+
+    filter: Array
+    series: list[Array]
+
+    @classmethod
+    def of(cls, series: list[Array]) -> _Whitened:
+        whitening = _whitening(series)
+        return cls(whitening, [np.convolve(one, whitening, mode="valid") for one in series])
+
+    def response(self, outputs: list[Array], lags: range) -> Array:
+        """Return the correlation with ``outputs``, filtered alike, at each lag."""
+        answers = [np.convolve(one, self.filter, mode="valid") for one in outputs]
+        return np.array([_correlation(self.series, answers, lag) for lag in lags])
+
+
+def _whitening(series: list[Array]) -> Array:
+    """Return the filter (ORDER + 1,) whose output is white."""
+    now = np.concatenate([s[ORDER:] for s in series])
+    regressors = np.ones((len(now), ORDER + 1))
+    for lag in range(1, ORDER + 1):
+        np.concatenate([s[ORDER - lag : len(s) - lag] for s in series], out=regressors[:, lag - 1])
+    weights = np.linalg.lstsq(regressors, now, rcond=None)[0][:ORDER]
+    return np.concatenate([[1.0], -weights])
+
+
+def _correlation(commands: list[Array], responses: list[Array], lag: int) -> float:
+    u = np.concatenate([c[max(-lag, 0) : len(c) - max(lag, 0)] for c in commands])
+    a = np.concatenate([r[max(lag, 0) : len(r) - max(-lag, 0)] for r in responses])
+    u, a = u - u.mean(), a - a.mean()
+    scale = np.sqrt((u @ u) * (a @ a))
+    return float(u @ a / scale) if scale > 0.0 else 0.0
+
+
+def _first_peak(curve: Array, clear: float) -> int:
+    """Return the place of the first peak that is clear and half as high as the highest; else of the highest."""
+    size = np.abs(curve)
+    worth = np.flatnonzero(size >= max(clear, FIRST * size.max()))
+    if not len(worth):
+        return int(size.argmax())
+    peak = int(worth[0])
+    while peak + 1 < len(curve) and size[peak + 1] > size[peak] and curve[peak + 1] * curve[peak] > 0.0:
+        peak += 1
+    return peak
+
+
+def _vertex(curve: Array, peak: int) -> float:
+    """Return where the parabola through the peak and its neighbours has its vertex, -0.5 to 0.5 from the peak."""
+    if not 0 < peak < len(curve) - 1:
+        return 0.0
+    before, at, after = curve[peak - 1 : peak + 2]
+    bend = before - 2.0 * at + after
+    return 0.0 if bend == 0.0 else float(0.5 * (before - after) / bend)
+
+
+INTEGRATES = 0.3
+"""A mode slower than this share of the longest episode counts as integrating: it has no time scale to tell."""
+
+BLOCK = 16384
+"""Steps whose regressors are in memory at a time."""
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """The least-squares fit of a data set's changes.
+
+    ``rate`` (nx + one for each periodic state, nx): the change of state j per second is
+    ``state_terms(states) @ rate[:, j]`` plus the answer to the controls. ``explained`` (nx,) is the
+    share of the variance of the next state that states and controls explain, 0 to 1. ``scales`` are
+    the time scales 1 / |eigenvalue| in s of the decaying modes, rising: decay time of a plain mode,
+    1 / angular frequency of an oscillation.
+    """
+
+    rate: Array
+    explained: Array
+    scales: tuple[float, ...]
+
+
+def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
+    """Fit changes to the state and the controls of this and ``lags`` earlier steps; None if there are too few rows.
+
+    On a planar body the controls times the forward speed are regressors too, as a steering wheel works
+    in proportion to it.
+    """
+    system = dataset.system
+    episodes = [episode for episode in dataset if len(episode) > lags]
+    if not episodes:
+        return None
+    rows = sum(len(episode) - lags for episode in episodes)
+    n_terms = system.nx + len(system.periods)
+    n_inputs = acting_controls(system, episodes[0].states[:1], episodes[0].controls[:1]).shape[1]
+    if rows < 3 * (n_terms + 1 + n_inputs * (lags + 1)):
+        return None
+    weights = _least_squares(_blocks(system, episodes, lags))
+    left = system.dt**2 * _variance(y - x @ weights for x, y in _blocks(system, episodes, lags))
+    total = _variance(episode.states[lags:-1] for episode in episodes)
+    explained = 1.0 - np.divide(left, total, out=np.zeros_like(left), where=total > 0.0)
+    longest = max(episode.duration for episode in episodes)
+    scales = _scales(weights[: system.nx], system.dt, INTEGRATES * longest)
+    return LinearFit(weights[:n_terms], np.clip(explained, 0.0, 1.0), scales)
+
+
+def state_terms(system: System, states: Array) -> Array:
+    """Return the terms of ``states`` (T, nx) that changes are fitted to, (T, nx + one for each periodic state).
+
+    They are the states; of a periodic one the sine, scaled so that it is the angle near neutral, and,
+    after all the others, the cosine.
+    """
+    terms, cosines = states.copy(), []
+    for i, period in system.periods.items():
+        angle = (states[:, i] - system.neutral_state[i]) * TURN / period
+        terms[:, i] = np.sin(angle) * period / TURN
+        cosines.append(np.cos(angle))
+    return np.column_stack([terms, *cosines])
+
+
+def _blocks(system: System, episodes: Sequence[Trajectory], lags: int) -> Iterator[tuple[Array, Array]]:
+    """Yield regressors (n, terms) and changes (n, nx) of up to `BLOCK` steps, which bounds the memory."""
+    for episode in episodes:
+        for first in range(lags, len(episode), BLOCK):
+            last = min(first + BLOCK, len(episode))
+            states = episode.states[first:last]
+            inputs = acting_controls(system, episode.states[first - lags : last], episode.controls[first - lags : last])
+            past = [inputs[lags - lag : len(inputs) - lag] for lag in range(lags + 1)]
+            regressors = np.concatenate([state_terms(system, states), np.ones((len(states), 1)), *past], axis=1)
+            yield regressors, system.acceleration(states, episode.states[first + 1 : last + 1])
+
+
+def _least_squares(blocks: Iterator[tuple[Array, Array]]) -> Array:
+    """Return the weights by the normal equations of scaled columns, much faster than an SVD of the rows."""
+    products: Array | float = 0.0
+    for regressors, targets in blocks:
+        products = products + regressors.T @ np.concatenate([regressors, targets], axis=1)
+    square, answer = np.split(np.asarray(products), [len(np.asarray(products))], axis=1)
+    size = np.sqrt(np.diag(square))
+    scale = np.where(size > 0.0, size, 1.0)
+    solution = np.linalg.lstsq(square / np.outer(scale, scale), answer / scale[:, None], rcond=1e-13)[0]
+    return np.asarray(solution / scale[:, None])
+
+
+def _variance(blocks: Iterator[Array]) -> Array:
+    """Return the variance of each column over all ``blocks`` (n, c)."""
+    count, mean, squares = 0, np.zeros(1), np.zeros(1)
+    for block in blocks:
+        off = block.mean(axis=0) - mean
+        both = count + len(block)
+        squares = squares + ((block - block.mean(axis=0)) ** 2).sum(axis=0) + off**2 * count * len(block) / both
+        mean = mean + off * len(block) / both
+        count = both
+    return np.asarray(squares / count)
+
+
+def acting_controls(system: System, states: Array, controls: Array) -> Array:
+    """Return the controls (T, nu), on a planar body followed by their products with the forward speed."""
+    if not isinstance(system.motion, PlanarBody):
+        return controls
+    forward = system.motion.indices(system.state_names)[0]
+    return np.concatenate([controls, controls * states[:, [forward]]], axis=1)
+
+
+def _scales(rate: Array, dt: float, slowest: float) -> tuple[float, ...]:
+    """Return the time scales in s of the modes that decay and are faster than ``slowest``."""
+    modes = np.linalg.eigvals(np.eye(len(rate)) + dt * rate.T)
+    decaying = modes[(np.abs(modes) < 1.0) & (np.abs(modes) > 0.0)]
+    scales = dt / np.abs(np.log(decaying.astype(complex)))
+    return tuple(sorted(float(scale) for scale in scales if scale < slowest))
+
+
+STEADY = 0.3
+"""Share of the command's time, at its end, that counts as steady."""
+
+RISEN = 1.0 - np.exp(-1.0)
+
+SLOW = 0.15
+"""Share of the speed at its beginning below which a coast-down is over."""
+
+LEAST = 1e-9
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A ``value`` with its standard ``error`` and ``unit``; ``name`` says of what, ``episode`` where it was seen."""
+
+    name: str
+    value: float
+    error: float
+    unit: str
+    episode: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.value:.3g} +- {self.error:.1g} {self.unit} ({self.episode})"
+
+
+def measured(dataset: Dataset) -> list[Measured]:
+    """Return what the manoeuvres of a data set say, in their order; nothing if there are none."""
+    ways: dict[str, Callable[[System, Trajectory], Iterator[Measured]]] = {
+        "step": _step,
+        "coast_down": _coast_down,
+        "circle": _circle,
+    }
+    found: list[Measured] = []
+    for episode in dataset.episodes:
+        way = ways.get(recording(episode.name).split("-")[0])
+        if way is not None:
+            found += way(dataset.system, episode)
+    return found
+
+
+def _commanded(system: System, episode: Trajectory) -> tuple[int, int]:
+    """Return the first and one past the last sample with a command; (0, 0) if there is none."""
+    on = np.flatnonzero((episode.controls != system.neutral_control).any(axis=1))
+    return (int(on[0]), int(on[-1]) + 1) if len(on) else (0, 0)
+
+
+def _steady(values: Array) -> tuple[float, float]:
+    """Return mean and standard error of the last part; neighbours hang together, so that five count as one."""
+    last = values[-max(3, round(STEADY * len(values))) :]
+    return float(last.mean()), float(last.std() / np.sqrt(max(1.0, len(last) / 5.0)))
+
+
+def _forward(system: System) -> int | None:
+    if not isinstance(system.motion, PlanarBody):
+        return None
+    return system.motion.indices(system.state_names)[0]
+
+
+def _direction(value: float) -> str:
+    return "forward" if value > 0.0 else "backward"
+
+
+def _step(system: System, episode: Trajectory) -> Iterator[Measured]:
+    """Steady value and time constant of every state, or of the forward speed of what drives."""
+    first, last = _commanded(system, episode)
+    if last - first < 5:
+        return
+    forward, name = _forward(system), recording(episode.name)
+    for i in range(system.nx) if forward is None else [forward]:
+        run = episode.states[first : last + 1, i]
+        value, error = _steady(run)
+        change, unit = value - run[0], system.states[i].unit
+        noise = float(np.std(np.diff(run[-max(3, round(STEADY * len(run))) :])))
+        if abs(change) <= 5.0 * noise + LEAST:
+            continue
+        said = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
+        yield Measured(said, abs(value) if forward is not None else value, error, unit, name)
+        share = (run - run[0]) / change
+        after = int(np.argmax(share >= RISEN))
+        if after == 0:
+            continue
+        whole = after - (share[after] - RISEN) / max(share[after] - share[after - 1], LEAST)
+        said = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
+        yield Measured(said, float(whole * system.dt), 0.5 * system.dt, "s", name)
+        if forward is not None:
+            start = float(np.max(np.abs(np.diff(run)[: after + 1])) / system.dt)
+            yield Measured(f"acceleration from rest {_direction(value)}", start, 0.1 * start, "m/s^2", name)
+
+
+def _coast_down(system: System, episode: Trajectory) -> Iterator[Measured]:
+    """Rolling resistance c and drag d of du/dt = -(c + d |u|) without a command, from the shape of the free run."""
+    forward, (_, last) = _forward(system), _commanded(system, episode)
+    if forward is None or not last:
+        return
+    run = episode.states[last + 2 :, forward]  # the command still acts for a sample or two
+    moving = np.abs(run) > SLOW * np.abs(run[0]) if len(run) else np.zeros(0, dtype=bool)
+    count = len(run) if moving.all() else int(np.argmin(moving))
+    if count < 5:
+        return
+    speed = np.abs(run[:count])
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * system.dt)])
+    inputs = np.stack([np.ones(count), -system.dt * np.arange(count), -travelled], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(inputs, speed, rcond=None)
+    if rank < 3:
+        return
+    left = speed - inputs @ solution
+    covariance = np.linalg.inv(inputs.T @ inputs) * float(left @ left) / max(1, count - 3) * 5.0
+    way, name = _direction(float(run[0])), recording(episode.name)
+    for said, i, unit in (("rolling resistance", 1, "m/s^2"), ("drag", 2, "1/s")):
+        yield Measured(f"{said} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
+
+
+def _circle(system: System, episode: Trajectory) -> Iterator[Measured]:
+    """Turning radius and speed on it; positive to the left."""
+    if not isinstance(system.motion, PlanarBody):
+        return
+    first, last = _commanded(system, episode)
+    if last - first < 5:
+        return
+    forward, _, yaw_rate = system.motion.indices(system.state_names)
+    speed, error_of_speed = _steady(episode.states[first : last + 1, forward])
+    turn, error_of_turn = _steady(episode.states[first : last + 1, yaw_rate])
+    if abs(turn) < LEAST or abs(speed) < LEAST:
+        return
+    radius = abs(speed / turn)
+    error = radius * float(np.hypot(error_of_speed / speed, error_of_turn / turn))
+    side = "left" if turn * speed > 0.0 else "right"
+    name = recording(episode.name)
+    yield Measured(f"turning radius {side}, {_direction(speed)} at {abs(speed):.2f} m/s", radius, error, "m", name)

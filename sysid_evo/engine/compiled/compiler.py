@@ -1,0 +1,109 @@
+"""From text to compiled code: one file a kernel, kept on disk, locks between processes."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+
+from sysid_evo.engine.compiled import internals, vectors
+from sysid_evo.engine.compiled.language import _plain, generate
+from sysid_evo.files import cache_folder, write_atomically
+from sysid_evo.kernels import KernelSource, Precision, Signature, Source
+
+_IMPORTING = threading.RLock()
+
+PATIENCE = 60.0
+"""Seconds to wait for another process that compiles the same file; most take two."""
+
+
+@cache
+def _fingerprint() -> str:
+    """Return a digest of everything outside a generated file that its compiled form depends on."""
+    rooms = [inspect.getsource(module) for module in (vectors, vectors, internals, vectors, internals)]
+    parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def name_of(text: str) -> str:
+    """Return the name of the module of a generated file, which says all it depends on."""
+    digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
+    return f"sysid_evo_kernel_{digest}"
+
+
+def imported(text: str) -> Any:
+    """Return the module of a generated file, which is kept in the cache under its name."""
+    name = name_of(text)
+    with _IMPORTING:
+        return sys.modules[name] if name in sys.modules else _load(name, text)
+
+
+def _load(name: str, text: str) -> Any:
+    """Import the file, which compiles it if nobody has; another process that wants the same one waits and finds it."""
+    path = cache_folder("kernels") / f"{name}.py"
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    with nullcontext() if name in _compiled_before(path.parent) else _alone(path.with_suffix(".lock")):
+        return _executed(name, path)
+
+
+@cache
+def _compiled_before(folder: Path) -> frozenset[str]:
+    """Return the names of the files that were compiled when this process first looked."""
+    compiled = folder / "__pycache__"
+    return frozenset(path.name.split(".")[0] for path in compiled.iterdir()) if compiled.is_dir() else frozenset()
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Wait until no other process holds the lock; without it where there are none, or where one holds it for long."""
+    from filelock import FileLock
+
+    lock = FileLock(path)
+    with suppress(OSError, NotImplementedError):
+        lock.acquire(timeout=PATIENCE)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _executed(name: str, path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
+    """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
+
+    With ``pointer`` the result can be passed to compiled code as a first-class function, whose arguments are the
+    addresses of arrays; without it, it is called from Python and releases the interpreter lock.
+    """
+    if isinstance(source, KernelSource):
+        signature.check(_plain(source.function))
+    return imported(generate(source, signature, precision, pointer=pointer)).entry
+
+
+@cache
+def compiled(source: Source, signature: Signature, precision: Precision) -> Any:
+    """Return the kernel as a first-class function, compiled at most once a process."""
+    return compile_kernel(source, signature, precision)

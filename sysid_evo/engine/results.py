@@ -1,0 +1,90 @@
+"""What a rollout starts from and returns: Trials, Rollouts, behaviour descriptors, trajectories.
+
+They are taken while a rollout runs, from every `EVERY`-th step, so that nothing has to be recorded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.system import System
+from sysid_evo.tasks.task import Task, TaskState
+from sysid_evo.types import Array, BoolArray, IntArray
+
+EVERY = 5
+"""Steps from one sample to the next; odd, so that a control that changes at every other step is seen on both sides."""
+
+
+def behaviour_names(system: System) -> tuple[str, ...]:
+    """Return what the descriptors of `Rollouts.behaviour` are called, two for each state and then each control."""
+    channels = (*system.states, *system.controls)
+    return tuple(f"{channel.name} {side}" for channel in channels for side in ("above", "below"))
+
+
+def neutral(system: System) -> Array:
+    """Return the neutral value of each state and then each control, (nx + nu,)."""
+    return np.concatenate([system.neutral_state, system.neutral_control])
+
+
+def sides(states: Array, controls: Array, centre: Array) -> BoolArray:
+    """Return whether each value of states (B, nx) and controls (B, nu) is above ``centre``, and below: (B, d)."""
+    off = np.concatenate([states, controls], axis=1) - centre
+    return np.stack([off > 0.0, off < 0.0], axis=2).reshape(len(off), -1)
+
+
+def shares(counts: Array, survived: IntArray, diverged: BoolArray) -> Array:
+    """Return the descriptors (B, d), shares in [0, 1], from the samples counted; 0 for a rollout that diverged."""
+    samples = np.maximum(1, -(-survived // EVERY))[:, None]
+    return np.where(diverged[:, None], 0.0, counts / samples)
+
+
+def trajectories(
+    tape: list[Any], survived: Any, pose: Array, task: Task, system: System, trials: int
+) -> tuple[Trajectory, ...]:
+    """Return what was recorded in ``tape`` (states, controls and poses, flat) of each rollout that took a step.
+
+    What comes after the last step, and the pose before the first, may be anything.
+    """
+    states, controls, poses = tape
+    states = states.reshape(-1, task.horizon + 1, system.nx)
+    controls = controls.reshape(-1, task.horizon, system.nu)
+    poses = poses.reshape(len(states), task.horizon + 1, -1) if pose.shape[1] else None
+    found = []
+    for i, steps in enumerate(survived):
+        if steps == 0:
+            continue
+        where = None
+        if poses is not None:
+            where = np.concatenate([pose[i % trials][None], poses[i, 1 : steps + 1].astype(np.float64)])
+        name = f"candidate-{i // trials}-trial-{i % trials}"
+        state, control = states[i, : steps + 1].astype(np.float64), controls[i, :steps].astype(np.float64)
+        found.append(Trajectory(state, control, system.dt, where, name))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """What P candidates did in E trials.
+
+    ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
+    horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
+    steps whose state was clipped to the model's envelope. ``behaviour`` (P, E, d) says what the controller
+    did, see `behaviour_names`; d is 0 where nobody counted. ``doubt`` (P, E) is what the dynamics counted of it, in
+    steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
+    stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
+    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
+    """
+
+    fitness: Array
+    survived: IntArray
+    clipped: IntArray
+    task_state: TaskState
+    engine: str
+    behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
+    trajectories: tuple[Trajectory, ...] = ()
+    missing: tuple[str, ...] = ()

@@ -1,0 +1,154 @@
+"""Runner, BoundRunner, bind_rollout: dynamics, controller and task bound once, run often."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, TypeAlias, get_args
+
+import numpy as np
+
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.engine import reference
+from sysid_evo.engine.results import Rollouts
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.processors import available_processors
+from sysid_evo.tasks.task import Task
+from sysid_evo.types import Array, Seeds, check_shape
+
+Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
+
+
+class Runner(Protocol):
+    """How a controller is run on something: a column of the transfer matrix, a member of an ensemble.
+
+    `DynamicsRunner` runs a model or an emulated robot, all trials at once; a physical robot is run by its
+    control loop, one trial at a time. Anything else with this one method can be evolved on and compared.
+    """
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
+
+        ``controller`` and ``task`` are bound here, to what is run on. The fitness (P, E) is never nan. With
+        ``record`` the trajectories are kept. Only a robot leaves trials out, and says why in ``missing``.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class DynamicsRunner:
+    """Runs controllers on a `Dynamics`: a model or an emulated robot.
+
+    ``engine`` and ``threads`` as for `rollout`.
+    """
+
+    dynamics: Dynamics
+    engine: Engine = "auto"
+    threads: int | None = None
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
+        return rollout(
+            self.dynamics,
+            controller,
+            parameters,
+            task,
+            seeds,
+            record=record,
+            engine=self.engine,
+            threads=self.threads,
+        )
+
+
+def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
+    """Return runners by name; a bare model or emulated robot is run by a `DynamicsRunner`. Raises `InvalidArgument`."""
+    if not isinstance(given, Mapping):
+        raise InvalidArgument(
+            f"{what}: expected models or runners by name, {{name: model}}, got {type(given).__name__}"
+        )
+    found = {name: DynamicsRunner(one) if isinstance(one, Dynamics) else one for name, one in given.items()}
+    for name, runner in found.items():
+        if not hasattr(runner, "run"):
+            raise InvalidArgument(f"{what}: {name!r} is a {type(runner).__name__}, no model and no runner")
+    return found
+
+
+def rollout(
+    dynamics: Dynamics,
+    controller: Controller,
+    parameters: Array,
+    task: Task,
+    seeds: Seeds,
+    *,
+    record: bool = False,
+    engine: Engine = "auto",
+    threads: int | None = None,
+) -> Rollouts:
+    """Run every candidate ``parameters`` (P, n_parameters) in a trial of every seed (E,).
+
+    Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
+
+    ``engine`` is "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object);
+    "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference.
+    `Rollouts.engine` says which ran.
+    Scores do not depend on ``threads`` (default: all processors this process may use).
+    Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
+    """
+    task = task.bind(dynamics.system)
+    controller = controller.bind_to(task)
+    parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
+    if len(seeds) < 1:
+        raise InvalidArgument("rollout: expected at least one trial seed, got none")
+    if engine not in get_args(Engine):
+        raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
+    if threads is not None and threads < 1:
+        raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
+    if engine != "reference":
+        of_dynamics, of_task = dynamics.kernel(), task.kernel()
+        of_controller = None if controller.n_noise else controller.kernel()
+        if of_dynamics is not None and of_controller is not None and of_task is not None:
+            from sysid_evo.engine.compiled import closed_loop as run
+
+            found = run.run(
+                run.Kernels(of_dynamics, of_controller, of_task),
+                dynamics,
+                controller,
+                parameters,
+                task,
+                seeds,
+                record=record,
+                precision=of_dynamics.precision if engine == "auto" else engine,
+                threads=threads or available_processors(),
+            )
+            return Rollouts(**found)
+        if engine != "auto":
+            roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+            missing = ", ".join(role for role, kernel in roles.items() if kernel is None)
+            raise InvalidArgument(f"rollout: engine {engine!r} cannot run this: there is no kernel of the {missing}")
+    return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+
+
+@dataclass(frozen=True)
+class Discounted:
+    """A runner whose fitness is that of ``runner`` less the doubt: its mean over the steps of the task.
+
+    A trial that diverges is in doubt from beginning to end and loses ``most``, so that it stays below all others.
+    """
+
+    runner: Runner
+    most: float
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate, see `Runner`."""
+        run = self.runner.run(controller, parameters, task, seeds, record=record)
+        if run.doubt.shape != run.fitness.shape:
+            return run
+        lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
+        return replace(run, fitness=run.fitness - lost)

@@ -1,0 +1,361 @@
+"""Trials as Gymnasium environments, one or many; learned policies as controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from sysid_evo.carry import clip_state
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.evolution.champion import Champion
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.randomness import step_noise, trial_draws
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.task import Task
+from sysid_evo.types import Array, BoolArray, IntArray, Seeds
+
+
+class Trials:
+    """``count`` trials of ``task``, side by side, each on one of the dynamics in ``members``.
+
+    The rules are those of a rollout: noise and draws depend on the trial's seed alone, a state beyond the envelope is
+    clipped, a trial that diverges is over and worth less than any that does not. Raises `InvalidArgument` without a
+    member, `IncompatibleSystem` for members of different systems, `IncompatibleTask`.
+    """
+
+    def __init__(self, members: Mapping[str, Dynamics], task: Task, count: int) -> None:
+        if not members or count < 1:
+            raise InvalidArgument(
+                f"environment: expected one model or more, and one trial, got {len(members)}, {count}"
+            )
+        self.names, self.members = tuple(members), tuple(members.values())
+        self.system = self.members[0].system
+        for name, member in members.items():
+            differences = self.system.differences(member.system)
+            if differences:
+                raise IncompatibleSystem(f"environment: {self.names[0]} and {name} differ: {'; '.join(differences)}")
+        self.task = task.bind(self.system)
+        self.member = np.zeros(count, dtype=np.int64)
+        self.seeds = np.zeros(count, dtype=np.uint64)
+        self.survived = np.zeros(count, dtype=np.int64)
+        self.fitness = np.zeros(count)
+        self._task_state = self.task.begin(self.seeds)
+        self._carries = [np.zeros((count, member.n_carry)) for member in self.members]
+        self._noise = [np.zeros((0, 0))] * count
+        self._begun = False
+
+    def begin(self, rows: IntArray, seeds: Seeds, members: IntArray) -> None:
+        """Let the trials ``rows`` (k,) begin anew, with these ``seeds`` (k,) on these members (k,), by number."""
+        self._begun = True
+        self.seeds[rows], self.member[rows], self.survived[rows] = seeds, members, 0
+        fresh, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
+        restarted[rows] = True
+        self._task_state = self._task_state.keep(fresh, restarted)
+        self.fitness[rows] = self.task.fitness(fresh)[rows]
+        for row in rows:
+            number = int(self.member[row])
+            member, seed = self.members[number], self.seeds[row : row + 1]
+            states = np.tile(fresh.state[row], (1, member.n_lags + 1, 1))
+            controls = np.tile(self.system.neutral_control, (1, member.n_lags, 1))
+            self._carries[number][row] = member.start(states, controls, trial_draws(seed, member.n_draws))[0]
+            self._noise[row] = step_noise(seed, self.task.horizon, member.n_noise)[0]
+
+    @property
+    def state(self) -> Array:
+        """The states (count, nx)."""
+        return self._taken([0] * len(self.members))
+
+    def observe(self) -> Array:
+        """Return what a controller is shown, (count, n_observations)."""
+        return self.task.observe(self._task_state, self._taken([member.observed_at for member in self.members]))
+
+    def step(self, control: Array) -> tuple[Array, BoolArray, BoolArray]:
+        """Go one step on under ``control`` (count, nu).
+
+        Return by how much the fitness grew (count,), which trials are over, and which have reached the horizon.
+        Raises `gymnasium.error.ResetNeeded` before the first reset.
+        """
+        if not self._begun:
+            raise ResetNeeded("environment: no trial has begun; call reset() before step()")
+        nx, before = self.system.nx, self.state
+        after, diverged = before.copy(), np.zeros(len(before), dtype=bool)
+        with np.errstate(all="ignore"):
+            for number, member in enumerate(self.members):
+                rows = np.flatnonzero(self.member == number)
+                if len(rows):
+                    last = np.minimum(self.survived[rows], self.task.horizon - 1)
+                    drawn = [self._noise[row][k] for row, k in zip(rows, last, strict=True)]
+                    carry = self._carries[number][rows]
+                    stepped = member.step(carry, control[rows], np.array(drawn) if member.n_noise else None)
+                    diverged[rows] = ~np.isfinite(stepped).all(axis=1)
+                    stepped, _ = clip_state(np.where(diverged[rows, None], carry, stepped), member.envelope)
+                    self._carries[number][rows], after[rows] = stepped, stepped[:, :nx]
+            advanced, reached = self.task.advance(self._task_state, before, after, control=control)
+        for number, carries in enumerate(self._carries):
+            rows = np.flatnonzero(self.member == number)
+            carries[rows, :nx] = reached[rows]
+        self._task_state = self._task_state.keep(advanced, ~diverged)
+        self.survived += ~diverged
+        lost = self.task.worst - 1.0 + self.survived / self.task.horizon
+        fitness = np.where(diverged, lost, self.task.fitness(self._task_state))
+        growth, self.fitness = fitness - self.fitness, fitness
+        return growth, diverged | ~self._task_state.alive, self.survived >= self.task.horizon
+
+    def _taken(self, places: list[int]) -> Array:
+        """Return nx numbers of each trial's carry, (count, nx): from ``places`` on, one for each member."""
+        found = np.zeros((len(self.member), self.system.nx))
+        for number, at in enumerate(places):
+            rows = self.member == number
+            found[rows] = self._carries[number][rows, at : at + self.system.nx]
+        return found
+
+
+ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu"}
+
+
+def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, seed: int = 0) -> Champion:
+    """Return what a PPO or SAC ``algorithm`` of Stable-Baselines3 has learned in the environment of ``trials``.
+
+    Its policy must be a plain network (``MlpPolicy``) over the observations as they are, with continuous actions:
+    only its weights are read. ``task`` is the spec of the task. Raises `InvalidArgument` for another policy.
+    """
+    policy = algorithm.policy
+    if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
+        inner, last, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
+    elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):
+        inner, last, output = policy.actor.latent_pi, policy.actor.mu, "tanh"
+    else:
+        raise InvalidArgument(f"policy: expected the MlpPolicy of PPO or SAC, got a {type(policy).__name__}")
+    linear = [layer for layer in inner if hasattr(layer, "weight")]
+    between = {type(layer).__name__ for layer in inner if not hasattr(layer, "weight")}
+    last = last[0] if hasattr(last, "__getitem__") else last
+    if len(between) != 1 or not between <= ACTIVATIONS.keys() or last.weight.shape[0] != trials.system.nu:
+        raise InvalidArgument(
+            f"policy: expected one of {', '.join(ACTIVATIONS)} between the layers and one output for each of "
+            f"{trials.system.nu} controls, got {', '.join(sorted(between)) or 'none'} and {last.weight.shape[0]}; "
+            "make the environment with actions='continuous'"
+        )
+    hidden = [int(layer.weight.shape[0]) for layer in linear]
+    parameters: Array = np.concatenate([_flat(layer) for layer in (*linear, last)])
+    return Champion(
+        name=name,
+        parameters=parameters,
+        against=trials.names,
+        aggregate="mean",
+        seed=seed,
+        history=np.empty((0, 3)),
+        controller=Spec("policy", {"hidden": hidden, "inner": ACTIVATIONS[between.pop()], "output": output}),
+        task=Spec.parse(task) if isinstance(task, str) else task,
+        system=trials.system,
+    )
+
+
+def _flat(layer: Any) -> Array:
+    """Return the weights (n_in, n_out) of a linear layer row by row, and then its biases."""
+    weight, bias = (part.detach().cpu().numpy().astype(np.float64) for part in (layer.weight, layer.bias))
+    return np.concatenate([weight.T.ravel(), bias])
+
+
+SEEDS = 2**63
+
+
+class ModelEnvironment(gymnasium.Env[Any, Any]):
+    """An episode is one trial of ``task`` on one of ``members``, drawn anew for each episode.
+
+    The observation is what the task shows a controller, the reward by how much its fitness grows, so that the rewards
+    of an episode and the fitness it begins with add up to the fitness. Where the task or a divergence ends the trial it
+    is terminated; at the task's horizon it is truncated. ``metadata`` holds names and units; ``info`` the fitness, the
+    state, and the member by name. ``seed`` is that of the first reset which is given none.
+    """
+
+    def __init__(
+        self, members: Mapping[str, Dynamics], task: Task, *, actions: Actions = "auto", seed: int | None = None
+    ) -> None:
+        self.trials = Trials(members, task, 1)
+        self.observation_space = observation_space(self.trials.task)
+        self.action_space = action_space(self.trials.system, actions)
+        self.metadata = metadata_of(self.trials.task, self.action_space)
+        self._first_seed = seed
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin a trial; ``options`` may name the ``member`` that it is on."""
+        seed, self._first_seed = self._first_seed if seed is None else seed, None
+        super().reset(seed=seed)
+        number, trial = drawn(self.np_random, len(self.trials.members))
+        if options and "member" in options:
+            number = self._number(options["member"])
+        self.trials.begin(np.array([0]), np.array([trial]), np.array([number]))
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        control = control_of(self.trials.system, self.action_space, action)
+        reward, over, late = self.trials.step(control[None])
+        return self._observation(), float(reward[0]), bool(over[0]), bool(late[0]), self._info()
+
+    def _observation(self) -> Any:
+        return self.trials.observe()[0].astype(np.float32)
+
+    def _info(self) -> dict[str, Any]:
+        trials = self.trials
+        return {
+            "fitness": float(trials.fitness[0]),
+            "member": trials.names[trials.member[0]],
+            "state": trials.state[0].copy(),
+        }
+
+    def _number(self, member: str) -> int:
+        if member not in self.trials.names:
+            raise InvalidArgument(f"environment: no member is called {member!r}: {', '.join(self.trials.names)}")
+        return self.trials.names.index(member)
+
+
+def drawn(rng: np.random.Generator, members: int) -> tuple[int, np.uint64]:
+    """Return the member of an episode and the seed of its trial."""
+    return int(rng.integers(members)), np.uint64(rng.integers(SEEDS))
+
+
+Actions: TypeAlias = Literal["auto", "continuous", "discrete"]
+"""How a system is controlled: a Box of outputs as controllers have them, or the number of a level for each control."""
+
+
+def action_space(system: System, actions: Actions) -> spaces.Space[Any]:
+    """Return the space of the actions; "auto" is discrete where every control has levels.
+
+    Continuous actions are a controller's outputs, a Box from -1 to 1, see `System.actuate`. Raises `InvalidArgument`.
+    """
+    if actions not in ("auto", "continuous", "discrete"):
+        raise InvalidArgument(f"environment: actions are auto, continuous or discrete, not {actions!r}")
+    levels = [len(channel.levels or ()) for channel in system.controls]
+    if actions == "continuous" or (actions == "auto" and not all(levels)):
+        system.actuate(np.zeros(system.nu))
+        return spaces.Box(-1.0, 1.0, (system.nu,), dtype=np.float32)
+    if not all(levels):
+        free = next(channel.name for channel in system.controls if channel.levels is None)
+        raise InvalidArgument(f"environment: control {free!r} has no levels, so that actions cannot be discrete")
+    return spaces.Discrete(levels[0]) if len(levels) == 1 else spaces.MultiDiscrete(levels)
+
+
+def control_of(system: System, space: spaces.Space[Any], action: Any, several: tuple[int, ...] = ()) -> Array:
+    """Return the controls (*several, nu) of one action, or of ``several`` side by side. Raises `InvalidArgument`."""
+    given = np.asarray(action)
+    expected = (*several, *(space.shape or ()))
+    if given.shape != expected:
+        raise InvalidArgument(f"environment: expected an action of {space}, shape {expected}, got shape {given.shape}")
+    if isinstance(space, spaces.Box):
+        return system.actuate(given.astype(np.float64))
+    chosen = given.astype(np.int64)
+    if isinstance(space, spaces.Discrete):
+        chosen = chosen[..., None]
+    counts = np.array([len(channel.levels or ()) for channel in system.controls])
+    if ((chosen < 0) | (chosen >= counts)).any() or (given != given.astype(np.int64)).any():
+        raise InvalidArgument(f"environment: expected an action of {space}, got {action}")
+    values = [np.asarray(channel.levels)[chosen[..., i]] for i, channel in enumerate(system.controls)]
+    return np.stack(values, axis=-1)
+
+
+def observation_space(task: Task) -> spaces.Box:
+    """Return the space of what ``task`` shows: without limits, which a simulation may exceed."""
+    return spaces.Box(-np.inf, np.inf, (len(task.observations),), dtype=np.float32)
+
+
+def metadata_of(task: Task, space: spaces.Space[Any]) -> dict[str, Any]:
+    """Return names and units of observations, actions and rewards, and the time of a step in s."""
+    outputs = isinstance(space, spaces.Box)
+    return {
+        "render_modes": [],
+        "render_fps": round(1.0 / task.system.dt),
+        "dt": task.system.dt,
+        "observations": _described(task.observations),
+        "actions": {name: "" if outputs else unit for name, unit in _described(task.system.controls).items()},
+        "controls": _described(task.system.controls),
+        "reward": task.fitness_unit,
+    }
+
+
+def _described(channels: tuple[Channel, ...]) -> dict[str, str]:
+    return {channel.name: channel.unit for channel in channels}
+
+
+class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
+    """``num_envs`` copies of a `ModelEnvironment` that are stepped in one call of the dynamics.
+
+    Number i behaves as a single one that was reset with the seed of number i. One whose episode has ended begins
+    anew at its next step, whose action is not used.
+    """
+
+    def __init__(
+        self,
+        members: Mapping[str, Dynamics],
+        task: Task,
+        num_envs: int,
+        *,
+        actions: Actions = "auto",
+        seed: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.num_envs = num_envs
+        self.trials = Trials(members, task, num_envs)
+        self.single_observation_space = observation_space(self.trials.task)
+        self.single_action_space = action_space(self.trials.system, actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.metadata = {
+            **metadata_of(self.trials.task, self.single_action_space),
+            "autoreset_mode": AutoresetMode.NEXT_STEP,
+        }
+        self._first_seed = seed
+        self._generators: list[np.random.Generator] = []
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin all trials; from the number ``seed`` the copies get ``seed``, ``seed`` + 1, and so on."""
+        seed, self._first_seed = self._first_seed if seed is None else seed, None
+        given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+        if given is not None and len(given) != self.num_envs:
+            raise InvalidArgument(f"environment: expected {self.num_envs} seeds, got {len(given)}")
+        for i, own in enumerate(given or [None] * self.num_envs):
+            if i >= len(self._generators):
+                self._generators.append(seeding.np_random(own)[0])
+            elif own is not None:
+                self._generators[i] = seeding.np_random(own)[0]
+        self.restart(np.ones(self.num_envs, dtype=bool))
+        return self.observations(), self._info()
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        restarting = self._ended
+        reward, over, late = self.trials.step(self._controls(actions))
+        if restarting.any():
+            self.restart(restarting)
+            reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
+        over, late = over.astype(bool), late.astype(bool)
+        self._ended = over | late
+        return self.observations(), reward, over, late, self._info()
+
+    def _controls(self, actions: Any) -> Array:
+        return control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
+
+    def restart(self, which: BoolArray) -> None:
+        """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
+        rows = np.flatnonzero(which)
+        picks = [drawn(self._generators[row], len(self.trials.members)) for row in rows]
+        self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
+        self._ended = self._ended & ~which
+
+    def observations(self) -> Any:
+        """Return what is to be seen in all copies now, (num_envs, n)."""
+        return self.trials.observe().astype(np.float32)
+
+    def _info(self) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=bool)
+        return {"fitness": self.trials.fitness.copy(), "_fitness": everyone}

@@ -1,0 +1,119 @@
+"""What an environment can be made of, and the names that Gymnasium knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TypeAlias
+
+import gymnasium
+
+from sysid_evo.artefacts import is_stored
+from sysid_evo.data.reading import is_stored as is_data_set
+from sysid_evo.environments.environments import Actions, ModelEnvironment, ModelVectorEnvironment
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.extras import check_installed
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.storage import load_model
+from sysid_evo.registry.registry import make_robot
+from sysid_evo.tasks.task import Task, make_task
+
+ENVIRONMENTS: Mapping[str, tuple[str, str]] = {
+    "sysid_evo/PointToPoint-v0": ("emulated_car", "point_to_point"),
+    "sysid_evo/WalledTrack-v0": ("emulated_car", "walled_track"),
+    "sysid_evo/SwingUp-v0": ("pendulum", "swing_up"),
+    "sysid_evo/Balance-v0": ("cart_pole", "balance"),
+    "sysid_evo/SetPoint-v0": ("thermal", "set_point"),
+    "sysid_evo/TrackReference-v0": ("thermal", "track_reference"),
+}
+"""The emulated robot and the task behind each name; both can be given to `gymnasium.make` instead."""
+
+
+def make_env(
+    model: Source | Iterable[Source] | Mapping[str, Source],
+    task: str | Task = "point_to_point",
+    *,
+    actions: Actions = "auto",
+    seed: int | None = None,
+) -> ModelEnvironment:
+    """Return ``model`` at ``task`` as an environment of Gymnasium.
+
+    ``model`` is a model, the path of one, the name of an emulated robot, or several: an ensemble, of which every
+    episode has another member. ``task`` is a spec or a task. ``actions`` see `Actions`; ``seed`` is that of the
+    first reset.
+    """
+    return ModelEnvironment(members_of(model), _task(task), actions=actions, seed=seed)
+
+
+def make_vector_env(
+    model: Source | Iterable[Source] | Mapping[str, Source],
+    task: str | Task = "point_to_point",
+    *,
+    num_envs: int = 1,
+    actions: Actions = "auto",
+    seed: int | None = None,
+) -> ModelVectorEnvironment:
+    """Return ``num_envs`` copies of what `make_env` makes, stepped all at once."""
+    return ModelVectorEnvironment(members_of(model), _task(task), num_envs, actions=actions, seed=seed)
+
+
+def _task(task: str | Task) -> Task:
+    return make_task(task) if isinstance(task, str) else task
+
+
+for _name, (_robot, _at) in ENVIRONMENTS.items():
+    if _name not in gymnasium.registry:
+        gymnasium.register(
+            _name,
+            entry_point=f"{__name__}:make_env",
+            vector_entry_point=f"{__name__}:make_vector_env",
+            kwargs={"model": _robot, "task": _at},
+        )
+
+check_installed("an environment", ("gymnasium",))
+
+Source: TypeAlias = Dynamics | str | Path
+"""A model or an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
+
+
+def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
+    """Return the dynamics by name that ``source`` stands for; several are an ensemble.
+
+    A folder stands for all models in it, as the folder ``models`` of a run does. Raises `InvalidArgument`,
+    `ArtefactError`, and what the registry of robots raises.
+    """
+    if isinstance(source, Mapping):
+        return {name: _dynamics(one) for name, one in source.items()}
+    if isinstance(source, Dynamics):
+        return {type(source).__name__: source}
+    if isinstance(source, (str, Path)):
+        if Path(source).is_dir():
+            return _folder(Path(source))
+        return {_making_name(source): _dynamics(source)}
+    listed = list(source)
+    return {f"{_making_name(one)}-{i + 1}": _dynamics(one) for i, one in enumerate(listed)}
+
+
+def _dynamics(source: Source) -> Dynamics:
+    if isinstance(source, Dynamics):
+        return source
+    if is_stored(str(source), "model"):
+        return load_model(source)
+    dynamics: Dynamics | None = make_robot(str(source)).dynamics
+    if dynamics is None:
+        raise InvalidArgument(
+            f"environment: {str(source)!r} is no emulated robot: its equations are not known. "
+            "Name the file of a model, or a robot that exists as a program"
+        )
+    return dynamics
+
+
+def _folder(folder: Path) -> dict[str, Dynamics]:
+    files = sorted(folder.glob("*.json"))
+    if not files or is_data_set(folder):
+        raise InvalidArgument(f"environment: no model is stored in {folder}; in a run they stand in the folder models")
+    return {file.stem: _dynamics(file) for file in files}
+
+
+def _making_name(source: Source) -> str:
+    return type(source).__name__ if isinstance(source, Dynamics) else Path(source).stem

@@ -1,0 +1,295 @@
+"""Settings, disturbances and feasibility of a controller evolution, and evolve_controller."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import chain, product
+
+import numpy as np
+
+from sysid_evo.carry import clip_state
+from sysid_evo.controllers.controller import Controller, make_controller
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.engine.results import behaviour_names
+from sysid_evo.engine.rollout import Discounted, DynamicsRunner, Runner, as_runners
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.champion import Champion, Finalist
+from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.loop import Schedule, Stage
+from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
+from sysid_evo.models.disturbances import DelayedEstimate, RadicalEnvelope, disturbed
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.penalty import Doubt
+from sysid_evo.progress import Checkpoint, Progress
+from sysid_evo.randomness import as_seed, trial_seeds
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.registry import aggregates, cautions, controllers, noises, strategies, tasks
+from sysid_evo.system import System
+from sysid_evo.tasks.task import Task, make_task
+from sysid_evo.types import Array, Seeds
+
+SELECTION = 2**31
+"""The generation number of the fresh trials on which champions are chosen: never reached by a run."""
+
+
+@dataclass(frozen=True)
+class ControllerEvolution:
+    """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
+
+    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds (paper: 2).
+    Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
+    champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
+    ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
+    see `DelayedEstimate`. The ``schedule`` holds easier stages, or their text, which come before the task in
+    every run.
+    ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
+    `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
+    the models that they are evolved in cannot be believed.
+    """
+
+    generations: int = 300
+    trials: int = 10
+    runs: int = 1
+    aggregate: str = "min"
+    selection_trials: int = 100
+    estimator_delay: float = 0.0
+    schedule: tuple[Stage, ...] = ()
+    controller: Spec = field(default_factory=lambda: Spec("recurrent"))
+    task: Spec = field(default_factory=lambda: Spec("point_to_point"))
+    strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
+    noise: str = ""
+    caution: str = ""
+
+    def __post_init__(self) -> None:
+        for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
+            object.__setattr__(self, name, registry.check(getattr(self, name)))
+        for name in ("generations", "trials", "runs", "selection_trials"):
+            number = getattr(self, name)
+            if not isinstance(number, (int, np.integer)) or number < 1:
+                raise InvalidArgument(f"evolution: expected {name} as a whole number >= 1, got {number!r}")
+        aggregates.check(self.aggregate)
+        self.make_noise()
+        self.make_caution()
+        schedule: object = self.schedule
+        if isinstance(schedule, str):
+            object.__setattr__(self, "schedule", Stage.parse_many(schedule))
+        if not 0.0 <= self.estimator_delay < np.inf:
+            raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
+
+    def make_task(self, system: System) -> Task:
+        """Return the task, bound to ``system``."""
+        return make_task(self.task).bind(system)
+
+    def stages(self, task: Task, models: tuple[str, ...]) -> tuple[tuple[Stage, Task, tuple[str, ...]], ...]:
+        """Return every stage before ``task``, which is bound: with its own task, and on which of ``models`` it is met.
+
+        Raises `InvalidArgument` if a stage wants another controller, or models that are not there.
+        """
+        found = []
+        for stage in self.schedule:
+            of_stage = task if stage.task is None else make_task(stage.task).bind(task.system)
+            if of_stage.observations != task.observations:
+                raise InvalidArgument(
+                    f"schedule: {stage.task} shows other things than {self.task}, so that no controller can do both"
+                )
+            missing = [model for model in stage.models if model not in models]
+            if missing:
+                raise InvalidArgument(f"schedule: {missing[0]!r} is not among the models: {', '.join(models)}")
+            found.append((stage, of_stage, stage.models or models))
+        return tuple(found)
+
+    def make_controller(self, task: Task) -> Controller:
+        """Return the controller with the inputs of ``task`` and the outputs of its system."""
+        return make_controller(self.controller).bind_to(task)
+
+    def make_noise(self) -> RadicalEnvelope | None:
+        """Return the noise, None without any."""
+        return noises.make(self.noise) if self.noise else None
+
+    def make_caution(self) -> Doubt | None:
+        """Return what a trial loses where models are doubted, None for nothing."""
+        return cautions.make(self.caution) if self.caution else None
+
+    def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
+        """Return the strategy, which searches ``n_parameters`` numbers."""
+        return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
+
+
+def evolve_controller(
+    name: str,
+    runners: Mapping[str, Runner | Dynamics],
+    system: System,
+    settings: ControllerEvolution,
+    *,
+    seed: int,
+    checkpoint: Checkpoint | None = None,
+    progress: Progress | None = None,
+) -> Champion:
+    """Evolve a controller against all of ``runners``, or models, at once; return the fittest of all niches and runs.
+
+    Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
+    every generation, with a note of what it reached. The result depends on ``seed`` alone.
+
+    With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
+    it was, to the champion that it would have had.
+    """
+    runners, seed = as_runners(runners, "evolve_controller"), as_seed(seed)
+    task = settings.make_task(system)
+    controller = settings.make_controller(task)
+    late = met(runners, settings)
+    seeds = selection_seeds(seed, settings.selection_trials)
+    models = tuple(late)
+    stages = settings.stages(task, models)
+
+    @cache
+    def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
+        disturbed = tuple(late[label] for label in on)
+        return EnsembleObjective(
+            disturbed, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate
+        )
+
+    def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
+        strategy = settings.make_strategy(controller.n_parameters, run_seed(seed, run))
+        strategy.prepare(
+            behaviour_names=behaviour_names(system),
+            control_names=system.control_names,
+            generations=settings.generations,
+        )
+        easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
+        return strategy, Schedule(easier, objective(run, task, models), most=task.most)
+
+    def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        return tuple(_finalists(strategy, objective(run, task, models), run, seeds))
+
+    ended = Runs(
+        settings.runs,
+        settings.generations,
+        begun,
+        finals,
+        models=(*(on for _, _, on in stages), models),
+        checkpoint=checkpoint,
+        identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
+    ).to_the_end(progress)
+    finalists = tuple(chain.from_iterable(run.finalists for run in ended))
+    best = max(finalists, key=lambda one: one.fitness)  # of equals the first
+    return Champion(
+        name=name,
+        parameters=best.parameters,
+        against=tuple(runners),
+        aggregate=settings.aggregate,
+        seed=seed,
+        history=ended[best.run].history,
+        controller=settings.controller,
+        task=settings.task,
+        estimator_delay=settings.estimator_delay,
+        noise=settings.noise,
+        caution=settings.caution,
+        seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
+        system=system,
+        finalists=finalists,
+        population=ended[best.run].population,
+    )
+
+
+def selection_seeds(seed: int, trials: int) -> Seeds:
+    """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
+    return trial_seeds(seed, trials, generation=SELECTION)
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Return the seed of one of several runs."""
+    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
+
+
+def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
+    """Yield the best of every niche on the trials of ``seeds``."""
+    for niche, candidates in strategy.finals.items():
+        fitness = objective.on_trials(candidates, seeds).fitness
+        winner = int(np.argmax(fitness))
+        yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
+
+
+def observed_late(name: str, runner: Runner, delay: float) -> Runner:
+    """Return ``runner`` with a state that is observed ``delay`` s late. Raises `InvalidArgument`."""
+    if delay == 0.0:
+        return runner
+    if not isinstance(runner, DynamicsRunner):
+        raise InvalidArgument(f"evolution: {name} is not a model, so that its state cannot be observed late")
+    return replace(runner, dynamics=DelayedEstimate(runner.dynamics, delay))
+
+
+SECONDS = 5.0
+"""For how long every extreme command is held to see how far the states go."""
+
+MOST_COMMANDS = 243
+
+SHARE = 0.99
+"""Of the recorded samples that stay below what is called the farthest."""
+
+
+def farthest_recorded(dataset: Dataset) -> Array:
+    """Return the absolute value that each state stays below in 99 % of the recorded samples, (nx,)."""
+    states = np.concatenate([episode.states for episode in dataset])
+    return np.asarray(np.quantile(np.abs(states), SHARE, axis=0))
+
+
+def farthest_driven(dynamics: Dynamics) -> Array | None:
+    """Return the largest absolute value of each state under extreme commands held from rest, (nx,).
+
+    None without controls, or where a command has no limits; what stops being a number does not count.
+    """
+    system = dynamics.system
+    if not system.nu or not all(channel.bounded for channel in system.controls):
+        return None
+    ends = [sorted({channel.low, channel.neutral, channel.high}) for channel in system.controls]
+    commands = np.array(list(product(*ends))[:MOST_COMMANDS])
+    history = np.tile(system.neutral_state, (len(commands), dynamics.n_lags + 1, 1))
+    carry = dynamics.start(
+        history,
+        np.tile(system.neutral_control, (len(commands), dynamics.n_lags, 1)),
+        np.zeros((len(commands), dynamics.n_draws)),
+    )
+    noise = np.zeros((len(commands), dynamics.n_noise)) if dynamics.n_noise else None
+    farthest = np.abs(system.neutral_state)
+    with np.errstate(all="ignore"):
+        for _ in range(round(SECONDS / system.dt)):
+            carry, _ = clip_state(dynamics.step(carry, commands, noise), dynamics.envelope)
+            states = np.abs(carry[:, : system.nx])
+            farthest = np.maximum(farthest, np.where(np.isfinite(states), states, 0.0).max(axis=0))
+    return farthest
+
+
+def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
+    """Return ``runners`` as candidates meet them by ``settings``.
+
+    Raises `InvalidArgument` for what is no model, if something is to be added to it.
+    """
+    noise, caution, delay = settings.make_noise(), settings.make_caution(), settings.estimator_delay
+    if noise is None and caution is None and delay == 0.0:
+        return dict(runners)
+    models = _models(runners)
+    found: dict[str, Runner] = {}
+    for label, runner in models.items():
+        dynamics = runner.dynamics
+        if caution is not None:
+            dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
+        if noise is not None:
+            dynamics = disturbed(dynamics, noise, delay)
+        elif delay:
+            dynamics = DelayedEstimate(dynamics, delay)
+        alone = replace(runner, dynamics=dynamics)
+        found[label] = alone if caution is None else Discounted(alone, caution.most)
+    return found
+
+
+def _models(runners: Mapping[str, Runner]) -> dict[str, DynamicsRunner]:
+    found = {label: runner for label, runner in runners.items() if isinstance(runner, DynamicsRunner)}
+    others = [label for label in runners if label not in found]
+    if others:
+        raise InvalidArgument(
+            f"evolution: {', '.join(others)} is not a model: noise, caution and late states can only be added to models"
+        )
+    return found

@@ -1,0 +1,55 @@
+"""A fitted model as a system of python-control, so that its tools work on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sysid_evo.errors import MissingExtra
+from sysid_evo.models.dynamics import Dynamics
+
+if TYPE_CHECKING:
+    import control
+
+
+def to_control(model: Dynamics, *, name: str | None = None) -> control.NonlinearIOSystem:
+    """Return ``model`` as a discrete `control.NonlinearIOSystem` at its ``dt``.
+
+    Its inputs are the controls, its outputs the states of the system, by name; its state is the
+    carry: the states, then whatever else the model remembers (``yaw_rate[-1]`` is one sample ago).
+    Noise is left out and nothing is clipped. Raises `MissingExtra` if python-control is not installed.
+    """
+    try:
+        import control
+    except ModuleNotFoundError as error:
+        raise MissingExtra("to_control needs python-control: pip install 'sysid-evo[control]'") from error
+
+    system = model.system
+
+    def update(_: float, x: np.ndarray, u: np.ndarray, _params: Mapping[str, Any]) -> np.ndarray:
+        return model.step(np.atleast_2d(x).astype(float), np.atleast_2d(u).astype(float))[0]
+
+    def output(_: float, x: np.ndarray, _u: np.ndarray, _params: Mapping[str, Any]) -> np.ndarray:
+        return np.asarray(x)[: system.nx]
+
+    return control.NonlinearIOSystem(
+        update,
+        output,
+        inputs=list(system.control_names),
+        outputs=list(system.state_names),
+        states=carry_names(model),
+        dt=system.dt,
+        name=name or type(model).__name__,
+    )
+
+
+def carry_names(model: Dynamics) -> list[str]:
+    """Return a name for every number of the carry."""
+    system = model.system
+    names = list(system.state_names)
+    state_lags, control_lags = getattr(model, "lags", (0, 0))
+    names += [f"{state}[-{lag}]" for lag in range(1, state_lags + 1) for state in system.state_names]
+    names += [f"{control}[-{lag}]" for lag in range(1, control_lags + 1) for control in system.control_names]
+    return names + [f"carry[{i}]" for i in range(len(names), model.n_carry)]

@@ -1,0 +1,30 @@
+"""A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
+
+from sysid_evo.models.adaptation.adapted import adapted, as_of
+from sysid_evo.models.adaptation.correction import Terms
+from sysid_evo.models.adaptation.selection import (
+    ANEW,
+    NONE,
+    REFIT,
+    Adaptation,
+    Learned,
+    Verdict,
+    adaptation,
+    held_out_error,
+)
+from sysid_evo.validation.acceptance import Trial
+
+__all__ = [
+    "ANEW",
+    "NONE",
+    "REFIT",
+    "Adaptation",
+    "Learned",
+    "Terms",
+    "Trial",
+    "Verdict",
+    "adaptation",
+    "adapted",
+    "as_of",
+    "held_out_error",
+]

@@ -1,0 +1,303 @@
+"""The family adapted: a model with a correction, or with a refit averaged."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from sysid_evo.artefacts import is_stored
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.support import KEPT_PAIRS
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.adaptation.correction import Terms
+from sysid_evo.models.adaptation.selection import ANEW, NONE, REFIT, Learned, adaptation
+from sysid_evo.models.base import DynamicsModel, make_model
+from sysid_evo.models.kernels.correction import correction_kernel
+from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.storage import load_model
+from sysid_evo.progress import Progress
+from sysid_evo.registry.registry import models, register_model
+from sysid_evo.system import System
+from sysid_evo.types import Array
+from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, persistent_share, usable_horizon
+
+OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most", "weakest", "strongest", "strength")
+
+
+@register_model("adapted")
+class Adapted(DynamicsModel):
+    """A model plus a correction of its accelerations, learned by free runs and believed only if a gate finds it good.
+
+    ``base`` is the path of a stored model, or a family, which is then fitted to the same data first; None in a model
+    that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
+    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then the accelerations that the
+    base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
+    free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
+    must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
+    its base. More training of a base that learns in updates, and a fit of its family to these data alone, are judged
+    alike (of training more is asked), and so are the means of these and the best correction: such a mean is a base of
+    the family ``average``. `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on
+    the blocks, each run through by what was learned without it.
+    """
+
+    knowledge = "dark grey"
+    periodic = True
+
+    base: str | None = "linear"
+    rest_hold: bool = False
+
+    def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
+        """Take ``base`` to be adapted by the next `fit`, and the data it learned from, if a refit is to be tried."""
+        self.base_ = base
+        vars(self)["_training"] = training
+        return self
+
+    def check_system(self, system: System) -> None:
+        if self.base is not None and not is_stored(self.base, "model"):
+            make_model(self.base).check_system(system)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        training = vars(self).pop("_training", None)
+        if self.base is not None:
+            self.base_ = (
+                load_model(Path(self.base))
+                if is_stored(self.base, "model")
+                else make_model(self.base).fit(dataset, rng=rng)
+            )
+        elif not hasattr(self, "base_"):
+            raise InvalidArgument(
+                "adapted: there is nothing to adapt: give base=, the path of a stored model or a family, or call "
+                "adapt(dataset) of a fitted model"
+            )
+        dataset = as_of(self.base_.system, dataset)
+        found = adaptation(self.inner, dataset, training=training, rng=rng, progress=progress)
+        if found.learned.model is not self.inner:
+            self.base_ = found.learned.model
+        self._hold(found.learned)
+        self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
+        self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
+        self.tried_ = [trial.name for trial in found.verdict.trials]
+        self._widen()
+        base = self.base_
+        if isinstance(base, Uncertain) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
+            self.base_ = calibrated_elsewhere(base, found.apart, rng)
+        return self
+
+    @classmethod
+    def holding(cls, learned: Learned) -> Self:
+        """Return a model with a correction of it, about which nothing was decided, as a fitted model."""
+        one = cls(base=None).given(learned.model)
+        one._hold(learned)
+        one.envelope_, one.pairs_ = learned.model.envelope_, learned.model.pairs_
+        return one
+
+    def _hold(self, learned: Learned) -> None:
+        self.system_ = self.base_.system
+        for name in OF_TERMS:
+            setattr(self, f"{name}_", getattr(learned.terms, name))
+        self.coefficients_ = learned.coefficients
+
+    def _widen(self) -> None:
+        """Let envelope and pairs be those of both recordings; those of the base if that is all there is."""
+        if self.chosen_ == NONE:
+            self.envelope_, self.pairs_ = self.base_.envelope_.copy(), self.base_.pairs_.copy()
+            return
+        own, other = self.envelope_, self.base_.envelope_
+        self.envelope_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
+        pairs = np.concatenate([self.base_.pairs_, self.pairs_])
+        few = np.linspace(0, len(pairs) - 1, min(len(pairs), KEPT_PAIRS)).round().astype(np.int64)
+        self.pairs_ = pairs[few]
+
+    @functools.cached_property
+    def inner(self) -> DynamicsModel:
+        """The base, which holds a body at rest if this model is to."""
+        base: DynamicsModel = self.base_
+        wanted = self.rest_hold and not base.rest_hold and "rest_hold" in base.get_params()
+        return base.variant(rest_hold=True) if wanted else base
+
+    @functools.cached_property
+    def terms(self) -> Terms:
+        """What the correction is linear in."""
+        return Terms(self.system, **{name: getattr(self, f"{name}_") for name in OF_TERMS})
+
+    @property
+    def corrects(self) -> bool:
+        """Whether there is a correction."""
+        return bool(np.any(self.coefficients_))
+
+    def without_noise(self) -> Self:
+        quiet = self.base_.without_noise()
+        if quiet is self.base_:
+            return self
+        other = self.variant()
+        other.base_ = quiet
+        return other
+
+    @property
+    def fit_note(self) -> str:
+        return f"took {self.verdict_}" if hasattr(self, "verdict_") else super().fit_note
+
+    @property
+    def lags(self) -> tuple[int, int]:
+        return self.inner.lags if hasattr(self, "base_") else (0, 0)
+
+    @property
+    def n_lags(self) -> int:
+        return self.inner.n_lags if hasattr(self, "base_") else 0
+
+    @property
+    def n_carry(self) -> int:
+        return self.inner.n_carry
+
+    @property
+    def n_noise(self) -> int:
+        return self.inner.n_noise if hasattr(self, "base_") else 0
+
+    @property
+    def n_draws(self) -> int:
+        return self.inner.n_draws if hasattr(self, "base_") else 0
+
+    @property
+    def rest_band(self) -> Array | None:
+        return self.inner.rest_band
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return self.inner.start(states, controls, draws)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = self.inner.step(carry, control, noise)
+        if not self.corrects:
+            return after
+        nx = self.system.nx
+        moved = self.terms.corrected(carry[:, :nx], control, after[:, :nx], self.coefficients_)
+        return np.concatenate([moved, after[:, nx:]], axis=1)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._corrected_kernel
+
+    @functools.cached_property
+    def _corrected_kernel(self) -> DynamicsKernel | None:
+        inner = self.inner.kernel()
+        if inner is None or not self.corrects:
+            return inner
+        return correction_kernel(inner, self.terms, self.coefficients_)
+
+    def equations(self) -> list[str]:
+        """Return the equations of the base, if it has some, and what is added to each acceleration."""
+        base: Any = self.base_
+        of_base = list(base.equations()) if hasattr(base, "equations") else []
+        if not self.corrects:
+            return of_base
+        names = ["1", *self.terms.names]
+        added = []
+        for channel, of_channel in zip(self.system.states, (self.coefficients_ * self.terms.unit).T, strict=True):
+            sums = " ".join(f"{value:+.3g} {name}" for name, value in zip(names, of_channel, strict=True))
+            added.append(f"d {channel.name}/dt += {sums}   (standardised)")
+        return [*of_base, *added]
+
+
+APART = 10
+"""Steps between two recordings when samples are numbered, more than noise is remembered."""
+
+
+@dataclass(frozen=True)
+class CorrectedSteps:
+    """The disturbed steps of ``base`` with a correction, which sees what the disturbance makes of them."""
+
+    base: Uncertain
+    terms: Terms
+    coefficients: Array
+
+    @property
+    def n_lags(self) -> int:
+        return self.base.n_lags
+
+    @property
+    def system(self) -> System:
+        return self.base.system
+
+    @property
+    def envelope(self) -> Array | None:
+        return self.base.envelope
+
+    def lagged(self, states: Array, controls: Array) -> Array:
+        return self.base.lagged(states, controls)
+
+    def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
+        after, nx = self.base.disturbed(carry, control, disturbance), self.system.nx
+        moved = self.terms.corrected(carry[:, :nx], control, after[:, :nx], self.coefficients)
+        return np.concatenate([moved, after[:, nx:]], axis=1)
+
+
+def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.random.Generator) -> Uncertain:
+    """Return ``base`` with the spread that models have which were made ``apart``, each on what it was ``held`` from.
+
+    The error of one step, its lasting share, and the scales of `horizon_scales`; beyond the longest free run that the
+    held parts have room for the last scale holds.
+    """
+    pairs = [
+        (CorrectedSteps(one.model.variant(), one.terms, one.coefficients), one.held)
+        for one in apart
+        if isinstance(one.model, Uncertain) and one.held is not None
+    ]
+    errors, numbers, begin = [], [], 0
+    for steps, held in pairs:
+        windows = held.windows(1, history=steps.n_lags)
+        carry = steps.lagged(windows.past_states, windows.past_controls)
+        after = steps.disturbed(carry, windows.controls[:, 0], np.zeros_like(windows.states[:, 0]))
+        errors.append(base.system.difference(windows.states[:, 0], after[:, : base.system.nx]))
+        longest = max(len(episode) for episode in held) + APART
+        numbers.append(begin + windows.start + windows.episode * longest)
+        begin += longest * len(held)
+    pooled = np.concatenate(errors)
+    residual, persistent = np.sqrt(np.mean(pooled**2, axis=0)), persistent_share(pooled, np.concatenate(numbers))
+    horizon = usable_horizon([held for _, held in pairs], base.n_lags)
+    for steps, _ in pairs:
+        steps.base.residual_ = residual
+    cases = [Case.of(steps, held, horizon, MOST_WINDOWS // len(pairs)) for steps, held in pairs]
+    other = base.variant()
+    other.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng))
+    return other
+
+
+def adapted(
+    model: DynamicsModel,
+    dataset: Dataset,
+    *,
+    training: Dataset | None = None,
+    rng: np.random.Generator | int | None = None,
+    progress: Progress | bool | None = None,
+) -> DynamicsModel:
+    """Return a model of the family ``adapted`` around ``model``, see `DynamicsModel.adapt`."""
+    system = model.system
+    old = None if training is None else as_of(system, training)
+    family: Any = models.get("adapted")
+    found: DynamicsModel = family(base=None).given(model, old).fit(as_of(system, dataset), rng=rng, progress=progress)
+    return found
+
+
+def as_of(system: System, dataset: Dataset) -> Dataset:
+    """Return ``dataset`` as a recording of ``system``, whose limits of continuous channels it need not share.
+
+    Raises `IncompatibleSystem` if channels, dt or motion are others.
+    """
+    if dataset.system == system:
+        return dataset
+    other = dataset.system
+    same = len(other.controls) == len(system.controls) and len(other.states) == len(system.states)
+    differences = other.differences(system)
+    if same:
+        controls = tuple(
+            replace(theirs, low=own.low, high=own.high, neutral=own.neutral) if theirs.levels is None else theirs
+            for own, theirs in zip(system.controls, other.controls, strict=True)
+        )
+        differences = system.differences(replace(other, controls=controls))
+    if differences:
+        raise IncompatibleSystem(f"adapt: the data are of another system: {'; '.join(differences)}")
+    return Dataset(system, dataset.episodes, dataset.notes)

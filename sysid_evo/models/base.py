@@ -1,0 +1,474 @@
+"""The contract of model families: fit, step, simulate, score, adapt."""
+
+from __future__ import annotations
+
+import functools
+import time
+import warnings
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, Self, cast, dataclass_transform
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.carry import CarryLayout, band_of, held_at_rest
+from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, thinned
+from sysid_evo.data.support import recorded_pairs
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
+from sysid_evo.extras import DISTRIBUTION, check_installed
+from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
+from sysid_evo.models.dynamics import Dynamics, many_runs, of_each_row, one_run, training_envelope
+from sysid_evo.models.kernels.stepping import Output, stepping_kernel
+from sysid_evo.models.parameters import (
+    Estimator,
+    Limit,
+    Searched,
+    at_least,
+    check_names,
+    check_values,
+    checked,
+    declare,
+)
+from sysid_evo.progress import Checkpoint, Progress, shown
+from sysid_evo.randomness import as_generator
+from sysid_evo.registry.registry import models
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+
+@dataclass_transform(kw_only_default=True, eq_default=False)
+class DynamicsModel(Dynamics, Estimator):
+    """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
+
+    A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
+    constructor follows, those of its bases included (one written out, which only stores its arguments, will do
+    as well). It writes `fit` and one of
+
+    - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);
+    - `next_state`, if it predicts the next state;
+    - `step`, if its carry is more than states and controls.
+
+    A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
+    that many earlier states (newest first) and that many earlier controls (newest first). None leaves
+    the number to `fit`, which then records it as ``state_lags_`` or ``control_lags_``. With
+    ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
+    the control is neutral, and so are the earlier controls in the carry, which may still act.
+
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` in which class
+    `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the hyper-parameters
+    that change with a budget (quick, standard, paper), ``searched`` where `sysid_evo.tuning` looks for some, ``limits``
+    what numbers they may be (types follow from the constructor); ``requires`` are optional packages that `fit` imports;
+    ``precision`` is the lowest in which the compiled form is exact enough. A family is ``periodic`` if equal angles are
+    equal to it, however many turns apart.
+
+    A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
+    blocks of time at random places (`sysid_evo.data.dataset`), which a `DataWarning` and `fit_note` say.
+
+    A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
+    there, to the same model.
+
+    A family is ``cheap`` if it is fitted within about a second: advice on it may then fit copies to parts of the data.
+
+    A family that ``chooses`` among others fits many of them: it is not fitted anew for an adaptation.
+
+    A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
+    ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
+    ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error. Arrays without names do as well, as in
+    pysindy: ``fit(x, t=0.05, u=u)`` (`sysid_evo.data.dataset.from_samples`).
+
+    What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
+    anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
+    forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
+    ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
+    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``pairs_``, states and controls
+    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took. A family
+    that holds something back may record ``held_out_error_`` (`sysid_evo.models.adaptation.held_out_error`):
+    `adapt` leaves alone what is as near in the new seconds.
+    """
+
+    knowledge: ClassVar[str] = "black"
+    structure: ClassVar[str] = ""
+    searched: ClassVar[Mapping[str, Searched]] = {}
+    envelope_multiple: ClassVar[float] = 2.0
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    limits: ClassVar[Mapping[str, Limit]] = {
+        "state_lags": at_least(0),
+        "control_lags": at_least(0),
+        "most_steps": at_least(1),
+    }
+    requires: ClassVar[tuple[str, ...]] = ()
+    resumable: ClassVar[bool] = False
+    cheap: ClassVar[bool] = False
+    chooses: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False
+    precision: ClassVar[Precision] = "float32"
+    state_lags: int | None = 0
+    control_lags: int | None = 0
+    rest_hold: bool = False
+    most_steps: int | None = None
+    kept_steps_: list[int]
+    fit_seconds: float | None = None
+    checkpoint: Checkpoint | None = None
+    system_: System
+    envelope_: Array
+    pairs_: Array
+    held_out_error_: Array | None = None
+
+    _derived: ClassVar[frozenset[str]] = frozenset({"_stepping_kernel"})
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        cached = {name for name, value in vars(cls).items() if isinstance(value, functools.cached_property)}
+        cls._derived = cls._derived | cached
+        if "fit" in cls.__dict__:
+            cls.fit = recorded(cls.__dict__["fit"])  # type: ignore[method-assign, assignment]  # wraps the family's own
+        declare(cls)
+        if "__init__" in cls.__dict__:
+            cls.__init__ = checked(cls.__dict__["__init__"])  # type: ignore[method-assign]  # wraps the family's own
+
+    def set_params(self, **parameters: Any) -> Self:
+        """Change hyper-parameters; a wrong name or value is refused and changes nothing."""
+        check_names(type(self), [name.split("__")[0] for name in parameters])
+        before = self.get_params(deep=False)
+        super().set_params(**parameters)
+        try:
+            self.check_parameters()
+        except InvalidArgument:
+            super().set_params(**before)
+            raise
+        return self
+
+    def check_parameters(self) -> None:
+        """Raise `InvalidArgument` if a hyper-parameter has the wrong type or is out of its ``limits``.
+
+        Called by the constructor, `set_params` and `fit`; a family adds what concerns several at once.
+        """
+        check_values(type(self), self.get_params(deep=False))
+
+    @classmethod
+    def check_installed(cls) -> None:
+        """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
+        require_packages(cls, cls.requires)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
+        for derived in self._derived:
+            self.__dict__.pop(derived, None)
+        super().__setattr__(name, value)
+
+    @property
+    def system(self) -> System:
+        """The system of the training data. Raises `NotFitted` before `fit`."""
+        if not hasattr(self, "system_"):
+            raise NotFitted(f"{type(self).__name__} is not fitted yet: call fit(dataset, rng=...) first")
+        return self.system_
+
+    @property
+    def lags(self) -> tuple[int, int]:
+        """Earlier states and earlier controls in the carry: as asked for, else as `fit` chose (0 before it)."""
+        states = getattr(self, "state_lags_", 0) if self.state_lags is None else self.state_lags
+        controls = getattr(self, "control_lags_", 0) if self.control_lags is None else self.control_lags
+        return states, controls
+
+    def keep_lags(self, chosen: tuple[int, int]) -> None:
+        """Record the numbers of lags that `fit` chose where the hyper-parameters leave them open."""
+        if self.state_lags is None:
+            self.state_lags_ = chosen[0]
+        if self.control_lags is None:
+            self.control_lags_ = chosen[1]
+
+    @property
+    def layout(self) -> CarryLayout:
+        """Where states and controls stand in the carry."""
+        return CarryLayout(self.system.nx, self.system.nu, *self.lags)
+
+    @property
+    def n_lags(self) -> int:
+        return max(self.lags)
+
+    @property
+    def n_carry(self) -> int:
+        return self.layout.size
+
+    @property
+    def envelope(self) -> Array | None:
+        return getattr(self, "envelope_", None)
+
+    @abstractmethod
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        """Learn from ``dataset`` and return self.
+
+        ``progress(done, total)`` is called at the beginning, now and then (about every second, if a
+        family takes longer), and at the end; what it raises, as Ctrl-C does, stops the fit, and the model
+        is as it was before.
+        """
+
+    def check_system(self, system: System) -> None:
+        """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
+
+    def record(self, dataset: Dataset) -> None:
+        """Record the system, the envelope and some pairs of ``dataset``, as every `fit` does first."""
+        self.system_ = dataset.system
+        states = np.concatenate([episode.states for episode in dataset.episodes])
+        self.envelope_ = training_envelope(states, self.envelope_multiple)
+        for i in dataset.system.periods:
+            self.envelope_[:, i] = -np.inf, np.inf
+        self.pairs_ = recorded_pairs(dataset)
+
+    @property
+    def fit_note(self) -> str:
+        """What there is to say of the data that it learned from, in a sentence; empty if it was all of them."""
+        kept, given = getattr(self, "kept_steps_", (0, 0))
+        if kept == given:
+            return ""
+        return (
+            f"learned from {kept:,} of {given:,} steps, blocks of time at random places, as many as "
+            f"most_steps={self.most_steps} allows"
+        )
+
+    def uses(self) -> tuple[str, ...]:
+        """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
+        return ()
+
+    def without_noise(self) -> Self:
+        """Return this fitted model as it steps without noise; itself if it draws none."""
+        return self.variant(stochastic=False) if self.get_params(deep=False).get("stochastic") else self
+
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+        """Return this fitted model after so many more ``updates`` on ``dataset``; None if it does not learn in such."""
+        return None
+
+    def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
+        """Return minus the simulation error, so that more is better, as scikit-learn wants it.
+
+        The model runs free from every fourth moving sample (of long data fewer, 10,000 in all) for one second, at
+        least ten steps. The error is the root mean square divided by the standard deviation of the recording, the
+        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. A model that
+        draws noise runs without. scikit-learn passes ``y``, which is unused.
+        """
+        from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+
+        data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
+        return -simulation_error(self.without_noise(), judging_windows(data, self.n_lags))
+
+    def adapt(
+        self,
+        dataset: Dataset,
+        *,
+        training: Dataset | None = None,
+        rng: np.random.Generator | int | None = None,
+        progress: Progress | bool | None = None,
+    ) -> DynamicsModel:
+        """Return this model adapted to 10 to 30 s of another condition: one of the family ``adapted`` around it.
+
+        It is this model, unchanged, where a gate finds nothing much better; its `fit_note` says what was decided. A fit
+        to the new seconds alone, and with the ``training`` data of this model one to both, are judged alike; each takes
+        four fits. Raises `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one
+        free run.
+        """
+        from sysid_evo.models.adaptation.adapted import adapted
+
+        return adapted(self, dataset, training=training, rng=rng, progress=progress)
+
+    def predictor(self) -> Predictor | None:
+        """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
+        return None
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._stepping_kernel
+
+    @functools.cached_property
+    def _stepping_kernel(self) -> DynamicsKernel | None:
+        predictor = self.predictor()
+        return None if predictor is None else self.stepping(predictor)
+
+    def stepping(self, predictor: Predictor) -> DynamicsKernel | None:
+        """Return the compiled form of `step` around what is predicted: motion, lags, and rest; None without one."""
+        output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
+        kernel = stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
+        return None if kernel is None else replace(kernel, precision=self.precision)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        return self.lagged(states, controls)
+
+    def lagged(self, states: Array, controls: Array) -> Array:
+        """Return state, earlier states and earlier controls, newest first, side by side."""
+        return np.concatenate(self.layout.started(states, controls), axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        after = of_each_row(self, "next_state", carry, self.next_state(carry, control))
+        return self.remember(carry, control, self.held(carry, control, after))
+
+    def remember(self, carry: Array, control: Array, after: Array) -> Array:
+        """Return the lagged carry whose newest state is ``after``: states and controls move one place back.
+
+        Like `held` for (B, n) arrays, or any number of axes before the last.
+        """
+        parts = self.layout.moved(carry, control, after)
+        return np.concatenate(parts, axis=-1) if len(parts) > 1 else after
+
+    @property
+    def rest_band(self) -> Array | None:
+        """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
+        return band_of(self.system, self.envelope_, self.envelope_multiple) if self.rest_hold else None
+
+    def held(self, carry: Array, control: Array, after: Array) -> Array:
+        """Return ``after`` (B, nx) within the limits of the channels; with ``rest_hold``, `held_at_rest`."""
+        band = self.rest_band
+        if self.system.limited:
+            after = np.clip(after, *self.system.limits)
+        return after if band is None else held_at_rest(self.system, self.layout, band, carry, control, after)
+
+    def next_state(self, carry: Array, control: Array) -> Array:
+        """Return the next state (B, nx); by default the integral of `acceleration`."""
+        rates = of_each_row(self, "acceleration", carry, self.acceleration(carry, control))
+        return self.system.integrate(carry[:, : self.system.nx], rates)
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        """Return the change of the state per second (B, nx), with the frame's rotation taken out."""
+        raise TypeError(f"{type(self).__name__} must define one of acceleration, next_state, step")
+
+    def simulate(
+        self,
+        states: npt.ArrayLike | Trajectory,
+        past_controls: npt.ArrayLike | None = None,
+        controls: npt.ArrayLike | None = None,
+        *,
+        samples: int | None = None,
+        rng: np.random.Generator | int | None = None,
+    ) -> Array:
+        """Run free under recorded controls and return the states after each of H steps.
+
+        One run: ``simulate(x0, u)`` with the state (nx,) or a history (L + 1, nx), and controls
+        (H, nu), (H,) for one control; returns (H, nx). Without enough history the first state is repeated,
+        and the controls before the run are neutral, unless given: ``simulate(history, past_u, u)``.
+        ``simulate(trajectory)`` starts from its first ``n_lags`` + 1 states and runs to its end.
+
+        Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
+        and (B, L, nu), L at least ``n_lags`` (more is left unused), and (B, H, nu); returns (B, H, nx).
+
+        States are clipped to the envelope; a state that is not a number becomes its upper limit there
+        and stays nan without one. With ``samples``, a stochastic model is run that often, and these are
+        the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
+        """
+        system, lags = self.system, self.n_lags
+        if isinstance(states, Trajectory):
+            run = states
+            if len(run) <= lags:
+                raise InvalidData(
+                    f"{type(self).__name__} needs {lags + 1} states to start, {run.name!r} ends with them"
+                )
+            states, past_controls, controls = run.states[: lags + 1], run.controls[:lags], run.controls[lags:]
+        elif controls is None:
+            past_controls, controls = None, past_controls
+        if controls is None:
+            raise InvalidArgument("simulate: expected a state and controls, or a Trajectory; got no controls")
+        alone = np.ndim(states) < 3 and np.ndim(controls) < 3
+        if alone:
+            states, past_controls, controls = one_run(system, lags, states, past_controls, controls)
+        simulated = self._simulated(states, past_controls, controls, samples, as_generator(rng))
+        return simulated[..., 0, :, :] if alone else simulated
+
+    def _simulated(
+        self,
+        states: npt.ArrayLike,
+        past_controls: npt.ArrayLike | None,
+        controls: npt.ArrayLike,
+        samples: int | None,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Return (B, H, nx), or (samples, B, H, nx)."""
+        return many_runs(self, states, past_controls, controls, samples, rng)
+
+
+def require_planar(model: DynamicsModel, system: System) -> None:
+    """Raise `IncompatibleSystem` unless the states of ``system`` move a planar body."""
+    if system.motion is None or system.motion.kind != "planar_body":
+        raise IncompatibleSystem(
+            f"{type(model).__name__} describes a planar body, but the system has "
+            f"{'no motion' if system.motion is None else 'the motion ' + system.motion.kind}"
+        )
+
+
+def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
+    """Wrap a family's `fit`: check what it is given, record system and envelope, undo what is interrupted."""
+
+    @functools.wraps(fit)
+    def wrapped(
+        self: DynamicsModel,
+        dataset: Dataset | Sequence[Dataset] | npt.ArrayLike,
+        *,
+        rng: np.random.Generator | int | None = None,
+        progress: Progress | bool | None = None,
+        t: float | npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+        u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+    ) -> DynamicsModel:
+        called, generator = f"{type(self).__name__}.fit", as_generator(rng)
+        if u is not None and t is None:
+            raise InvalidArgument(f"{called}: expected the time step or the times as well as u: fit(x, t=0.05, u=u)")
+        data = as_dataset(dataset, called) if t is None else from_samples(cast(npt.ArrayLike, dataset), t, u)
+        self.check_parameters()
+        self.check_installed()
+        self.check_system(data.system)
+        with shown(f"fit {type(self).__name__}") if progress is True else nullcontext(progress or None) as told:
+            return _kept(self, fit, data, generator, told)
+
+    del wrapped.__wrapped__  # so that its signature says what may be given
+    return wrapped
+
+
+def _kept(
+    self: DynamicsModel,
+    fit: Callable[..., DynamicsModel],
+    dataset: Dataset,
+    rng: np.random.Generator,
+    progress: Progress | None,
+) -> DynamicsModel:
+    before = dict(vars(self))
+    began, told = time.perf_counter(), (0, 1)
+
+    def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
+        nonlocal told
+        told = done, total
+        if progress is not None:
+            progress(done, total)
+
+    try:
+        report(0, 1)
+        self.record(dataset)
+        fitted: object = fit(self, _few_enough(self, dataset, rng), rng=rng, progress=report)
+        if fitted is not self:
+            raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
+        if told[0] != told[1]:
+            report(told[1], told[1])
+    except BaseException:  # an interruption too leaves what was there before
+        self.__dict__.clear()
+        self.__dict__.update(before)
+        raise
+    self.fit_seconds = time.perf_counter() - began
+    return self
+
+
+def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:
+    """Return what there is to learn from; where that is not all of it, warn and record how much it is."""
+    few = dataset if self.most_steps is None else thinned(dataset, self.most_steps, rng)
+    self.__dict__.pop("kept_steps_", None)
+    if few is not dataset:
+        self.kept_steps_ = [few.n_steps, dataset.n_steps]
+        warnings.warn(f"{type(self).__name__} {self.fit_note}", DataWarning, stacklevel=4)
+    return few
+
+
+def require_packages(family: type, packages: Sequence[str]) -> None:
+    """Raise `MissingExtra` with the command that installs it if one of ``packages`` cannot be imported."""
+    points = [point for point in entry_points(group="sysid_evo.models") if point.module == family.__module__]
+    owner = points[0].dist if points else None
+    check_installed(family.__name__, packages, owner or DISTRIBUTION)
+
+
+make_model = models.make

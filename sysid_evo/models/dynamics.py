@@ -1,0 +1,184 @@
+"""The contract of everything that steps, its simulation, a Runge-Kutta step."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.carry import clip_state
+from sysid_evo.errors import InvalidData, ShapeError
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.system import System
+from sysid_evo.types import Array, check_shape
+
+if TYPE_CHECKING:
+    from sysid_evo.models.base import DynamicsModel
+
+
+class Dynamics(ABC):
+    """Anything that steps by one ``system.dt``.
+
+    The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
+    is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
+    numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
+    never drawn inside. What controllers and tasks observe of the state stands in the carry from
+    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
+    counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
+    """
+
+    observed_at: int = 0
+    doubt_at: int | None = None
+    if TYPE_CHECKING:  # a family answers them by properties, `PlainDynamics` has plain names
+
+        @property
+        def system(self) -> System: ...
+        @property
+        def n_carry(self) -> int: ...
+        @property
+        def n_lags(self) -> int: ...
+        @property
+        def n_noise(self) -> int: ...
+        @property
+        def n_draws(self) -> int: ...
+
+    else:
+        n_lags = n_noise = n_draws = 0
+
+    @property
+    def envelope(self) -> Array | None:
+        """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
+        return None
+
+    @abstractmethod
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        """Return the carry (B, n_carry) after a history.
+
+        ``states`` (B, n_lags + 1, nx) ends at the present, ``controls`` (B, n_lags, nu) at the
+        sample before it, ``draws`` is (B, n_draws).
+        """
+
+    @abstractmethod
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise).
+
+        Pure: the same arguments give the same result, each row for itself.
+        """
+
+    def kernel(self) -> DynamicsKernel | None:
+        """Return the compiled form of `step`, if it has one."""
+        return None
+
+
+class PlainDynamics(Dynamics):
+    """A dynamics whose system and sizes are plain names, which its class or its constructor sets."""
+
+    system: System
+    n_carry: int
+    n_lags: int = 0
+    n_noise: int = 0
+    n_draws: int = 0
+
+
+def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) -> Array:
+    """Return what ``method`` gave for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
+    checked = check_shape(f"{type(dynamics).__name__}.{method}", values, (*carry.shape[:-1], dynamics.system.nx))
+    return values if isinstance(values, np.ndarray) else checked
+
+
+def training_envelope(states: Array, multiple: float) -> Array:
+    """Return the centre of ``states`` (N, nx) plus and minus ``multiple`` half ranges, (2, nx)."""
+    low, high = states.min(axis=0), states.max(axis=0)
+    centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
+    return np.stack([centre - multiple * half, centre + multiple * half])
+
+
+def rk4(rate: Callable[[Any], Any], state: Any, dt: float) -> Any:
+    """Return the state (..., nx) after ``dt`` seconds of d state / dt = ``rate(state)``."""
+    k1 = rate(state)
+    k2 = rate(state + 0.5 * dt * k1)
+    k3 = rate(state + 0.5 * dt * k2)
+    k4 = rate(state + dt * k3)
+    return state + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def chained(step: Callable[[Any, Any], Any], carry: Any, controls: Any) -> Iterator[Any]:
+    """Yield the carry after each step under ``controls`` (..., H, nu)."""
+    for k in range(controls.shape[-2]):
+        carry = step(carry, controls[..., k, :])
+        yield carry
+
+
+def one_run(
+    system: System, lags: int, states: npt.ArrayLike, past_controls: npt.ArrayLike | None, controls: npt.ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Return one run as a batch of one: states (1, L + 1, nx), past controls (1, L, nu), controls (1, H, nu).
+
+    ``states`` is the state (nx,) or a history (L + 1, nx), ``controls`` (H, nu), or (H,) for one
+    control. A history shorter than ``lags`` is padded: the first state repeated, neutral controls.
+    """
+    history = np.atleast_2d(np.asarray(states, dtype=np.float64))
+    if history.ndim != 2 or history.shape[1] != system.nx:
+        raise ShapeError(
+            f"states: expected one state ({system.nx},) or a history (any, {system.nx}), got {np.shape(states)}"
+        )
+    ahead = _columns("controls", controls, system.nu)
+    neutral = np.tile(system.neutral_control, (len(history) - 1, 1))
+    past = neutral if past_controls is None else _columns("past_controls", past_controls, system.nu)
+    if len(past) != len(history) - 1:
+        raise ShapeError(
+            f"past_controls: expected {len(history) - 1}, one fewer than the states of the history, got {len(past)}"
+        )
+    missing = max(0, lags + 1 - len(history))
+    history = np.concatenate([np.repeat(history[:1], missing, axis=0), history])
+    past = np.concatenate([np.tile(system.neutral_control, (missing, 1)), past])
+    return history[None], past[None], ahead[None]
+
+
+def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
+    """Return controls as (H, nu); (H,) is understood for one control."""
+    array = np.asarray(values, dtype=np.float64)
+    array = array[:, None] if array.ndim == 1 and nu == 1 else array
+    if array.ndim != 2 or array.shape[1] != nu:
+        raise ShapeError(f"{name}: expected shape (any, {nu}), got {np.shape(values)}")
+    return array
+
+
+def many_runs(
+    model: DynamicsModel,
+    states: npt.ArrayLike,
+    past_controls: npt.ArrayLike | None,
+    controls: npt.ArrayLike,
+    samples: int | None,
+    rng: np.random.Generator,
+) -> Array:
+    """Return the states (B, H, nx) of many runs, see `DynamicsModel.simulate`; with samples (samples, B, H, nx).
+
+    Raises `ShapeError`, or `InvalidData` if the history (B, L + 1, nx) is shorter than the model needs.
+    """
+    system, lags = model.system, model.n_lags
+    states = check_shape("states", states, (None, None, system.nx))
+    controls = check_shape("controls", controls, (len(states), None, system.nu))
+    if past_controls is None:
+        past_controls = np.tile(system.neutral_control, (len(states), states.shape[1] - 1, 1))
+    past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
+    if states.shape[1] < lags + 1:
+        raise InvalidData(f"{type(model).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
+    states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
+    if samples is not None:
+        states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
+    batch, horizon = controls.shape[:2]
+
+    def step(carry: Array, control: Array) -> Array:
+        noise = rng.standard_normal((batch, model.n_noise)) if model.n_noise else None
+        return clip_state(model.step(carry, control, noise), model.envelope)[0]
+
+    draws = rng.standard_normal((batch, model.n_draws)) if model.n_draws else None
+    out = np.empty((batch, horizon, system.nx))
+    with np.errstate(all="ignore"):
+        for k, carry in enumerate(chained(step, model.start(states, past_controls, draws), controls)):
+            out[:, k] = carry[:, : system.nx]
+    return out if samples is None else out.reshape(samples, batch // samples, horizon, system.nx)

@@ -1,0 +1,207 @@
+"""Several models as one: members side by side, their mean, switching between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.base import DynamicsModel
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.kernels.ensemble import mean_kernel
+from sysid_evo.types import Array
+from sysid_evo.validation.intervals import conformal_scale
+from sysid_evo.validation.simulation_error import judging_windows
+
+
+class Members:
+    """``models`` of one system: where their carries (n_carry) and their noise stand one after the other."""
+
+    def __init__(self, models: Sequence[Dynamics]) -> None:
+        self.models = tuple(models)
+        self.system = self.models[0].system
+        for model in self.models:
+            differences = self.system.differences(model.system)
+            if differences:
+                raise IncompatibleSystem(f"several models: their systems differ: {'; '.join(differences)}")
+            if model.observed_at != 0:
+                raise InvalidArgument(
+                    "several models: one is observed late; let it be observed so together with the others"
+                )
+        self.n_lags = max(model.n_lags for model in self.models)
+        self.places = _places([model.n_carry for model in self.models])
+        self.noise_places = _places([model.n_noise for model in self.models])
+        self.draw_places = _places([model.n_draws for model in self.models])
+        self.n_carry, self.n_noise, self.n_draws = (
+            sum(getattr(model, name) for model in self.models) for name in ("n_carry", "n_noise", "n_draws")
+        )
+
+    def start(self, states: Array, controls: Array, draws: Array) -> Array:
+        """Return the carries (B, n_carry) after a history, with ``draws`` (B, n_draws)."""
+        carries = []
+        for model, at in zip(self.models, self.draw_places, strict=True):
+            lags = model.n_lags
+            own_states, own_controls = states[:, states.shape[1] - 1 - lags :], controls[:, controls.shape[1] - lags :]
+            carries.append(model.start(own_states, own_controls, draws[:, at : at + model.n_draws]))
+        return np.concatenate(carries, axis=1)
+
+    def step(self, state: Array, carries: Array, control: Array, noise: Array | None) -> tuple[Array, list[Array]]:
+        """Return what each predicts from ``state`` (M, B, nx), and what each remembers beside its state."""
+        nx = self.system.nx
+        predicted, rests = [], []
+        for model, at, drawn in zip(self.models, self.places, self.noise_places, strict=True):
+            given = noise[:, drawn : drawn + model.n_noise] if noise is not None and model.n_noise else None
+            after = model.step(
+                np.concatenate([state, carries[:, at + nx : at + model.n_carry]], axis=1), control, given
+            )
+            predicted.append(after[:, :nx])
+            rests.append(after[:, nx:])
+        return np.stack(predicted), rests
+
+    def joined(self, state: Array, rests: list[Array]) -> Array:
+        """Return the carries (B, n_carry) of all, each with the same ``state`` (B, nx)."""
+        return np.concatenate([part for rest in rests for part in (state, rest)], axis=1)
+
+
+def _places(sizes: list[int]) -> list[int]:
+    """Return where each of several parts begins that stand one after the other."""
+    return [sum(sizes[:i]) for i in range(len(sizes))]
+
+
+class MeanOfMembers(DynamicsModel):
+    """A family that learns ``members_``, fitted models, and their ``weights_`` (M,), whose sum is 1.
+
+    The next state is the mean of theirs. The carry is the state, then the members' carries, each with the same state
+    at its head. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) make the noise of a step. Members
+    are not held at rest: the mean is, with ``rest_hold``, while no member remembers a control that may still act.
+    """
+
+    stochastic: bool = False
+    rest_hold: bool = False
+
+    def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
+        """Be the mean of these fitted models."""
+        self.members_, self.weights_ = list(models), weights
+
+    def of(self, models: Sequence[DynamicsModel], weights: Array) -> Self:
+        """Return the mean of these models, of the same data, as a model without noise."""
+        other = self.variant(stochastic=False)
+        other.become(models, weights)
+        return other
+
+    def calibrate(
+        self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, still: Callable[[], None]
+    ) -> None:
+        """Set the noise of a step: ``cases`` are means like this one, each with what it did not learn from.
+
+        ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
+        """
+        judged = [(mean, judging_windows(held, mean.n_lags)) for mean, held in cases]
+        off = []
+        for mean, part in judged:
+            first = mean.simulate(part.past_states, part.past_controls, part.controls[:, :1])
+            off.append(mean.system.difference(first[:, 0], part.states[:, 0]))
+        self.residual_ = np.sqrt(np.mean(np.concatenate(off) ** 2, axis=0))
+        for mean, _ in judged:
+            mean.residual_ = self.residual_
+        self.noise_scale_ = conformal_scale(judged, rng, still=still)
+
+    @cached_property
+    def _together(self) -> Members:
+        return Members(self.members_)
+
+    @property
+    def lags(self) -> tuple[int, int]:
+        """The most earlier states and earlier controls that a member sees (0 before `fit`)."""
+        members = getattr(self, "members_", [])
+        states, controls = ([model.lags[i] for model in members] for i in (0, 1))
+        return max(states, default=0), max(controls, default=0)
+
+    @property
+    def n_lags(self) -> int:
+        return self._together.n_lags if hasattr(self, "members_") else 0
+
+    @property
+    def n_carry(self) -> int:
+        return self.system.nx + self._together.n_carry
+
+    @property
+    def n_noise(self) -> int:
+        return self._together.n_noise + (self.system.nx if self.stochastic else 0)
+
+    @property
+    def n_draws(self) -> int:
+        return self._together.n_draws
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
+        return np.concatenate([states[:, -1], self._together.start(states, controls, draws)], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        nx, together = self.system.nx, self._together
+        predicted, rests = together.step(carry[:, :nx], carry[:, nx:], control, noise)
+        weights = self.weights_[:, None, None]
+        after = (weights * predicted).sum(axis=0)
+        if self.stochastic and noise is not None:
+            variance = (weights * (predicted - after) ** 2).sum(axis=0)
+            deviation = np.sqrt(variance + self.residual_**2)
+            after = after + self.noise_scale_ * deviation * noise[:, together.n_noise :]
+        after = self.held(carry, control, after)
+        return np.concatenate([after, together.joined(after, rests)], axis=1)
+
+    def held(self, carry: Array, control: Array, after: Array) -> Array:
+        system, band = self.system, self.rest_band
+        after = np.clip(after, *system.limits) if system.limited else after
+        if band is None:
+            return after
+        rows, neutral = self._earlier_controls
+        still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
+        idle = (control == system.neutral_control).all(axis=1) & (carry[:, rows] == neutral).all(axis=1)
+        return np.where((still & idle)[:, None], system.neutral_state, after)
+
+    @property
+    def _earlier_controls(self) -> tuple[list[int], Array]:
+        """Where earlier controls stand in the carry, and what is neutral there."""
+        rows: list[int] = []
+        for model, place in zip(self.members_, self._together.places, strict=True):
+            earlier = range(model.layout.size)[model.layout.earlier_controls]
+            rows += [self.system.nx + place + row for row in earlier]
+        return rows, np.resize(self.system.neutral_control, len(rows)) if rows else np.empty(0)
+
+    def kernel(self) -> DynamicsKernel | None:
+        return self._compiled
+
+    @cached_property
+    def _compiled(self) -> DynamicsKernel | None:
+        kernels = [model.kernel() for model in self.members_]
+        if self.stochastic or any(kernel is None for kernel in kernels):
+            return None
+        return mean_kernel(
+            [kernel for kernel in kernels if kernel is not None],
+            self.system,
+            places=[self.system.nx + place for place in self._together.places],
+            noise_places=self._together.noise_places,
+            weights=self.weights_,
+            rest_band=self.rest_band,
+            watched=self._earlier_controls,
+        )
+
+    def without_noise(self) -> Self:
+        quiet = [model.without_noise() for model in self.members_]
+        if not self.stochastic and all(one is model for one, model in zip(quiet, self.members_, strict=True)):
+            return self
+        return self.of(quiet, self.weights_)
+
+    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+        """Return the mean with those members trained further that can be; None if none can."""
+        further = [model.trained_further(dataset, updates, rng=rng) for model in self.members_]
+        if all(model is None for model in further):
+            return None
+        other = self.variant()
+        other.become([new or old for new, old in zip(further, self.members_, strict=True)], self.weights_)
+        return other

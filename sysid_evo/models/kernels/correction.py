@@ -1,0 +1,175 @@
+"""Any kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.Terms`."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sysid_evo.angles import TURN
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
+from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    from sysid_evo.models.adaptation.correction import Terms
+
+
+HEAD = Layout(
+    "nx",
+    "nu",
+    "inputs",
+    "count",
+    "products",
+    "gains",
+    "dt",
+    "limited",
+    "inputs_at",
+    "states_at",
+    "coefficients_at",
+    "frame",
+    "own",
+    align=CACHE_LINE,
+)
+
+
+def correction_kernel(inner: DynamicsKernel, terms: Terms, coefficients: Array) -> DynamicsKernel | None:
+    """Return the kernel of ``inner`` with ``terms`` and ``coefficients`` (size, nx) added to its accelerations.
+
+    None if the motion has no compiled form.
+    """
+    system = terms.system
+    motion = system.motion_kernel()
+    if motion is None:
+        return None
+    per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])
+    of_inputs = np.concatenate([terms.low, terms.high, terms.centre, 1.0 / terms.scale, terms.least, terms.most])
+    foreseen = [terms.weakest, terms.strongest, 1.0 / terms.strength] if terms.gains else [np.zeros(3 * system.nx)]
+    of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits), *foreseen])
+    parts = [padded(of_inputs), padded(of_states), padded(np.ravel(coefficients)), padded(motion.parameters)]
+    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
+    parameters = HEAD.pack(
+        *parts,
+        inner.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        inputs=terms.n_inputs,
+        count=terms.size,
+        products=terms.products,
+        gains=terms.gains,
+        dt=system.dt,
+        limited=system.limited,
+        inputs_at=places[0],
+        states_at=places[1],
+        coefficients_at=places[2],
+        frame=places[3],
+        own=places[4],
+    )
+    bindings = {"inner": inner.source, "integrate": motion.integrate}
+    room = 3 * system.nx + terms.size + inner.n_scratch
+    return DynamicsKernel(KernelSource(corrected, bindings), parameters, room, inner.precision)
+
+
+def corrected(carry, control, noise, parameters, scratch):
+    """Step the inner dynamics, find how far the correction moves the state, and move what comes of it."""
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    rows, size, dt = nx * LANES, int(parameters[HEAD.count]), parameters[HEAD.dt]
+    before, pushed, coasting, terms = scratch, view(scratch, rows), view(scratch, 2 * rows), view(scratch, 3 * rows)
+    states = view(parameters, int(parameters[HEAD.states_at]))
+    write_terms(
+        carry,
+        control,
+        nx,
+        nu,
+        int(parameters[HEAD.inputs]),
+        parameters[HEAD.products],
+        states,
+        view(parameters, int(parameters[HEAD.inputs_at])),
+        terms,
+    )
+    for row in range(nx):
+        store(before, row * LANES, load(carry, row * LANES))
+        store(coasting, row * LANES, splat(0.0))
+    frame = view(parameters, int(parameters[HEAD.frame]))
+    integrate(before, coasting, nx, dt, frame)
+    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 3 * rows + size * LANES))
+    own = size
+    if parameters[HEAD.gains] > 0.0:
+        own = size - nx
+        write_gains(carry, coasting, nx, dt, states, view(terms, own * LANES))
+    numbers = view(parameters, int(parameters[HEAD.coefficients_at]))
+    for row in range(nx):
+        total, gained = splat(0.0), splat(0.0)
+        for term in range(own):
+            total = total + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        for term in range(own, size):
+            gained = gained + splat(numbers[term * nx + row]) * load(terms, term * LANES)
+        store(pushed, row * LANES, total * splat(states[nx + row]))
+        store(coasting, row * LANES, load(coasting, row * LANES) - gained * splat(dt * states[nx + row]))
+    integrate(before, pushed, nx, dt, frame)
+    moves = splat(0.0)
+    for row in range(nx):
+        moves = moves + abs(load(carry, row * LANES) - splat(states[2 * nx + row]))
+    limited = parameters[HEAD.limited]
+    for row in range(nx):
+        here = load(carry, row * LANES)
+        moved = here + (load(pushed, row * LANES) - load(coasting, row * LANES))
+        moved = where_at_most(moves, 0.0, here, moved)
+        if limited > 0.0:
+            moved = min(max(moved, states[3 * nx + row]), states[4 * nx + row])
+        store(carry, row * LANES, moved)
+
+
+def write_gains(carry, coasting, nx, dt, states, terms):
+    """Write the accelerations that led from coasting to the next state, of periodic states the shortest way round."""
+    for row in range(nx):
+        change = load(carry, row * LANES) - load(coasting, row * LANES)
+        factor = states[row]
+        if factor > 0.0:
+            turn = TURN / factor
+            change = where_at_most(change, 0.5 * turn, change, change - turn)
+            change = where_at_most(change, -0.5 * turn, change + turn, change)
+        seen = min(max(change / dt, states[5 * nx + row]), states[6 * nx + row])
+        store(terms, row * LANES, seen * splat(states[7 * nx + row]))
+
+
+def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms):
+    """Write 1, the inputs as the recording covers them, and their products."""
+    store(terms, 0, splat(1.0))
+    place = 0
+    for row in range(nx):
+        factor = states[row]
+        if factor > 0.0:
+            here, there = view(carry, row * LANES), view(terms, (1 + place) * LANES)
+            for lane in range(LANES):
+                there[lane] = math.sin(factor * here[lane])
+                there[LANES + lane] = math.cos(factor * here[lane])
+            place += 2
+        else:
+            store(terms, (1 + place) * LANES, load(carry, row * LANES))
+            place += 1
+    for row in range(nu):
+        store(terms, (1 + place + row) * LANES, load(control, row * LANES))
+    for i in range(inputs):
+        seen = min(max(load(terms, (1 + i) * LANES), ranges[i]), ranges[inputs + i])
+        store(terms, (1 + i) * LANES, (seen - ranges[2 * inputs + i]) * ranges[3 * inputs + i])
+    if products > 0.0:
+        place, count = 0, inputs * (inputs + 1) // 2
+        least, most = view(ranges, 4 * inputs), view(ranges, 4 * inputs + count)
+        for i in range(inputs):
+            for k in range(i, inputs):
+                both = load(terms, (1 + i) * LANES) * load(terms, (1 + k) * LANES)
+                store(terms, (1 + inputs + place) * LANES, min(max(both, least[place]), most[place]))
+                place += 1

@@ -1,0 +1,194 @@
+"""Several kernels that step side by side from the same state: `sysid_evo.models.Cautious`, a mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    Precision,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
+from sysid_evo.models.kernels.stepping import copy
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+GROUP = Layout("nx", "count", "next")
+
+MEMBER = Layout("at", "noise_at", "own")
+
+DOUBT = Layout("nx", "count", "weight", "chain", align=CACHE_LINE)
+
+MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
+
+
+def cautious_kernel(
+    members: Sequence[DynamicsKernel],
+    nx: int,
+    *,
+    places: Sequence[int],
+    noise_places: Sequence[int],
+    limit: Array,
+    weight: float,
+) -> DynamicsKernel:
+    """Return the kernel of `Cautious`: the state is that of the first member, how far to doubt it stands at nx."""
+    chain = chained(members, nx, places, noise_places)
+    numbers = padded(np.concatenate([1.0 / limit, places]))
+    parameters = DOUBT.pack(
+        numbers,
+        chain.parameters,
+        nx=nx,
+        count=len(members),
+        weight=weight,
+        chain=DOUBT.size + len(numbers),
+    )
+    return DynamicsKernel(
+        KernelSource(doubted, {"step_all": chain.source}), parameters, chain.n_scratch + 3, chain.precision
+    )
+
+
+def doubted(carry, control, noise, parameters, scratch):
+    """Step all members, count how far apart their states are, and take over that of the first."""
+    nx, count, weight = int(parameters[DOUBT.nx]), int(parameters[DOUBT.count]), parameters[DOUBT.weight]
+    per_limit, places = view(parameters, DOUBT.size), view(parameters, DOUBT.size + nx)
+    farthest, low, high = scratch, view(scratch, LANES), view(scratch, 2 * LANES)
+    step_all(carry, control, noise, view(parameters, int(parameters[DOUBT.chain])), view(scratch, 3 * LANES))
+    for lane in range(LANES):
+        farthest[lane] = 0.0
+    for row in range(nx):
+        copy(view(carry, (int(places[0]) + row) * LANES), low, LANES)
+        copy(low, high, LANES)
+        for member in range(1, count):
+            here = view(carry, (int(places[member]) + row) * LANES)
+            for lane in range(LANES):
+                low[lane] = min(low[lane], here[lane])
+                high[lane] = max(high[lane], here[lane])
+        factor = per_limit[row]
+        for lane in range(LANES):
+            farthest[lane] = max(farthest[lane], (high[lane] - low[lane]) * factor)
+    doubt = view(carry, nx * LANES)
+    for lane in range(LANES):
+        doubt[lane] += weight * min(max(farthest[lane] - 1.0, 0.0), 1.0)
+    copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)
+    for member in range(count):
+        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+def mean_kernel(
+    members: Sequence[DynamicsKernel],
+    system: System,
+    *,
+    places: Sequence[int],
+    noise_places: Sequence[int],
+    weights: Array,
+    rest_band: Array | None = None,
+    watched: tuple[Sequence[int], Array] = ((), np.empty(0)),
+) -> DynamicsKernel:
+    """Return the kernel of a weighted mean of next states, which every member takes over.
+
+    The carry is the state and the members' carries at ``places``. With ``rest_band`` (nx,) a state that near neutral
+    stays there under neutral control, if what stands in the ``watched`` rows of the carry, earlier controls, has the
+    values beside them, which are neutral, too.
+    """
+    nx, chain = system.nx, chained(members, system.nx, places, noise_places)
+    rows, values = watched if rest_band is not None else ((), np.empty(0))
+    rest = np.empty(0)
+    if rest_band is not None:
+        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control, rows, values])
+    numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
+    parameters = MEAN.pack(
+        numbers,
+        at_rest,
+        chain.parameters,
+        nx=nx,
+        nu=system.nu,
+        count=len(members),
+        watched=len(rows),
+        held=rest_band is not None,
+        rest=MEAN.size + len(numbers),
+        chain=MEAN.size + len(numbers) + len(at_rest),
+    )
+    source = KernelSource(averaged, {"step_all": chain.source})
+    return DynamicsKernel(source, parameters, chain.n_scratch + 1, chain.precision)
+
+
+def averaged(carry, control, noise, parameters, scratch):
+    """Step all members, take the mean of their states, or neutral where the body rests, and give it to all."""
+    nx, nu, count = int(parameters[MEAN.nx]), int(parameters[MEAN.nu]), int(parameters[MEAN.count])
+    weights, places = view(parameters, MEAN.size), view(parameters, MEAN.size + count)
+    rest, held = view(parameters, int(parameters[MEAN.rest])), parameters[MEAN.held]
+    if held > 0.0:
+        neutral, idle, watched = view(rest, nx), view(rest, 2 * nx), int(parameters[MEAN.watched])
+        rows, values = view(rest, 2 * nx + nu), view(rest, 2 * nx + nu + watched)
+        moves = splat(0.0)
+        for row in range(nu):
+            moves = moves + abs(load(control, row * LANES) - idle[row])
+        for i in range(watched):
+            moves = moves + abs(load(carry, int(rows[i]) * LANES) - values[i])
+        for row in range(nx):
+            moves = where_at_most(abs(load(carry, row * LANES) - neutral[row]), rest[row], moves, 1.0)
+        store(scratch, 0, moves)
+    step_all(carry, control, noise, view(parameters, int(parameters[MEAN.chain])), view(scratch, LANES))
+    for row in range(nx):
+        total = splat(0.0)
+        for member in range(count):
+            total = total + weights[member] * load(carry, (int(places[member]) + row) * LANES)
+        store(carry, row * LANES, total)
+    if held > 0.0:
+        for row in range(nx):
+            mean = load(carry, row * LANES)
+            store(carry, row * LANES, where_at_most(load(scratch, 0), 0.0, rest[nx + row], mean))
+    for member in range(count):
+        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+def chained(
+    members: Sequence[DynamicsKernel], nx: int, places: Sequence[int], noise_places: Sequence[int]
+) -> DynamicsKernel:
+    """Return a kernel that puts the state at the head of the carry into each member's, and steps them all.
+
+    Members of the same code stand in one loop, so that it is compiled once.
+    """
+    source, parameters = KernelSource(nothing_to_step), np.zeros(1)
+    groups = [list(group) for _, group in groupby(range(len(members)), key=lambda i: members[i].source)]
+    for group in reversed(groups):
+        begin = -(-(GROUP.size + MEMBER.size * len(group)) // CACHE_LINE) * CACHE_LINE
+        heads, blocks = [], []
+        for i in group:
+            heads.append(MEMBER.pack(at=places[i], noise_at=noise_places[i], own=begin))
+            blocks.append(padded(members[i].parameters))
+            begin += len(blocks[-1])
+        head = padded(GROUP.pack(*heads, nx=nx, count=len(group), next=begin))
+        parameters = np.concatenate([head, *blocks, parameters])
+        source = KernelSource(step_group, {"one": members[group[0]].source, "others": source})
+    precision: Precision = "float64" if any(member.precision == "float64" for member in members) else "float32"
+    return DynamicsKernel(source, parameters, max(member.n_scratch for member in members), precision)
+
+
+def step_group(carry, control, noise, parameters, scratch):
+    """Step some members, then the others."""
+    rows = int(parameters[GROUP.nx]) * LANES
+    for number in range(int(parameters[GROUP.count])):
+        head = view(parameters, GROUP.size + number * MEMBER.size)
+        own = view(carry, int(head[MEMBER.at]) * LANES)
+        copy(carry, own, rows)
+        drawn = view(noise, int(head[MEMBER.noise_at]) * LANES)
+        one(own, control, drawn, view(parameters, int(head[MEMBER.own])), scratch)
+    others(carry, control, noise, view(parameters, int(parameters[GROUP.next])), scratch)
+
+
+def nothing_to_step(carry, control, noise, parameters, scratch):
+    """Leave everything as it is."""
+    return

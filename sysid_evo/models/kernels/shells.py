@@ -1,0 +1,344 @@
+"""Predictors around predictors: turning frame, clipping, angles, functions of inputs, sums."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sysid_evo.angles import TURN
+from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, padded, store, view
+from sysid_evo.models.kernels.stepping import copy
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray
+
+FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACHE_LINE)
+
+
+def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = None) -> Predictor | None:
+    """Return a predictor of dx/dt = rate + w(x), w how the motion's turning frame changes the state.
+
+    With ``bounds`` (5, nx), lowest and highest state, 1 / margin, lowest and highest rate: the rate is kept within its
+    bounds; beyond those of a state, what drives it further out fades away over the margin, and the excess decays with
+    the time constant dt. None if the system's motion has no compiled form.
+    """
+    motion = system.motion_kernel()
+    if motion is None:
+        return None
+    limits = np.empty(0) if bounds is None else np.ravel(bounds)
+    parts = [padded(motion.parameters), padded(limits)]
+    places = np.cumsum([FRAME.size, *(len(part) for part in parts)])
+    parameters = FRAME.pack(
+        *parts,
+        rate.parameters,
+        nx=system.nx,
+        per_dt=1.0 / system.dt,
+        contained=len(limits) > 0,
+        frame=places[0],
+        limits=places[1],
+        own=places[2],
+    )
+    return Predictor(
+        KernelSource(turned, {**rate.bindings, "turn": motion.turn, "NX": system.nx}),
+        parameters,
+        rate.n_scratch,
+        prepare=KernelSource(prepare_turned, rate.bindings),
+    )
+
+
+def prepare_turned(u, p, scratch):
+    """Prepare the rate."""
+    prepare(u, view(p, int(p[FRAME.own])), scratch)
+
+
+def turned(x, u, p, y, scratch):
+    """Write rate + w(x), bounded where that is asked for."""
+    predict(x, u, view(p, int(p[FRAME.own])), y, scratch)
+    if p[FRAME.contained] > 0.0:
+        slowest, fastest = view(p, int(p[FRAME.limits]) + 3 * NX), view(p, int(p[FRAME.limits]) + 4 * NX)
+        for row in range(NX):
+            store(y, row * LANES, min(max(load(y, row * LANES), slowest[row]), fastest[row]))
+    turn(x, y, view(p, int(p[FRAME.frame])))
+    if p[FRAME.contained] > 0.0:
+        limits, back = view(p, int(p[FRAME.limits])), p[FRAME.per_dt]
+        for row in range(NX):
+            per_margin, here, total = limits[2 * NX + row], load(x, row * LANES), load(y, row * LANES)
+            above, below = max(here - limits[NX + row], 0.0), max(limits[row] - here, 0.0)
+            up = max(total, 0.0) * max(1.0 - above * per_margin, 0.0)
+            down = min(total, 0.0) * max(1.0 - below * per_margin, 0.0)
+            store(y, row * LANES, up + down - back * (above - below))
+
+
+CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
+
+
+def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor:
+    """Return a predictor that sees carry and control clipped to ``low`` and ``high`` (n_carry + nu,)."""
+    inputs, limits = len(low), padded(np.concatenate([low, high]))
+    parameters = CLIP.pack(
+        limits,
+        inner.parameters,
+        n_carry=n_carry,
+        n_control=inputs - n_carry,
+        low=CLIP.size,
+        high=CLIP.size + inputs,
+        own=CLIP.size + len(limits),
+    )
+    return Predictor(
+        KernelSource(clipped, {**inner.bindings, "N_CARRY": n_carry, "N_CONTROL": inputs - n_carry}),
+        parameters,
+        inputs + inner.n_scratch,
+        prepare=KernelSource(prepare_clipped, inner.bindings),
+    )
+
+
+def prepare_clipped(u, p, scratch):
+    """Clip the control, and prepare with it; it stands at the head of the scratch, then the carry."""
+    n_carry, n_control = int(p[CLIP.n_carry]), int(p[CLIP.n_control])
+    low, high = view(p, int(p[CLIP.low]) + n_carry), view(p, int(p[CLIP.high]) + n_carry)
+    clip_rows(u, low, high, n_control, scratch)
+    prepare(scratch, view(p, int(p[CLIP.own])), view(scratch, (n_carry + n_control) * LANES))
+
+
+def clipped(x, u, p, y, scratch):
+    """Clip the carry, and predict from it and the clipped control."""
+    carry = view(scratch, N_CONTROL * LANES)
+    clip_rows(x, view(p, int(p[CLIP.low])), view(p, int(p[CLIP.high])), N_CARRY, carry)
+    predict(carry, scratch, view(p, int(p[CLIP.own])), y, view(scratch, (N_CARRY + N_CONTROL) * LANES))
+
+
+def clip_rows(x, low, high, count, y):
+    """y = x clipped, row by row."""
+    for row in range(count):
+        store(y, row * LANES, min(max(load(x, row * LANES), low[row]), high[row]))
+
+
+ON_TOP = Layout("nx", "added", "low", "high", "own", align=CACHE_LINE)
+
+
+def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high: Array | None = None) -> Predictor:
+    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,).
+
+    With ``low`` and ``high`` (nx,) it is the present state within them to which a change is added.
+    """
+    nx = len(added)
+    least, most = np.full(nx, -np.inf) if low is None else low, np.full(nx, np.inf) if high is None else high
+    rows = padded(np.concatenate([added.astype(np.float64), least, most]))
+    places = {name: ON_TOP.size + i * nx for i, name in enumerate(("added", "low", "high"))}
+    return Predictor(
+        KernelSource(put_on_top, inner.bindings),
+        ON_TOP.pack(rows, inner.parameters, nx=nx, **places, own=ON_TOP.size + len(rows)),
+        inner.n_scratch,
+        prepare=KernelSource(prepare_on_top, inner.bindings),
+    )
+
+
+def prepare_on_top(u, p, scratch):
+    """Prepare what is inside."""
+    prepare(u, view(p, int(p[ON_TOP.own])), scratch)
+
+
+def put_on_top(x, u, p, y, scratch):
+    """Predict, and add changes to their states."""
+    predict(x, u, view(p, int(p[ON_TOP.own])), y, scratch)
+    added, low, high = view(p, int(p[ON_TOP.added])), view(p, int(p[ON_TOP.low])), view(p, int(p[ON_TOP.high]))
+    for row in range(int(p[ON_TOP.nx])):
+        if added[row] > 0.0:
+            inside = min(max(load(x, row * LANES), low[row]), high[row])
+            store(y, row * LANES, load(y, row * LANES) + inside)
+
+
+SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LINE)
+
+
+def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
+    """Return a predictor of the sum of two; each prepares in room of its own."""
+    head = padded(np.ravel(first.parameters))
+    parameters = SUM.pack(
+        head,
+        second.parameters,
+        nx=nx,
+        first=SUM.size,
+        second=SUM.size + len(head),
+        second_room=first.n_scratch,
+        sum_room=first.n_scratch + second.n_scratch,
+    )
+    one, other = first.bindings, second.bindings
+    prepares = {"prepare_one": one["prepare"], "prepare_other": other["prepare"]}
+    return Predictor(
+        KernelSource(add, {"one": one["predict"], "other": other["predict"]}),
+        parameters,
+        first.n_scratch + second.n_scratch + nx,
+        prepare=KernelSource(prepare_added, prepares),
+    )
+
+
+def prepare_added(u, p, scratch):
+    """Prepare both."""
+    prepare_one(u, view(p, int(p[SUM.first])), scratch)
+    prepare_other(u, view(p, int(p[SUM.second])), view(scratch, int(p[SUM.second_room]) * LANES))
+
+
+def add(x, u, p, y, scratch):
+    """Write the sum; the last rows of the scratch take what the second adds."""
+    more = view(scratch, int(p[SUM.sum_room]) * LANES)
+    one(x, u, view(p, int(p[SUM.first])), y, scratch)
+    other(x, u, view(p, int(p[SUM.second])), more, view(scratch, int(p[SUM.second_room]) * LANES))
+    for row in range(int(p[SUM.nx])):
+        store(y, row * LANES, load(y, row * LANES) + load(more, row * LANES))
+
+
+HEAD = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
+
+
+def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)) -> Predictor:
+    """Return a predictor that shows ``inner`` each periodic state of the carry as sine and cosine, see `regressors`.
+
+    The carry holds the state, ``lags[0]`` earlier states and ``lags[1]`` earlier controls.
+    """
+    if not system.periods:
+        return inner
+    per_state = [TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)]
+    per_row = np.array([*per_state * (1 + lags[0]), *[0.0] * (system.nu * lags[1])])
+    n_seen = len(per_row) + int(np.count_nonzero(per_row))
+    rows = padded(per_row)
+    parameters = HEAD.pack(
+        rows,
+        inner.parameters,
+        n_carry=len(per_row),
+        n_seen=n_seen,
+        own=HEAD.size + len(rows),
+    )
+    return Predictor(
+        KernelSource(seen_as_angles, inner.bindings),
+        parameters,
+        n_seen + inner.n_scratch,
+        prepare=KernelSource(prepare_inner, inner.bindings),
+    )
+
+
+def prepare_inner(u, p, scratch):
+    """Prepare what is inside; its room comes after what it is shown."""
+    prepare(u, view(p, int(p[HEAD.own])), view(scratch, int(p[HEAD.n_seen]) * LANES))
+
+
+def seen_as_angles(x, u, p, y, scratch):
+    """Predict from the sines and cosines."""
+    row = 0
+    for i in range(int(p[HEAD.n_carry])):
+        factor, here, there = p[HEAD.size + i], view(x, i * LANES), view(scratch, row * LANES)
+        if factor > 0.0:
+            for lane in range(LANES):
+                there[lane] = math.sin(factor * here[lane])
+                there[LANES + lane] = math.cos(factor * here[lane])
+            row += 2
+        else:
+            copy(here, there, LANES)
+            row += 1
+    predict(scratch, u, view(p, int(p[HEAD.own])), y, view(scratch, int(p[HEAD.n_seen]) * LANES))
+
+
+FUNCTIONS_HEAD = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
+
+NUMBERS = 5
+
+PLAIN, ABS, SIGN, SIN, COS, TANH, EXP, SQRT_ABS, X_ABS = range(9)
+
+KINDS = {
+    "": PLAIN,
+    "abs": ABS,
+    "sign": SIGN,
+    "sin": SIN,
+    "cos": COS,
+    "tanh": TANH,
+    "exp": EXP,
+    "sqrt_abs": SQRT_ABS,
+    "x_abs": X_ABS,
+}
+
+
+class SeenRow(NamedTuple):
+    """``function`` ("" for none) of ``factor`` times a row, within ``low`` and ``high``."""
+
+    function: str
+    place: int
+    factor: float
+    low: float
+    high: float
+
+
+def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequence[SeenRow]) -> Predictor:
+    """Return a predictor that shows ``inner`` functions of rows of the carry, and of the control."""
+    flat = [[KINDS[row.function], *row[1:]] for row in (*of_carry, *of_control)]
+    rows = padded(np.array(flat, dtype=np.float64).ravel())
+    parameters = FUNCTIONS_HEAD.pack(
+        rows,
+        inner.parameters,
+        n_carry=len(of_carry),
+        n_control=len(of_control),
+        of_control=FUNCTIONS_HEAD.size + NUMBERS * len(of_carry),
+        own=FUNCTIONS_HEAD.size + len(rows),
+    )
+    return Predictor(
+        KernelSource(seen_as_functions, inner.bindings),
+        parameters,
+        len(of_carry) + len(of_control) + inner.n_scratch,
+        prepare=KernelSource(prepare_functions, inner.bindings),
+    )
+
+
+def prepare_functions(u, p, scratch):
+    """Write the functions of the control to the head of the scratch, and prepare with them."""
+    n_control = int(p[FUNCTIONS_HEAD.n_control])
+    write_functions(u, view(p, int(p[FUNCTIONS_HEAD.of_control])), n_control, scratch)
+    prepare(
+        scratch,
+        view(p, int(p[FUNCTIONS_HEAD.own])),
+        view(scratch, (n_control + int(p[FUNCTIONS_HEAD.n_carry])) * LANES),
+    )
+
+
+def seen_as_functions(x, u, p, y, scratch):
+    """Write the functions of the carry after those of the control, and predict from both."""
+    n_control, n_carry = int(p[FUNCTIONS_HEAD.n_control]), int(p[FUNCTIONS_HEAD.n_carry])
+    seen = view(scratch, n_control * LANES)
+    write_functions(x, view(p, FUNCTIONS_HEAD.size), n_carry, seen)
+    predict(seen, scratch, view(p, int(p[FUNCTIONS_HEAD.own])), y, view(scratch, (n_control + n_carry) * LANES))
+
+
+def write_functions(x, rows, count, y):
+    """y = a function of a row of x, row by row, within a range."""
+    for row in range(count):
+        about = view(rows, row * NUMBERS)
+        kind, factor, low, high = int(about[0]), about[2], about[3], about[4]
+        here, there = view(x, int(about[1]) * LANES), view(y, row * LANES)
+        for lane in range(LANES):
+            there[lane] = factor * here[lane]
+        if kind == ABS:
+            for lane in range(LANES):
+                there[lane] = abs(there[lane])
+        elif kind == SIGN:
+            for lane in range(LANES):
+                there[lane] = (1.0 if there[lane] > 0.0 else 0.0) - (1.0 if there[lane] < 0.0 else 0.0)
+        elif kind == SIN:
+            for lane in range(LANES):
+                there[lane] = math.sin(there[lane])
+        elif kind == COS:
+            for lane in range(LANES):
+                there[lane] = math.cos(there[lane])
+        elif kind == TANH:
+            for lane in range(LANES):
+                there[lane] = math.tanh(there[lane])
+        elif kind == EXP:
+            for lane in range(LANES):
+                there[lane] = math.exp(there[lane])
+        elif kind == SQRT_ABS:
+            for lane in range(LANES):
+                there[lane] = math.sqrt(abs(there[lane]))
+        elif kind == X_ABS:
+            for lane in range(LANES):
+                there[lane] = there[lane] * abs(there[lane])
+        for lane in range(LANES):
+            there[lane] = min(max(there[lane], low), high)

@@ -1,0 +1,220 @@
+"""From a prediction to the next carry: integration, lags, limits, rest; Runge-Kutta."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias, overload
+
+import numpy as np
+
+from sysid_evo.kernels import (
+    CACHE_LINE,
+    LANES,
+    DynamicsKernel,
+    KernelSource,
+    Layout,
+    MotionKernel,
+    Predictor,
+    load,
+    padded,
+    splat,
+    store,
+    view,
+    where_at_most,
+)
+from sysid_evo.motion_kernels import move_nothing, turn_nothing
+from sysid_evo.system import System
+from sysid_evo.types import Array
+
+Output: TypeAlias = Literal["next_state", "acceleration"]
+
+HEAD = Layout(
+    "nx",
+    "nu",
+    "state_lags",
+    "control_lags",
+    "dt",
+    "held",
+    "limited",
+    "frame",
+    "rest",
+    "limits",
+    "own",
+    align=CACHE_LINE,
+)
+
+
+@overload
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Literal["next_state"],
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
+) -> DynamicsKernel: ...
+@overload
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Output,
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
+) -> DynamicsKernel | None: ...
+def stepping_kernel(
+    predictor: Predictor,
+    system: System,
+    *,
+    output: Output,
+    lags: tuple[int, int] = (0, 0),
+    rest_band: Array | None = None,
+) -> DynamicsKernel | None:
+    """Return the kernel of a model whose predictor gives the next state or an acceleration.
+
+    None if an acceleration is to be integrated and the system's motion has no compiled form.
+    The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
+    ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
+    controls in the carry included. No state leaves the limits of its channel.
+    """
+    motion = REACHED if output == "next_state" else system.motion_kernel()
+    if motion is None:
+        return None
+    rest = np.empty(0)
+    if rest_band is not None:
+        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
+    limits = np.ravel(system.limits) if system.limited else np.empty(0)
+    parts = [padded(motion.parameters), padded(rest), padded(limits)]
+    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
+    parameters = HEAD.pack(
+        *parts,
+        predictor.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        state_lags=lags[0],
+        control_lags=lags[1],
+        dt=system.dt,
+        held=rest_band is not None,
+        limited=system.limited,
+        frame=places[0],
+        rest=places[1],
+        limits=places[2],
+        own=places[3],
+    )
+    bindings = {**predictor.bindings, "integrate": motion.integrate}
+    return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + predictor.n_scratch)
+
+
+def step(carry, control, noise, parameters, scratch):
+    """Predict, integrate, keep within limits, and shift the lags."""
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    rows = nx * LANES
+    own, room = view(parameters, int(parameters[HEAD.own])), view(scratch, rows)
+    prepare(control, own, room)
+    predict(carry, control, own, scratch, room)
+    integrate(carry, scratch, nx, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.frame])))
+    state_lags, control_lags = int(parameters[HEAD.state_lags]), int(parameters[HEAD.control_lags])
+    past = view(carry, (1 + state_lags) * rows)
+    if parameters[HEAD.limited] > 0.0:
+        limits = view(parameters, int(parameters[HEAD.limits]))
+        for row in range(nx):
+            there = load(scratch, row * LANES)
+            store(scratch, row * LANES, min(max(there, limits[row]), limits[nx + row]))
+    if parameters[HEAD.held] > 0.0:
+        hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, scratch)
+    for back in range(state_lags, 0, -1):
+        copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
+    size = nu * LANES
+    for back in range(control_lags - 1, 0, -1):
+        copy(view(past, (back - 1) * size), view(past, back * size), size)
+    if control_lags > 0:
+        copy(control, past, size)
+    copy(scratch, carry, rows)
+
+
+def reached(state, after, nx, dt, p):
+    """Leave the state as it was predicted."""
+    return
+
+
+REACHED = MotionKernel(reached, turn_nothing, move_nothing)
+"""Of a model that predicts the next state itself: there is nothing to integrate."""
+
+
+def hold(carry, control, past, control_lags, p, nx, nu, after):
+    """Put the lanes that rest under neutral control back to neutral; p: band, neutral state, neutral control."""
+    moves = splat(0.0)
+    for row in range(nu):
+        moves = moves + abs(load(control, row * LANES) - p[2 * nx + row])
+    for lag in range(control_lags):
+        for row in range(nu):
+            moves = moves + abs(load(past, (lag * nu + row) * LANES) - p[2 * nx + row])
+    for row in range(nx):
+        off = abs(load(carry, row * LANES) - p[nx + row])
+        moves = where_at_most(off, p[row], moves, 1.0)
+    for row in range(nx):
+        store(after, row * LANES, where_at_most(moves, 0.0, p[nx + row], load(after, row * LANES)))
+
+
+def copy(source, target, count):
+    """Copy ``count`` numbers, whole rows."""
+    for first in range(0, count, LANES):
+        store(target, first, load(source, first))
+
+
+RUNGE_KUTTA_HEAD = Layout("nx", "n_carry", "substeps", "h", align=CACHE_LINE)
+
+
+def runge_kutta_predictor(
+    derivative: Predictor, system: System, *, substeps: int = 1, n_carry: int | None = None
+) -> Predictor:
+    """Return a predictor of the next state from one of dx/dt.
+
+    One ``system.dt`` is cut into ``substeps``. Lags in a carry of ``n_carry`` rows (default: the
+    state alone) are held during the step.
+    """
+    rows = n_carry or system.nx
+    return Predictor(
+        KernelSource(runge_kutta, {**derivative.bindings, "NX": system.nx, "N_CARRY": rows}),
+        RUNGE_KUTTA_HEAD.pack(
+            derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps
+        ),
+        n_scratch=rows + 2 * system.nx + derivative.n_scratch,
+    )
+
+
+def runge_kutta(x, u, p, y, scratch):
+    """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
+    h, own_parameters = p[RUNGE_KUTTA_HEAD.h], view(p, RUNGE_KUTTA_HEAD.size)
+    trial = scratch
+    slope = view(scratch, N_CARRY * LANES)
+    total = view(slope, NX * LANES)
+    room = view(total, NX * LANES)
+    prepare(u, own_parameters, room)
+    copy_rows(x, trial, N_CARRY)
+    copy_rows(x, y, NX)
+    for _ in range(int(p[RUNGE_KUTTA_HEAD.substeps])):
+        for stage in range(4):
+            predict(trial, u, own_parameters, slope, room)
+            if stage == 0:
+                copy_rows(slope, total, NX)
+                move_rows(y, slope, 0.5 * h, trial, NX)
+            elif stage < 3:
+                move_rows(total, slope, 2.0, total, NX)
+                move_rows(y, slope, 0.5 * h if stage == 1 else h, trial, NX)
+            else:
+                move_rows(total, slope, 1.0, total, NX)
+                move_rows(y, total, h / 6.0, y, NX)
+                copy_rows(y, trial, NX)
+
+
+def move_rows(start, slope, time, target, count):
+    """target = start + time * slope, a row at a time: short loops need no test whether arrays overlap."""
+    for row in range(count):
+        moved = load(start, row * LANES) + splat(time) * load(slope, row * LANES)
+        store(target, row * LANES, moved)
+
+
+def copy_rows(source, target, count):
+    """Copy ``count`` rows."""
+    for row in range(count):
+        store(target, row * LANES, load(source, row * LANES))

@@ -1,0 +1,191 @@
+"""A spread for any family: noise in every step, white and lasting, calibrated on free runs it did not learn from."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.errors import NotFitted
+from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.models.base import DynamicsModel
+from sysid_evo.models.kernels.disturbances import disturbed_kernel
+from sysid_evo.types import Array
+from sysid_evo.validation.folds import unseen_parts
+from sysid_evo.validation.intervals import (
+    HORIZONS,
+    MOST_WINDOWS,
+    Case,
+    horizon_scales,
+    persistent_share,
+    usable_horizon,
+)
+
+
+class Uncertain(DynamicsModel):
+    """A family that gives a spread when it is fitted with ``stochastic``.
+
+    Every step adds normal noise to the state: sigma_k (sqrt(1 - p) w + sqrt(p) b) times a deviation, w new in every
+    step, b drawn once for a run, for what is wrong with a model is wrong all along. sigma_k depends on the number of
+    steps since the start: one for the first step, which holds the noise of the measured start, one up to 10, 20 and 60
+    steps each, so that 90 % intervals hold 90 % of targets at all four. Calibrated on free runs of models that learned
+    without them: recordings held out in turn, blocks of time if there is one recording only (`horizon_scales`).
+    The deviation is the error of one step, unless a family says otherwise (`with_deviation`).
+    """
+
+    spread_groups: ClassVar[int] = 4
+    """Of how many parts, held out in turn, the spread is learned: so many more fits."""
+    stochastic: bool = False
+
+    @property
+    def timed(self) -> bool:
+        """Whether there is noise whose size depends on the time since the start, which the carry then counts."""
+        return self.stochastic and hasattr(self, "horizon_scales_")
+
+    @property
+    def n_noise(self) -> int:
+        return self.system.nx if self.timed or (self.stochastic and hasattr(self, "noise_scale_")) else 0
+
+    @property
+    def n_draws(self) -> int:
+        return self.system.nx if self.timed else 0
+
+    @property
+    def n_carry(self) -> int:
+        return self.layout.size + (self.system.nx + 1 if self.timed else 0)
+
+    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        carry = self.lagged(states, controls)
+        if not self.timed:
+            return carry
+        lasting = np.zeros((len(carry), self.system.nx)) if draws is None else draws
+        return np.concatenate([carry, lasting, np.zeros((len(carry), 1))], axis=1)
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        if not self.timed:
+            return super().step(carry, control) if noise is None else self.disturbed(carry, control, self._one(noise))
+        size, nx = self.layout.size, self.system.nx
+        inner, lasting, count = carry[:, :size], carry[:, size : size + nx], carry[:, size + nx :]
+        if noise is None:
+            after = super().step(inner, control)
+        else:
+            scale = self.horizon_scales_[np.searchsorted(HORIZONS[:-1], count[:, 0], side="right")]
+            mixed = np.sqrt(1.0 - self.persistent_) * noise + np.sqrt(self.persistent_) * lasting
+            after = self.disturbed(inner, control, scale * mixed)
+        return np.concatenate([after, lasting, count + 1.0], axis=1)
+
+    def keep_spread(self, residual: Array, persistent: Array, scales: Array) -> None:
+        """Record the error of one step (nx,), the lasting share (nx,), and the scales of `horizon_scales`."""
+        self.residual_: Array = residual
+        self.persistent_: Array = persistent
+        self.horizon_scales_: Array = scales
+
+    def keep_one_scale(self, scale: Array) -> None:
+        """Record one scale (nx,) for all times, of a family that learns it without ``stochastic`` too."""
+        self.noise_scale_: Array = scale
+
+    def _one(self, noise: Array) -> Array:
+        """Return ``noise`` (B, nx) in deviations, of a family that also calibrates one scale without ``stochastic``."""
+        return np.asarray(self.noise_scale_ * noise)
+
+    def record(self, dataset: Dataset) -> None:
+        super().record(dataset)
+        for name in ("horizon_scales_", "persistent_", "noise_scale_", "residual_"):
+            self.__dict__.pop(name, None)
+
+    def _simulated(
+        self,
+        states: npt.ArrayLike,
+        past_controls: npt.ArrayLike | None,
+        controls: npt.ArrayLike,
+        samples: int | None,
+        rng: np.random.Generator,
+    ) -> Array:
+        if samples is not None and self.stochastic and not self.n_noise:
+            raise NotFitted(
+                f"{type(self).__name__} was not fitted with stochastic=True, so that its spread is not known: "
+                "fit it anew"
+            )
+        return super()._simulated(states, past_controls, controls, samples, rng)
+
+    def with_deviation(self, carry: Array, control: Array) -> tuple[Array, Array]:
+        """Return the next state (B, nx), and the unit of its noise, (nx,) or (B, nx)."""
+        return self.next_state(carry, control), self.residual_
+
+    def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
+        """Return the next lagged carry, its state moved by ``disturbance`` (B, nx) deviations."""
+        after, deviation = self.with_deviation(carry, control)
+        after = self.held(carry, control, after + deviation * disturbance)
+        return self.remember(carry, control, after)
+
+    def calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None] = lambda: None) -> None:
+        """Learn the spread at the end of `fit`, with ``stochastic``; fits as many more models as parts are held out."""
+        if not self.stochastic:
+            return
+        models = []
+        for seen, unseen in unseen_parts(dataset)[: self.spread_groups]:
+            models.append((self.settled().fit(seen, rng=rng, progress=lambda *_: still()), unseen))
+        self.spread_on(models, rng, still)
+
+    def settled(self) -> Uncertain:
+        """Return an unfitted model of this family with what `fit` chose, and without noise."""
+        parameters = self.get_params(deep=False)
+        chosen = {
+            name: getattr(self, f"{name}_")
+            for name, value in parameters.items()
+            if value is None and hasattr(self, f"{name}_")
+        }
+        found: Uncertain = self.unfitted().set_params(**{**chosen, "stochastic": False})
+        return found
+
+    def spread_on(
+        self,
+        models: Sequence[tuple[Uncertain, Dataset]],
+        rng: np.random.Generator,
+        still: Callable[[], None],
+        *,
+        own_deviation: bool = False,
+    ) -> None:
+        """Set residual, persistent share and scales from ``models`` and the parts that each did not learn from."""
+        errors, numbers, begin = [], [], 0
+        for model, part in models:
+            windows = part.windows(1, history=model.n_lags)
+            carry = model.lagged(windows.past_states, windows.past_controls)
+            after = model.next_state(carry, windows.controls[:, 0])
+            errors.append(self.system.difference(windows.states[:, 0], after))
+            numbers.append(begin + windows.start + windows.episode * (int(windows.start.max(initial=0)) + 10))
+            begin = int(numbers[-1].max(initial=begin)) + 10
+        pooled = np.concatenate(errors)
+        residual = np.sqrt(np.mean(pooled**2, axis=0))
+        persistent = persistent_share(pooled, np.concatenate(numbers))
+        horizon = usable_horizon([part for _, part in models], self.n_lags)
+        for model, _ in models:
+            if not own_deviation:
+                model.residual_ = residual
+        cases = [Case.of(model, part, horizon, MOST_WINDOWS // len(models)) for model, part in models]
+        scales = horizon_scales(cases, persistent, rng, still=still)
+        self.keep_spread(residual, persistent, scales)
+
+    @functools.cached_property
+    def _stepping_kernel(self) -> DynamicsKernel | None:
+        return self._disturbed_kernel() if self.timed else super()._stepping_kernel
+
+    def _disturbed_kernel(self) -> DynamicsKernel | None:
+        """Return the compiled form with noise, where its unit is the same in all states."""
+        if self.rest_hold or type(self).with_deviation is not Uncertain.with_deviation:
+            return None
+        quiet = self.variant(stochastic=False).kernel()
+        if quiet is None:
+            return None
+        return disturbed_kernel(
+            quiet,
+            self.system,
+            self.layout.size,
+            edges=HORIZONS[:-1],
+            white=self.horizon_scales_ * self.residual_ * np.sqrt(1.0 - self.persistent_),
+            lasting=self.horizon_scales_ * self.residual_ * np.sqrt(self.persistent_),
+        )

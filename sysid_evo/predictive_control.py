@@ -1,0 +1,176 @@
+"""Controllers that plan with a model: MPPI, and one whose model adapts while it drives."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from sysid_evo.controllers.controller import Controller, View
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.storage import load_model
+from sysid_evo.registry.registry import make_robot, register_controller
+from sysid_evo.tasks.task import Task
+from sysid_evo.types import Array, check_shape
+
+if TYPE_CHECKING:
+    from sysid_evo.engine.imagined import Imagination
+
+
+LEVELS = np.array([1.0, 0.0, -1.0])
+
+SETS = 8
+"""Sets of random sequences, of which every step uses the next."""
+
+
+@register_controller("predictive")
+class Predictive(Controller):
+    """Model predictive path integral control: state-based control with a model inside (MPPI).
+
+    At every step it imagines what the task would make of ``samples`` sequences of outputs over ``horizon`` steps: the
+    plan of the step before, each constant sequence of full and no output, and random variations of the plan, each
+    kept for ``hold`` steps. The new plan is their mean, weighted by exp((score - best) / (temperature sigma)), sigma
+    the standard deviation of the scores; its first outputs are given. The score is the task's own fitness
+    with its `Task.promise`, of what may be known of the trial (`Task.foreseen`).
+
+    ``model`` is the file of a fitted model, the name of an emulated robot, a `Dynamics`, or a list of these: then the
+    lowest of the scores counts. The two parameters are the logarithms of the temperature and of the ``spread`` of the
+    variations, relative to those given: with zeros it plans as it was made. Its random sequences follow
+    from ``seed`` alone. What it imagines runs compiled where model and task have a compiled form, the rest in NumPy.
+
+    Source: Williams, Aldrich and Theodorou, "Model Predictive Path Integral Control", J. Guidance 40 (2017).
+    """
+
+    hand_written: ClassVar[bool] = True
+    unwritten: ClassVar[str] = (
+        "it plans with a whole model at every sample. Evolve a network in that model and export it"
+    )
+    n_parameters = 2
+
+    def __init__(
+        self,
+        *,
+        model: str | Dynamics | Sequence[str | Dynamics],
+        horizon: int = 30,
+        samples: int = 64,
+        temperature: float = 0.1,
+        spread: float = 0.8,
+        hold: int = 8,
+        seed: int = 0,
+    ) -> None:
+        if horizon < 1 or samples < 2 or hold < 1 or not (0.0 < temperature < np.inf and 0.0 < spread < np.inf):
+            raise InvalidArgument(
+                "predictive: expected horizon, hold >= 1, samples >= 2, temperature, spread > 0, "
+                f"got {horizon}, {hold}, {samples}, {temperature}, {spread}"
+            )
+        self.model, self.horizon, self.samples = model, horizon, samples
+        self.temperature, self.spread, self.hold, self.seed = temperature, spread, hold, seed
+
+    def bind_to(self, task: Task) -> Self:
+        from sysid_evo.engine.imagined import Imagination
+
+        models = [self.model] if isinstance(self.model, (str, Dynamics)) else list(self.model)
+        if not models:
+            raise InvalidArgument("predictive: expected at least one model, got none")
+        bound = copy.copy(self)
+        bound.imagined = tuple(Imagination(inner_model("predictive", model, task), task) for model in models)
+        bound.task, bound.n_lags = task, max(imagined.dynamics.n_lags for imagined in bound.imagined)
+        system = task.system
+        bound.n_memory = self.horizon * system.nu + 2 + bound.n_lags * (system.nx + system.nu)
+        bound.constant, bound.random = self._sequences(system.nu)
+        return bound
+
+    task: Task
+    imagined: tuple[Imagination, ...]
+    n_lags: int
+    constant: Array
+    random: Array
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        check_shape("parameters", parameters, (None, self.n_parameters))
+        system, grid = self.task.system, view.state.shape[:2]
+        nu, size = system.nu, self.horizon * system.nu
+        flat = memory.reshape(-1, self.n_memory)
+        state = view.state.reshape(-1, system.nx)
+        plan, steps = flat[:, :size].reshape(-1, self.horizon, nu), flat[:, size + 1]
+        past_states, past_controls = self._past(flat[:, size:], state)
+        temperature, spread = (
+            np.repeat(made * np.exp(np.clip(logarithm, -5.0, 5.0)), grid[1])
+            for made, logarithm in zip((self.temperature, self.spread), parameters.T, strict=True)
+        )
+        sequences = self._variations(plan, steps, spread)
+        states = np.concatenate([past_states, state[:, None]], axis=1)
+        known = self.task.foreseen(view.task_state)
+        scores = np.min([one.scores(states, past_controls, sequences, known) for one in self.imagined], axis=0)
+        better = scores - scores.max(axis=0)
+        weights = np.exp(better / (temperature * scores.std(axis=0) + 1e-12))
+        plan = np.einsum("kb,kbhu->bhu", weights / weights.sum(axis=0), sequences)
+        raw = plan[:, 0]
+        control = system.actuate(raw)
+        kept_states = states[:, 1:]
+        kept_controls = np.concatenate([past_controls, control[:, None]], axis=1)[:, 1:]
+        later = np.concatenate([plan[:, 1:], plan[:, -1:]], axis=1)
+        parts = (later, np.ones((len(flat), 1)), steps[:, None] + 1.0, kept_states, kept_controls)
+        after = np.concatenate([part.reshape(len(flat), -1) for part in parts], axis=1)
+        return raw.reshape(*grid, nu), after.reshape(memory.shape)
+
+    def _past(self, rest: Array, state: Array) -> tuple[Array, Array]:
+        """Return the last ``n_lags`` states and controls, (B, n_lags, nx) and (B, n_lags, nu), padded at first."""
+        system, begun = self.task.system, rest[:, 0] > 0.0
+        cut = 2 + self.n_lags * system.nx
+        states = rest[:, 2:cut].reshape(len(rest), self.n_lags, system.nx)
+        controls = rest[:, cut:].reshape(len(rest), self.n_lags, system.nu)
+        states = np.where(begun[:, None, None], states, state[:, None])
+        return states, np.where(begun[:, None, None], controls, system.neutral_control)
+
+    def _sequences(self, nu: int) -> tuple[Array, Array]:
+        """Return constant sequences (k, horizon, nu) and sets of random ones (SETS, n, horizon, nu)."""
+        corners = np.stack(np.meshgrid(*[LEVELS] * nu, indexing="ij"), axis=-1).reshape(-1, nu)
+        if len(corners) > self.samples // 2:
+            corners = np.repeat(LEVELS[:, None], nu, axis=1)[: self.samples // 2]
+        constant = np.tile(corners[:, None], (1, self.horizon, 1))
+        n, pieces = self.samples - 1 - len(constant), -(-self.horizon // self.hold) + 1
+        rng = np.random.default_rng(self.seed)
+        drawn = np.repeat(rng.standard_normal((SETS, n, pieces, nu)), self.hold, axis=2)
+        first = rng.integers(0, self.hold, (SETS, n))
+        places = first[..., None] + np.arange(self.horizon)
+        return constant, np.take_along_axis(drawn, places[..., None], axis=2)
+
+    def _variations(self, plan: Array, steps: Array, spread: Array) -> Array:
+        """Return all sequences that are imagined, (samples, B, horizon, nu)."""
+        drawn = self.random[steps.astype(np.int64) % SETS].transpose(1, 0, 2, 3)
+        varied = np.clip(plan + spread[:, None, None] * drawn, -1.0, 1.0)
+        constant = np.broadcast_to(self.constant[:, None], (len(self.constant), *plan.shape))
+        return np.concatenate([plan[None], constant, varied])
+
+
+def inner_model(what: str, model: str | Dynamics, task: Task) -> Dynamics:
+    """Return the dynamics that ``model`` names, for the controller ``what`` at a bound ``task``.
+
+    Raises `ArtefactError` and `UnknownName` for what is not there, `IncompatibleTask` for a model of another system.
+    """
+    dynamics = model if isinstance(model, Dynamics) else _named(what, model)
+    differences = task.system.differences(dynamics.system)
+    if differences:
+        raise IncompatibleTask(f"{what}: the model is of another system: {'; '.join(differences)}")
+    return dynamics
+
+
+def _named(what: str, model: str) -> Dynamics:
+    file = Path(f"{model.removesuffix('.safetensors').removesuffix('.json')}.json")
+    if file.is_file() or file.suffix == Path(model).suffix:
+        return _stored(file.resolve(), file.stat().st_mtime_ns if file.is_file() else 0)
+    dynamics: Dynamics | None = make_robot(model).dynamics
+    if dynamics is None:
+        raise InvalidArgument(f"{what}: {model} is a physical robot; give the file of a model")
+    return dynamics
+
+
+@lru_cache(maxsize=16)
+def _stored(file: Path, _changed: int) -> Dynamics:
+    return load_model(file)

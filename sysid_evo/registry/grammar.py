@@ -1,0 +1,172 @@
+"""The grammar that names everything that has a name: ``label=NAME(parameter=value, ...)``."""
+
+from __future__ import annotations
+
+import ast
+import keyword
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sysid_evo.errors import InvalidArgument
+
+PIECE = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w*)\s*(?P<arguments>\(.*\))?", re.DOTALL)
+
+SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d+)")
+
+WORDS: dict[str, Any] = {"true": True, "false": False, "none": None}
+
+OPEN, CLOSE, QUOTES = "([{", ")]}", "'\""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A registered name, the parameters to make it with, and what it is called where several stand side by side.
+
+    The text of a spec is ``NAME(parameter=value, ...)``, before it ``label=`` if it has a label of its own.
+    Values are numbers, text (quotes may be left out around a word), true, false, none, lists and tables; a
+    parameter that is itself a registered thing is written in the same grammar and handed over as text.
+    ``NAME:SEED`` stands for ``NAME(seed=SEED)``.
+    """
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", self.name)
+
+    def __hash__(self) -> int:
+        return hash(str(self))
+
+    @classmethod
+    def parse(cls, text: str) -> Spec:
+        """Read one spec. Raises `InvalidArgument` that says what cannot be read."""
+        pieces = split(text)
+        if len(pieces) != 1:
+            raise InvalidArgument(f"expected one NAME(parameter=value, ...), got {text!r}")
+        return _parse(pieces[0])
+
+    @classmethod
+    def parse_many(cls, text: str) -> tuple[Spec, ...]:
+        """Read specs separated by commas. Raises `InvalidArgument`, also if two have the same label."""
+        return distinct(tuple(_parse(piece) for piece in split(text)))
+
+    @property
+    def text(self) -> str:
+        """The spec without its label: what decides what is made."""
+        if not self.parameters:
+            return self.name
+        inside = ", ".join(f"{name}={_written(value)}" for name, value in self.parameters.items())
+        return f"{self.name}({inside})"
+
+    def __str__(self) -> str:
+        if self.label == self.name or SHORTHAND.fullmatch(self.label):
+            return self.text
+        return f"{self.label}={self.text}"
+
+    def with_parameters(self, **parameters: Any) -> Spec:
+        """Return this spec with further parameters; those it names already keep their values."""
+        return Spec(self.name, {**parameters, **self.parameters}, self.label)
+
+
+def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
+    """Return ``specs`` if their labels differ. Raises `InvalidArgument` that says how to tell them apart."""
+    labels = [spec.label for spec in specs]
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    if repeated:
+        name = repeated[0]
+        raise InvalidArgument(
+            f"{name!r} stands there {labels.count(name)} times; give each a label of its own, "
+            f"such as a={name}, b={name}(...)"
+        )
+    return specs
+
+
+def split(text: str) -> list[str]:
+    """Split at the commas outside brackets and quotes; empty pieces are refused."""
+    pieces, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in QUOTES:
+            quote = character
+        elif character in OPEN + CLOSE:
+            depth += 1 if character in OPEN else -1
+        elif character == "," and depth == 0:
+            pieces.append("")
+            continue
+        pieces[-1] += character
+    if depth or quote:
+        raise InvalidArgument(f"expected NAME(parameter=value, ...), got {text!r}: a bracket or quote is not closed")
+    stripped = [piece.strip() for piece in pieces]
+    if not any(stripped):
+        raise InvalidArgument("expected NAME or NAME(parameter=value, ...), got an empty text")
+    if not all(stripped):
+        raise InvalidArgument(f"expected something before and after every comma, got {text!r}")
+    return stripped
+
+
+def _parse(piece: str) -> Spec:
+    shorthand = SHORTHAND.fullmatch(piece)
+    if shorthand:
+        return Spec(shorthand["name"], {"seed": int(shorthand["seed"])}, piece)
+    found = PIECE.fullmatch(piece)
+    if found is None:
+        path = "no such file, and no " if "/" in piece or piece.endswith(".json") else "expected "
+        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {piece!r}")
+    return Spec(found["name"], _arguments(piece, found["arguments"] or "()"), found["label"] or "")
+
+
+def _arguments(piece: str, text: str) -> dict[str, Any]:
+    try:
+        call = ast.parse(f"f{text}", mode="eval").body
+    except SyntaxError as error:
+        raise InvalidArgument(f"{piece!r} cannot be read: {error.msg}") from error
+    plain = isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args
+    if not isinstance(call, ast.Call) or not plain or any(argument.arg is None for argument in call.keywords):
+        raise InvalidArgument(f"{piece!r}: expected parameter=value between the brackets, separated by commas")
+    found: dict[str, Any] = {}
+    for argument in call.keywords:
+        assert argument.arg is not None
+        if argument.arg in found:
+            raise InvalidArgument(f"{piece!r}: {argument.arg} is given twice")
+        found[argument.arg] = _value(piece, argument.value)
+    return found
+
+
+def _value(piece: str, node: ast.expr) -> Any:
+    if isinstance(node, ast.Name):
+        return WORDS.get(node.id.lower(), node.id)
+    if isinstance(node, ast.Call):
+        return str(Spec.parse(ast.unparse(node)))
+    if isinstance(node, (ast.List, ast.Tuple)):
+        return [_value(piece, item) for item in node.elts]
+    if isinstance(node, ast.Dict) and all(isinstance(key, (ast.Name, ast.Constant)) for key in node.keys):
+        return {str(_key(key)): _value(piece, item) for key, item in zip(node.keys, node.values, strict=True)}
+    try:
+        value = ast.literal_eval(node)
+    except ValueError:
+        value = ...
+    if value is not None and not isinstance(value, (bool, int, float, str)):
+        raise InvalidArgument(
+            f"{piece!r}: {ast.unparse(node)!r} is no value; expected a number, text, true, false, none or a list"
+        )
+    return value
+
+
+def _key(node: ast.expr | None) -> Any:
+    return node.id if isinstance(node, ast.Name) else getattr(node, "value", "")
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, str):
+        plain = value.isascii() and value.isidentifier() and not keyword.iskeyword(value) and value.lower() not in WORDS
+        return value if plain else repr(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key!r}: {_written(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_written, value)) + "]"
+    return {True: "true", False: "false", None: "none"}[value] if isinstance(value, (bool, type(None))) else repr(value)

@@ -1,0 +1,241 @@
+"""Set_point, track_reference, swing_up, balance."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from sysid_evo.angles import TURN
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.registry.registry import register_task
+from sysid_evo.system import System
+from sysid_evo.tasks.tracking import Following, Goal, Names, Numbers, goals_of, places
+from sysid_evo.types import Array
+
+
+@register_task("set_point")
+class SetPoint(Following):
+    """Every trial draws a value for each of ``channels`` (default: the first state) and holds it to the end.
+
+    Values are uniform from ``low`` to ``high``: by default the middle half of the channel's limits, or 1 either side
+    of neutral. ``tolerance`` is by default a twentieth of that, ``still`` (per second) infinite. A trial begins at
+    rest, ``spread`` off at most, and is over once an error exceeds ``end``. Each is one number, or a list with one
+    for each channel, in its unit. See `Following` for the score, the observations and ``effort``.
+    """
+
+    name: ClassVar[str] = "set_point"
+
+    def __init__(
+        self,
+        *,
+        channels: Names = "",
+        low: Numbers = None,
+        high: Numbers = None,
+        tolerance: Numbers = None,
+        still: Numbers = math.inf,
+        spread: Numbers = 0.0,
+        end: Numbers = math.inf,
+        effort: float = 0.0,
+        horizon: int = 300,
+    ) -> None:
+        super().__init__(effort=effort, horizon=horizon)
+        self.channels, self.low, self.high = channels, low, high
+        self.tolerance, self.still, self.spread, self.end = tolerance, still, spread, end
+
+    def goals_on(self, system: System) -> tuple[Goal, ...]:
+        return goals_of(
+            self.name,
+            system,
+            self.channels,
+            self.low,
+            self.high,
+            self.tolerance,
+            still=self.still,
+            spread=self.spread,
+            end=self.end,
+        )
+
+    def references(self, rng: np.random.Generator) -> Array:
+        return np.array([[rng.uniform(goal.low, goal.high) for goal in self.goals]])
+
+
+KINDS = ("sine", "steps", "random_walk")
+
+PERIODS = 4.0
+"""Periods of the reference that fit into a trial, where no period is given."""
+
+
+@register_task("track_reference")
+class TrackReference(Following):
+    """Follow a reference in each of ``channels``, drawn anew for every trial, between ``low`` and ``high``.
+
+    ``kind`` is "sine" (amplitude from a third to all of the range, period from ``period`` to twice that, any phase),
+    "steps" (a new value at random times, ``period`` s apart on average), or "random_walk" (it crosses the range in
+    about one ``period``, and is reflected at its ends). ``period`` is by default a quarter of the trial. The
+    controller is shown the error of now, not what comes. All else is as for `SetPoint`.
+    """
+
+    name: ClassVar[str] = "track_reference"
+    changes = True
+    starts_at_target = True
+
+    def __init__(
+        self,
+        *,
+        channels: Names = "",
+        kind: str = "sine",
+        period: float | None = None,
+        low: Numbers = None,
+        high: Numbers = None,
+        tolerance: Numbers = None,
+        spread: Numbers = 0.0,
+        effort: float = 0.0,
+        horizon: int = 300,
+    ) -> None:
+        super().__init__(effort=effort, horizon=horizon)
+        if kind not in KINDS or (period is not None and not period > 0.0):
+            raise InvalidArgument(
+                f"track_reference: expected kind {', '.join(KINDS)} and period > 0 s, got {kind!r} and {period}"
+            )
+        self.channels, self.low, self.high = channels, low, high
+        self.kind, self.period, self.tolerance, self.spread = kind, period, tolerance, spread
+
+    def goals_on(self, system: System) -> tuple[Goal, ...]:
+        return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, spread=self.spread)
+
+    def references(self, rng: np.random.Generator) -> Array:
+        dt = self.system.dt
+        period = self.horizon * dt / PERIODS if self.period is None else self.period
+        draw = {"sine": _sine, "steps": _steps, "random_walk": _random_walk}[self.kind]
+        shares = [draw(self.horizon + 1, period / dt, rng) for _ in self.goals]
+        return np.stack(
+            [goal.low + (goal.high - goal.low) * share for goal, share in zip(self.goals, shares, strict=True)], axis=1
+        )
+
+
+def _sine(samples: int, period: float, rng: np.random.Generator) -> Array:
+    """Return a sine within 0 and 1, (samples,); ``period`` is in samples."""
+    amplitude, turn = 0.5 * rng.uniform(1.0 / 3.0, 1.0), TURN / (period * rng.uniform(1.0, 2.0))
+    return np.asarray(0.5 + amplitude * np.sin(turn * np.arange(samples) + rng.uniform(0.0, TURN)))
+
+
+def _steps(samples: int, period: float, rng: np.random.Generator) -> Array:
+    """Return values from 0 to 1 that jump at random times, (samples,)."""
+    jumps = rng.random(samples) < 1.0 / period
+    return np.asarray(rng.random(samples)[np.maximum.accumulate(np.where(jumps, np.arange(samples), 0))])
+
+
+def _random_walk(samples: int, period: float, rng: np.random.Generator) -> Array:
+    """Return a random walk that is reflected at 0 and 1, (samples,)."""
+    walk = rng.random() + np.cumsum(rng.standard_normal(samples)) / np.sqrt(period)
+    return np.asarray(1.0 - np.abs(walk % 2.0 - 1.0))
+
+
+class Upright(Following):
+    """What `SwingUp` and `Balance` share: one periodic state, by default the first, and its ``target``.
+
+    The target is by default half a period from neutral: upright, where neutral is hanging.
+    """
+
+    def __init__(
+        self,
+        *,
+        channel: str,
+        target: float | None,
+        tolerance: float,
+        still: float,
+        spread: float,
+        effort: float,
+        horizon: int,
+    ) -> None:
+        super().__init__(effort=effort, horizon=horizon)
+        self.channel, self.target = channel, target
+        self.tolerance, self.still, self.spread = tolerance, still, spread
+
+    end = math.inf
+
+    def goals_on(self, system: System) -> tuple[Goal, ...]:
+        name = self.channel or next((state.name for state in system.states if state.period), "")
+        if not name:
+            raise IncompatibleTask(
+                f"{self.name} needs a periodic state such as an angle; the states of "
+                f"{system.name or 'this system'} are {', '.join(system.state_names) or 'none'}. Give it a period, or "
+                "name the state with channel="
+            )
+        (place,) = places(self.name, (name,), system)
+        state = system.states[place]
+        usual = state.neutral + 0.5 * (state.period or 0.0)
+        target = usual if self.target is None else self.target
+        return (Goal(state, place, target, target, self.tolerance, self.still, self.spread, self.end),)
+
+    def references(self, rng: np.random.Generator) -> Array:
+        return np.array([[goal.low for goal in self.goals]])
+
+
+@register_task("swing_up")
+class SwingUp(Upright):
+    """Bring an angle from rest to the top and keep it there.
+
+    ``channel`` is a periodic state (default: the first), ``target`` its value at the top (half a period from neutral).
+    Trials begin at rest, ``spread`` rad off at most. See `Following` for the score with ``tolerance`` (rad) and
+    ``still`` (rad/s: who spins through the top gains little), the observations and ``effort``.
+    """
+
+    name: ClassVar[str] = "swing_up"
+
+    def __init__(
+        self,
+        *,
+        channel: str = "",
+        target: float | None = None,
+        tolerance: float = 0.5,
+        still: float = 3.0,
+        spread: float = 0.2,
+        effort: float = 0.0,
+        horizon: int = 300,
+    ) -> None:
+        super().__init__(
+            channel=channel,
+            target=target,
+            tolerance=tolerance,
+            still=still,
+            spread=spread,
+            effort=effort,
+            horizon=horizon,
+        )
+
+
+@register_task("balance")
+class Balance(Upright):
+    """Keep an angle at the top, from ``spread`` rad off at most; a trial is over once it is ``end`` rad off.
+
+    ``channel``, ``target``, ``tolerance``, ``still`` and ``effort`` are as for `SwingUp`.
+    """
+
+    name: ClassVar[str] = "balance"
+    starts_at_target = True
+
+    def __init__(
+        self,
+        *,
+        channel: str = "",
+        target: float | None = None,
+        tolerance: float = 0.1,
+        still: float = math.inf,
+        spread: float = 0.1,
+        end: float = 0.8,
+        effort: float = 0.0,
+        horizon: int = 300,
+    ) -> None:
+        super().__init__(
+            channel=channel,
+            target=target,
+            tolerance=tolerance,
+            still=still,
+            spread=spread,
+            effort=effort,
+            horizon=horizon,
+        )
+        self.end = end

@@ -1,0 +1,512 @@
+"""Leading states to targets: Goal, the score and what is shown, written once as scalar laws."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, TypeAlias, cast
+
+import numpy as np
+
+from sysid_evo.angles import TURN, wrap
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.kernels import LANES, KernelSource, TaskKernel, view
+from sysid_evo.randomness import TASK_STREAM, generator
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.kernels import CONTROL, FOLLOWING_HEAD, FOLLOWING_ROWS, GOAL, NEVER, STATE, following_advance
+from sysid_evo.tasks.task import Scene, Target, Task, TaskState
+from sysid_evo.types import Array, BoolArray, IntArray, Seeds
+
+SETTLED = 0.9
+"""A state has settled if it stays within its tolerance from this share of the trial on."""
+
+SHOWN = 10.0
+"""An error of so many tolerances is observed as 1."""
+
+
+@dataclass(frozen=True)
+class FollowingState(TaskState):
+    """Where B trials stand that are led along a reference of m channels.
+
+    ``reference`` (E, K, m) holds the targets of each of E trials, K = 1 where they do not change, else one for each
+    sample; ``step`` (B,) is the number of steps so far. ``score`` (B,) is the fitness so far; ``squared`` (B,)
+    the sum of square errors in tolerances; ``late`` (B,) the last step at which an error exceeded its tolerance;
+    ``reached`` (B,) whether none ever did so; ``beyond`` (B,) how far the states went past their targets after
+    that, in shares of the ``first`` error (B, m).
+    """
+
+    shared: ClassVar[frozenset[str]] = frozenset({"reference", "goals"})
+
+    reference: Array
+    goals: tuple[Goal, ...]
+    trial: IntArray
+    step: IntArray
+    score: Array
+    squared: Array
+    late: IntArray
+    reached: BoolArray
+    beyond: Array
+    first: Array
+
+    @property
+    def target(self) -> Array:
+        """What is wanted now, (B, m)."""
+        return self.reference[self.trial, np.minimum(self.step, self.reference.shape[1] - 1)]
+
+
+class Following(Task):
+    """Fitness is the mean over the horizon, in per cent, of what each step scores.
+
+    A step scores ``c = 1 / (1 + sum (error / tolerance)^2 + (change per second / still)^2)`` over all channels:
+    1 at rest on the target, a half at one tolerance; so a channel with a small tolerance weighs more. With a weight
+    ``effort`` it scores ``(c + effort (1 - p)) / (1 + effort)``, p the mean over the controls of the square of their
+    share of the full one.
+    Errors of periodic channels count the shortest way round. A trial that is over early scores nothing from then on.
+
+    A class gives `goals` and `references`; ``starts_at_target`` says where its trials begin, else at rest.
+
+    The observations are a bias (always 1); every state, scaled by its limits if it has both (-1 to 1), a periodic
+    one as sine and cosine; and the error of every target in tens of tolerances, a periodic one as sine and cosine.
+    """
+
+    usual_noise: ClassVar[str] = "envelope(process=0.02)"
+    """A model without noise never leaves the target that it rests on: nothing shows what would bring it back."""
+    fitness_unit = "% of full score"
+    observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
+    starts_at_target = False
+    changes = False
+    """Whether targets change within a trial."""
+    name: ClassVar[str]
+    goals: tuple[Goal, ...] = ()
+
+    def __init__(self, *, effort: float = 0.0, horizon: int = 300) -> None:
+        if not isinstance(horizon, int) or horizon < 1 or effort < 0.0:
+            raise InvalidArgument(
+                f"{self.name}: expected horizon >= 1 steps and effort >= 0, got {horizon} and {effort}"
+            )
+        self.effort = effort
+        self.horizon = horizon
+
+    @abstractmethod
+    def goals_on(self, system: System) -> tuple[Goal, ...]:
+        """Return what is wanted on ``system``. Raises `IncompatibleTask`, `InvalidArgument`."""
+
+    @abstractmethod
+    def references(self, rng: np.random.Generator) -> Array:
+        """Return the targets of one trial, (1, m), or (horizon + 1, m) where they change; the task is bound."""
+
+    def check_system(self, system: System) -> None:
+        for goal in self.goals_on(system):
+            if not (min(goal.tolerance, goal.still, goal.end) > 0.0 and goal.low <= goal.high and goal.spread >= 0.0):
+                raise InvalidArgument(
+                    f"{self.name}: {goal.channel.name}: expected low <= high, tolerance, still and end > 0, "
+                    f"spread >= 0, got {goal.low:g}, {goal.high:g}; {goal.tolerance:g}, {goal.still:g}, "
+                    f"{goal.end:g}; {goal.spread:g}"
+                )
+
+    def bind(self, system: System) -> Self:
+        bound = super().bind(system)
+        bound.goals = self.goals_on(system)
+        bound.observations = observations(system, bound.goals)
+        return bound
+
+    def begin(self, seeds: Seeds) -> FollowingState:
+        trials, system, goals = len(seeds), self.system, self.goals
+        spread = np.array([goal.spread for goal in goals])
+        generators = [generator(seed, TASK_STREAM) for seed in seeds]
+        off = np.array([spread * rng.uniform(-1.0, 1.0, len(spread)) for rng in generators])
+        reference = np.array([self.references(rng) for rng in generators])
+        state = np.tile(system.neutral_state, (trials, 1))
+        at = [goal.place for goal in goals]
+        start = reference[:, 0] if self.starts_at_target else state[:, at]
+        state[:, at] = start + off
+        return FollowingState(
+            state=state,
+            pose=np.zeros((trials, system.n_pose)),
+            alive=np.ones(trials, dtype=bool),
+            reference=reference,
+            goals=goals,
+            trial=np.arange(trials),
+            step=np.zeros(trials, dtype=np.int64),
+            score=np.zeros(trials),
+            squared=np.zeros(trials),
+            late=np.zeros(trials, dtype=np.int64),
+            reached=np.zeros(trials, dtype=bool),
+            beyond=np.zeros(trials),
+            first=self._errors(reference[:, 0], state),
+        )
+
+    def observe(self, task_state: TaskState, state: Array) -> Array:
+        here = cast("FollowingState", task_state)
+        columns = shown_states(self.system, state)
+        errors = here.target - state[:, [goal.place for goal in self.goals]]
+        for goal, error in zip(self.goals, errors.T, strict=True):
+            columns += _shown(goal.channel, error, 0.0, 1.0 / (SHOWN * goal.tolerance))
+        return np.stack(columns, axis=1)
+
+    def formulas(self) -> Mapping[str, str]:
+        found = formulas_of_states(self.system)
+        for goal in self.goals:
+            name = goal.channel.name
+            found |= _formula(goal.channel, f"{name}_error", f"target - {name}", 0.0, 1.0 / (SHOWN * goal.tolerance))
+        return found
+
+    def advance(
+        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
+    ) -> tuple[TaskState, Array]:
+        here = cast("FollowingState", task_state)
+        moved = replace(here, step=here.step + 1)
+        tolerance, still, end = np.array([(goal.tolerance, goal.still, goal.end) for goal in self.goals]).T
+        errors = self._errors(moved.target, after)
+        rates = self._errors(after[:, [goal.place for goal in self.goals]], before) / self.system.dt
+        off = np.abs(errors) > tolerance
+        squares = ((errors / tolerance) ** 2).sum(axis=1)
+        moving = ((rates / still) ** 2).sum(axis=1)
+        reached = here.reached | ~off.any(axis=1)
+        past = (-np.sign(here.first) * errors / np.maximum(np.abs(here.first), tolerance)).max(axis=1)
+        gained = (1.0 / (1.0 + squares + moving) + self.effort * (1.0 - self._power(control))) / (1.0 + self.effort)
+        advanced = replace(
+            moved,
+            pose=self.system.move(here.pose, before, after) if pose is None else pose,
+            score=here.score + 100.0 / self.horizon * gained,
+            squared=here.squared + squares,
+            late=np.where(off.any(axis=1), moved.step, here.late),
+            reached=reached,
+            beyond=np.where(reached, np.maximum(here.beyond, past), here.beyond),
+            alive=here.alive & ~(np.abs(errors) > end).any(axis=1),
+        )
+        return advanced, after
+
+    def fitness(self, task_state: TaskState) -> Array:
+        return cast("FollowingState", task_state).score
+
+    def measures(self, task_state: TaskState) -> Mapping[str, Array]:
+        """Return how well the targets were met: settling and overshoot, or the error where targets change."""
+        here = cast("FollowingState", task_state)
+        if here.reference.shape[1] > 1:
+            steps = np.maximum(1, here.step) * len(here.goals)
+            return {"error (tolerances, rms)": np.sqrt(here.squared / steps)}
+        settled = here.alive & (here.late <= SETTLED * here.step)
+        return {
+            "settled (% of trials)": 100.0 * settled,
+            "settling time (s)": np.where(settled, here.late * self.system.dt, np.nan),
+            "overshoot (%)": np.where(here.reached, 100.0 * here.beyond, np.nan),
+        }
+
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        """Return the targets of one trial at every sample, by the names of their channels."""
+        here = cast("FollowingState", task_state)
+        values = here.reference[here.trial[trial]]
+        return Scene(
+            targets=tuple(
+                Target(goal.channel, goal.place, column.copy(), goal.tolerance)
+                for goal, column in zip(here.goals, values.T, strict=True)
+            )
+        )
+
+    def kernel(self) -> TaskKernel[Any] | None:
+        return following_kernel(self)
+
+    def _errors(self, target: Array, state: Array) -> Array:
+        """Return target minus state (B, m), of periodic channels the shortest way round."""
+        errors = target - state[:, [goal.place for goal in self.goals]]
+        for i, goal in enumerate(self.goals):
+            if goal.period:
+                errors[:, i] = wrap(errors[:, i], goal.period)
+        return errors
+
+    def _power(self, control: Array) -> Array:
+        """Return the mean square share of the full controls (B,), 0 without a command."""
+        if not self.system.nu:
+            return np.zeros(len(control))
+        return np.mean(((control - self.system.neutral_control) * full_controls(self.system)) ** 2, axis=1)
+
+
+def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]:
+    """Return what a controller of `Following` is shown."""
+    shown = [(channel, channel.name) for channel in system.states]
+    shown += [(goal.channel, f"{goal.channel.name}_error") for goal in goals]
+    found = [Channel("bias", neutral=1.0)]
+    for channel, name in shown:
+        found += [Channel(f"sin_{name}"), Channel(f"cos_{name}")] if channel.period else [Channel(name)]
+    return tuple(found)
+
+
+def shown_states(system: System, state: Array) -> list[Array]:
+    """Return a bias and what is shown of every state (B, nx), (B,) each."""
+    columns = [np.ones(len(state))]
+    for channel, values in zip(system.states, state.T, strict=True):
+        columns += _shown(channel, values, *scaling(channel))
+    return columns
+
+
+def scaling(channel: Channel) -> tuple[float, float]:
+    """Return centre and scale: (value - centre) scale is -1 to 1 between the limits of a state that has both."""
+    if not channel.bounded:
+        return 0.0, 1.0
+    return 0.5 * (channel.low + channel.high), 2.0 / (channel.high - channel.low)
+
+
+def formulas_of_states(system: System) -> dict[str, str]:
+    """Return how what `shown_states` shows is computed, by the name of the observation."""
+    found: dict[str, str] = {}
+    for channel in system.states:
+        found |= _formula(channel, channel.name, channel.name, *scaling(channel))
+    return found
+
+
+def _formula(channel: Channel, name: str, value: str, centre: float, scale: float) -> dict[str, str]:
+    """Return the formulas of what `_shown` shows of a ``value``; none for what is shown as it is."""
+    if channel.period:
+        factor = "" if math.isclose(channel.period, TURN) else f"{TURN / channel.period:.10g} "
+        inside = f"{factor}({value})" if factor and " " in value else f"{factor}{value}"
+        return {f"sin_{name}": f"sin({inside})", f"cos_{name}": f"cos({inside})"}
+    unit = f" {channel.unit}" if channel.unit else ""
+    if (centre, scale) == (0.0, 1.0):
+        return {name: f"{value}, in{unit}" if unit else value} if unit or value != name else {}
+    off = f"{value} {'-' if centre > 0.0 else '+'} {abs(centre):.10g}{unit}" if centre else value
+    return {name: f"{f'({off})' if ' ' in off else off} / ({1.0 / scale:.10g}{unit})"}
+
+
+def full_controls(system: System) -> Array:
+    """Return 1 / the largest distance from neutral of each control, (nu,)."""
+    return np.array([1.0 / max(c.high - c.neutral, c.neutral - c.low) for c in system.controls])
+
+
+def _shown(channel: Channel, values: Array, centre: float, scale: float) -> list[Array]:
+    if channel.period:
+        angle = TURN / channel.period * values
+        return [np.sin(angle), np.cos(angle)]
+    return [(values - centre) * scale]
+
+
+def following_kernel(task: Following) -> TaskKernel[Any] | None:
+    """Return the compiled form of a bound task; None if the motion of its system has none."""
+    system, goals = task.system, task.goals
+    motion = system.motion_kernel()
+    if motion is None:
+        return None
+    samples, m = task.horizon + 1 if task.changes else 1, len(goals)
+    states = state_numbers(system)
+    controls = np.zeros((0, CONTROL.size))
+    if system.nu:
+        controls = np.stack([system.neutral_control, full_controls(system)], axis=1)
+    of_goals = FOLLOWING_HEAD.size + states.size
+    of_nu = of_goals + m * GOAL.size
+    parameters = FOLLOWING_HEAD.pack(
+        states,
+        np.array([_of_goal(goal) for goal in goals]),
+        controls,
+        motion.parameters,
+        nx=system.nx,
+        nu=system.nu,
+        goals=m,
+        dt=system.dt,
+        n_pose=system.n_pose,
+        gain=100.0 / task.horizon / (1.0 + task.effort),
+        effort=task.effort,
+        stride=m if task.changes else 0,
+        n_data=samples * m,
+        of_goals=of_goals,
+        of_nu=of_nu,
+        of_motion=of_nu + controls.size,
+    )
+    return TaskKernel(
+        observe=KernelSource(observe),
+        advance=KernelSource(following_advance, {"move": motion.move}),
+        n_rows=FOLLOWING_ROWS.pose + system.n_pose + 2 * m,
+        rows=_rows,
+        trial_data=_targets,
+        state=_state,
+        parameters=parameters,
+        pose_row=FOLLOWING_ROWS.pose,
+        n_pose=system.n_pose,
+    )
+
+
+def state_numbers(system: System) -> Array:
+    """Return how each state is shown, `STATE` after `STATE`."""
+    return np.array([_of_state(system, i) for i in range(system.nx)])
+
+
+def _of_state(system: System, place: int) -> Array:
+    channel = system.states[place]
+    centre, scale = scaling(channel)
+    return STATE.pack(turn=TURN / channel.period if channel.period else 0.0, centre=centre, scale=scale)
+
+
+def _of_goal(goal: Goal) -> Array:
+    return GOAL.pack(
+        place=goal.place,
+        period=goal.period,
+        per_tolerance=1.0 / goal.tolerance,
+        per_still=1.0 / goal.still,
+        turn=TURN / goal.period if goal.period else 0.0,
+        scale=1.0 / (SHOWN * goal.tolerance),
+        end=min(goal.end, NEVER),
+    )
+
+
+def _targets(task_state: TaskState) -> Array:
+    reference = cast("FollowingState", task_state).reference
+    return reference.reshape(len(reference), -1)
+
+
+def _rows(task_state: TaskState) -> Array:
+    here = cast("FollowingState", task_state)
+    numbers = [here.score, here.alive, here.step, here.squared, here.late, here.reached, here.beyond]
+    rows = [*numbers, *here.pose.T, *here.target.T, *here.first.T]
+    return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
+
+
+def _state(task_state: TaskState, rows: Array) -> TaskState:
+    here = cast("FollowingState", task_state)
+    return replace(
+        here,
+        score=rows[FOLLOWING_ROWS.score],
+        alive=rows[FOLLOWING_ROWS.alive] > 0,
+        step=rows[FOLLOWING_ROWS.step].astype(np.int64),
+        squared=rows[FOLLOWING_ROWS.squared],
+        late=rows[FOLLOWING_ROWS.late].astype(np.int64),
+        reached=rows[FOLLOWING_ROWS.reached] > 0,
+        beyond=rows[FOLLOWING_ROWS.beyond],
+        pose=rows[FOLLOWING_ROWS.pose : FOLLOWING_ROWS.pose + here.pose.shape[1]].T.copy(),
+    )
+
+
+def observe(task, state, observation, parameters):
+    """Bias, states, errors; sine and cosine of what is periodic."""
+    nx, goals = int(parameters[FOLLOWING_HEAD.nx]), int(parameters[FOLLOWING_HEAD.goals])
+    targets = view(task, (FOLLOWING_ROWS.pose + int(parameters[FOLLOWING_HEAD.n_pose])) * LANES)
+    for lane in range(LANES):
+        observation[lane] = 1.0
+    row = 1
+    for i in range(nx):
+        p, value = view(parameters, FOLLOWING_HEAD.size + i * STATE.size), view(state, i * LANES)
+        first, second = view(observation, row * LANES), view(observation, (row + 1) * LANES)
+        turn, centre, scale = p[STATE.turn], p[STATE.centre], p[STATE.scale]
+        if turn > 0.0:
+            for lane in range(LANES):
+                first[lane] = math.sin(turn * value[lane])
+                second[lane] = math.cos(turn * value[lane])
+            row += 2
+        else:
+            for lane in range(LANES):
+                first[lane] = (value[lane] - centre) * scale
+            row += 1
+    for i in range(goals):
+        p = view(parameters, int(parameters[FOLLOWING_HEAD.of_goals]) + i * GOAL.size)
+        value, target = view(state, int(p[GOAL.place]) * LANES), view(targets, i * LANES)
+        first, second = view(observation, row * LANES), view(observation, (row + 1) * LANES)
+        turn, scale = p[GOAL.turn], p[GOAL.scale]
+        if turn > 0.0:
+            for lane in range(LANES):
+                first[lane] = math.sin(turn * (target[lane] - value[lane]))
+                second[lane] = math.cos(turn * (target[lane] - value[lane]))
+            row += 2
+        else:
+            for lane in range(LANES):
+                first[lane] = (target[lane] - value[lane]) * scale
+            row += 1
+
+
+Names: TypeAlias = str | Sequence[str]
+
+Numbers: TypeAlias = float | Sequence[float] | None
+"""One number for all channels, or one for each; None for the task's own choice."""
+
+TOLERANCES = 20.0
+"""The range of the targets in tolerances, where no tolerance is given."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """One state that is to be led: its ``channel`` and its ``place`` among the states of the system.
+
+    All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance``, or a change of
+    ``still`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over once
+    the error exceeds ``end``.
+    """
+
+    channel: Channel
+    place: int
+    low: float
+    high: float
+    tolerance: float
+    still: float = math.inf
+    spread: float = 0.0
+    end: float = math.inf
+
+    @property
+    def period(self) -> float:
+        """The period of the channel, 0 if it has none."""
+        return self.channel.period or 0.0
+
+
+def listed(names: Names) -> tuple[str, ...]:
+    """Return ``names`` as a tuple; an empty text is none."""
+    if isinstance(names, str):
+        return (names,) if names else ()
+    return tuple(names)
+
+
+def numbers(what: str, given: Numbers, count: int, default: Sequence[float]) -> tuple[float, ...]:
+    """Return ``given`` for each of ``count`` channels. Raises `InvalidArgument` unless there are one or ``count``."""
+    if given is None:
+        return tuple(default)
+    values = [given] if isinstance(given, int | float) else list(given)
+    if len(values) not in (1, count):
+        raise InvalidArgument(f"{what}: expected one number, or one for each of {count} channels, got {len(values)}")
+    if any(isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value) for value in values):
+        raise InvalidArgument(f"{what}: expected numbers, got {given!r}")
+    return tuple(float(value) for value in (values * count if len(values) == 1 else values))
+
+
+def places(task: str, names: Sequence[str], system: System) -> tuple[int, ...]:
+    """Return where the states called ``names`` stand. Raises `IncompatibleTask` naming one that is missing."""
+    if system.nx == 0:
+        raise IncompatibleTask(f"{task} needs a state to lead; {system.name or 'this system'} has none")
+    for name in names:
+        if name not in system.state_names:
+            raise IncompatibleTask(f"{task} needs the state {name!r}; the states are {', '.join(system.state_names)}")
+    if len(set(names)) < len(names):
+        raise InvalidArgument(f"{task}: expected every state once, got {', '.join(names)}")
+    return tuple(system.state_names.index(name) for name in names)
+
+
+def middle_half(channel: Channel) -> tuple[float, float]:
+    """Return the middle half of a channel's limits; without both, 1 either side of neutral (an eighth of a period)."""
+    if channel.bounded:
+        quarter = 0.25 * (channel.high - channel.low)
+        return channel.low + quarter, channel.high - quarter
+    reach = 1.0 if channel.period is None else channel.period / 8.0
+    return channel.neutral - reach, channel.neutral + reach
+
+
+def goals_of(
+    task: str,
+    system: System,
+    channels: Names,
+    low: Numbers,
+    high: Numbers,
+    tolerance: Numbers,
+    *,
+    still: Numbers = math.inf,
+    spread: Numbers = 0.0,
+    end: Numbers = math.inf,
+) -> tuple[Goal, ...]:
+    """Return the goals for ``channels`` (default: the first state), with the usual values where none are given."""
+    found = places(task, listed(channels) or system.state_names[:1], system)
+    states, count = [system.states[place] for place in found], len(found)
+    middle = [middle_half(channel) for channel in states]
+    lows = numbers(f"{task}: low", low, count, [ends[0] for ends in middle])
+    highs = numbers(f"{task}: high", high, count, [ends[1] for ends in middle])
+    widths = [b - a if b > a else ends[1] - ends[0] for a, b, ends in zip(lows, highs, middle, strict=True)]
+    tolerances = numbers(f"{task}: tolerance", tolerance, count, [width / TOLERANCES for width in widths])
+    stills = numbers(f"{task}: still", still, count, [math.inf] * count)
+    spreads = numbers(f"{task}: spread", spread, count, [0.0] * count)
+    ends = numbers(f"{task}: end", end, count, [math.inf] * count)
+    chosen = zip(states, found, lows, highs, tolerances, stills, spreads, ends, strict=True)
+    return tuple(Goal(*values) for values in chosen)

@@ -1,0 +1,164 @@
+"""The one runner of contract checks, and what checks expect of arrays.
+
+A kit is a list of checks. A check is a function of what it looks at; its docstring is the sentence
+that must hold, and it raises `ContractViolation` with a reason where the sentence is broken.
+"""
+
+from __future__ import annotations
+
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from sysid_evo.errors import ContractViolation, SysidEvoError
+from sysid_evo.types import Array, BoolArray
+
+Subject = TypeVar("Subject")
+
+Check: TypeAlias = Callable[[Subject], None]
+
+NOT_THE_PLUGINS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib")))
+"""Folders whose files are nobody's plugin: this package, Python and what is installed beside it."""
+
+MADE = "It is made from its name and parameters"
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """One check: its sentence, and why it failed (None if it holds)."""
+
+    sentence: str
+    failure: str | None
+
+
+class DoesNotApply(Exception):
+    """What a check raises whose sentence says nothing about its subject."""
+
+
+def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
+    """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply`."""
+    sentence = (check.__doc__ or check.__name__).strip()
+    try:
+        check(*subject)
+    except DoesNotApply:
+        raise
+    except ContractViolation as error:
+        return CheckResult(sentence, str(error))
+    except Exception as error:  # a plugin may fail in any way: that is what is being found out
+        return CheckResult(sentence, described(error))
+    return CheckResult(sentence, None)
+
+
+def verdicts(make: Callable[[], Subject], checks: Iterable[Check[Subject]]) -> Iterator[CheckResult]:
+    """Yield the result of making a subject and of every check that applies to it.
+
+    If it cannot be made, that is the only result. Errors of this library that are raised while it is
+    made (an unknown name, a parameter out of range) are the caller's, and are passed on.
+    """
+    try:
+        subject = make()
+    except ContractViolation as error:
+        yield CheckResult(MADE, str(error))
+        return
+    except SysidEvoError:
+        raise
+    except Exception as error:  # a plugin may fail in any way: that is what is being found out
+        yield CheckResult(MADE, described(error))
+        return
+    yield CheckResult(MADE, None)
+    for check in checks:
+        with suppress(DoesNotApply):
+            yield verdict(check, subject)
+
+
+def raise_broken(kind: str, name: str, results: Iterable[CheckResult]) -> None:
+    """Raise `ContractViolation` listing every broken sentence of ``results``, if there is one."""
+    broken = [result for result in results if result.failure is not None]
+    if broken:
+        lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
+        raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} of the contract's sentences:\n{lines}")
+
+
+def expect(holds: Any, reason: str) -> None:
+    """Raise `ContractViolation` with ``reason`` unless ``holds``."""
+    if not holds:
+        raise ContractViolation(reason)
+
+
+def described(error: Exception) -> str:
+    """Return an error's class and message, and the line of the plugin that raised it or led to it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith((*NOT_THE_PLUGINS, "<"))]
+    where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+Result = TypeVar("Result")
+
+
+def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:
+    """Raise `ContractViolation` unless ``array`` holds finite float64 numbers of this shape."""
+    if not isinstance(array, np.ndarray):
+        raise ContractViolation(f"{name}: expected an array {shape} float64, got {type(array).__name__}")
+    if array.shape != shape or array.dtype != np.float64:
+        raise ContractViolation(f"{name}: expected {shape} float64, got {array.shape} {array.dtype}")
+    if not np.isfinite(array).all():
+        raise ContractViolation(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+
+
+def twice(name: str, function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call ``function`` twice and return the result; ``name`` is what a reason calls it.
+
+    Raises `ContractViolation` if it changes its arguments or gives another result the second time.
+    """
+    kept = [copied(argument) for argument in arguments]
+    first = function(*arguments)
+    held = copied(first)
+    second = function(*arguments)
+    expect(all(map(same, arguments, kept)), f"{name} overwrites its arguments")
+    expect(same(held, first), f"a second {name} overwrites the result of the first")
+    expect(same(first, second), f"the same {name} twice gives two results")
+    return first
+
+
+def same(first: Any, second: Any) -> bool:
+    """Return whether two results are equal: arrays number by number, nan being equal to nan."""
+    if isinstance(first, (tuple, list)):
+        return len(first) == len(second) and all(map(same, first, second))
+    if is_dataclass(first):
+        return all(same(getattr(first, item.name), getattr(second, item.name)) for item in fields(first))
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
+    return bool(first == second)
+
+
+def copied(value: Any) -> Any:
+    """Return a copy of arrays and of the tuples and dataclasses that hold them; anything else as it is."""
+    if isinstance(value, (tuple, list)):
+        return type(value)(map(copied, value))
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if is_dataclass(value) and not isinstance(value, type):
+        made = object.__new__(type(value))
+        for item in fields(value):
+            object.__setattr__(made, item.name, copied(getattr(value, item.name)))
+        return made
+    return value
+
+
+def rows_off(found: Array, expected: Array, tolerance: float) -> BoolArray:
+    """Return which rows of (B, n) differ by more than ``tolerance`` times the number plus its column's largest."""
+    size = np.abs(expected)
+    return (np.abs(found - expected) > tolerance * (size + size.max(axis=0, initial=0.0))).any(axis=1)
+
+
+def normal(count: int, rows: int, rng: np.random.Generator | None = None) -> Array | None:
+    """Return standard normal numbers (rows, count), or None if none are taken."""
+    rng = np.random.default_rng(3) if rng is None else rng
+    return rng.standard_normal((rows, count)) if count else None

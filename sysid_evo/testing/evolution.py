@@ -1,0 +1,204 @@
+"""The contract of an evolution strategy, sentence by sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sysid_evo.errors import ContractViolation, InvalidArgument, ShapeError
+from sysid_evo.evolution.loop import evolve
+from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState, make_strategy
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.registry import strategies
+from sysid_evo.testing.contract import Check, CheckResult, copied, expect, expect_numbers, raise_broken, same, verdicts
+from sysid_evo.types import Array
+
+N_PARAMETERS = 4
+
+GENERATIONS = 60
+
+PEAK = 1.5
+"""Where the fitness of the checks is highest, in every parameter."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """A spec from which strategies of several sizes and seeds are made."""
+
+    spec: Spec
+
+    def make(self, *, seed: int = 1, n_parameters: int = N_PARAMETERS) -> EvolutionStrategy:
+        """Return a new strategy."""
+        return make_strategy(self.spec, n_parameters=n_parameters, seed=seed)
+
+
+def check_strategy(name: str, **parameters: Any) -> None:
+    """Raise `ContractViolation` listing every sentence that the registered strategy ``name`` breaks."""
+    raise_broken("strategy", name, run_strategy_checks(name, **parameters))
+
+
+def run_strategy_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
+    """Yield the result of every check of the registered strategy ``name``; it is made with n_parameters and seed."""
+
+    def make() -> Given:
+        given = Given(strategies.check(name, **parameters))
+        given.make()
+        return given
+
+    return verdicts(make, CHECKS)
+
+
+def ask_gives_candidates(given: Given) -> None:
+    """ask gives finite candidates (population, n_parameters) in float64, also for one parameter"""
+    for n in (1, N_PARAMETERS):
+        strategy = given.make(n_parameters=n)
+        for generation in range(3):
+            population = strategy.ask()
+            expect(population.ndim == 2 and len(population) > 0, f"ask gives an array of shape {population.shape}")
+            expect_numbers(f"ask in generation {generation}", population, (len(population), n))
+            strategy.tell(population, fitness(population))
+
+
+def the_seed_decides(given: Given) -> None:
+    """The same seed asks the same candidates, another seed asks others"""
+    first, again, other = (_candidates(given.make(seed=seed), 3) for seed in (1, 1, 2))
+    expect(same(first, again), "the same seed asks other candidates")
+    expect(not same(first, other), "another seed asks the same candidates")
+
+
+def fitness_is_maximised(given: Given) -> None:
+    """Fitness is maximised: on a hill the elite climbs"""
+    for seed in (1, 2):
+        strategy = given.make(seed=seed)
+        first = fitness(strategy.ask()).mean()
+        for _ in evolve(strategy, lambda population, _: fitness(population), GENERATIONS):
+            pass
+        reached = float(fitness(strategy.elite)[0])
+        expect(
+            reached > 0.5 * first,
+            f"after {GENERATIONS} generations the elite is {_distance(reached):.2f} from the peak, "
+            f"the first candidates were {_distance(float(first)):.2f} from it",
+        )
+
+
+def the_elite_stands_best_first(given: Given) -> None:
+    """The elite is one candidate or more, the best first"""
+    strategy = given.make()
+    for _ in evolve(strategy, lambda population, _: fitness(population), 5):
+        elite = strategy.elite
+        expect(elite.ndim == 2 and len(elite) > 0, f"expected one candidate or more, got an array {elite.shape}")
+        expect_numbers("elite", elite, (len(elite), N_PARAMETERS))
+        expect((np.diff(fitness(elite)) <= 0.0).all(), "a later one of the elite is better than an earlier one")
+
+
+def tell_leaves_its_arguments(given: Given) -> None:
+    """tell leaves candidates and fitness as they are, and keeps no hold of them"""
+    strategy, other = given.make(), given.make()
+    population = strategy.ask()
+    kept, score = population.copy(), fitness(population)
+    strategy.tell(population, score)
+    expect(same(population, kept) and same(score, fitness(kept)), "tell overwrites its arguments")
+    other.tell(other.ask(), fitness(kept))
+    population += 7.0
+    score -= 7.0
+    expect(same(_candidates(strategy, 2), _candidates(other, 2)), "what its caller does with the arrays changes it")
+
+
+def tell_refuses_what_is_no_fitness(given: Given) -> None:
+    """tell refuses nan and a fitness that is not one number for each candidate"""
+    strategy = given.make()
+    population = strategy.ask()
+    missing = fitness(population)
+    missing[-1] = np.nan
+    for wrong, error in ((missing, InvalidArgument), (fitness(population)[:-1], ShapeError)):
+        try:
+            strategy.tell(population, wrong)
+        except error:
+            continue
+        raise ContractViolation(f"expected {error.__name__}, got no error")
+
+
+def a_plateau_is_no_end(given: Given) -> None:
+    """A fitness that is the same for everyone, however low, does not stop it"""
+    strategy = given.make()
+    for generation in evolve(strategy, lambda population, _: np.full(len(population), -1e300), 5):
+        expect(np.isfinite(generation.population).all(), "it asks candidates that are not finite")
+
+
+def a_restored_strategy_goes_on(given: Given) -> None:
+    """The state can be stored, and a strategy restored from it goes on bit for bit"""
+    for before in (0, 4):
+        strategy = given.make()
+        _candidates(strategy, before)
+        state = strategy.state
+        stored = _stored(state)
+        expected = _candidates(strategy, 4), strategy.elite
+        expect(same(list(stored.items()), list(_stored(state).items())), "a state changes after it was taken")
+        for asked, kept in ((False, stored), (True, _stored(_asked(given, before).state))):
+            other = given.make()
+            _candidates(other, 2)
+            other.restore(kept)
+            when = f"it goes on otherwise after {before} generations{' and a question' if asked else ''}"
+            expect(same(expected, (_candidates(other, 4), other.elite)), when)
+
+
+def what_is_forgotten_does_not_count(given: Given) -> None:
+    """After forget_fitness nobody stays in the elite for what it scored before, however much that was"""
+    strategy = given.make()
+    for _ in evolve(strategy, lambda population, _: 1e6 + fitness(population), 5):
+        pass
+    strategy.forget_fitness()
+    before = strategy.elite.copy()
+    for _ in evolve(strategy, lambda population, _: fitness(-population), GENERATIONS):
+        pass
+    stayed = int((strategy.elite[:, None] == before).all(axis=2).any(axis=1).sum())
+    expect(not stayed, f"{GENERATIONS} generations later, on another hill, {stayed} of the elite are still there")
+
+
+CHECKS: tuple[Check[Given], ...] = (
+    ask_gives_candidates,
+    the_seed_decides,
+    fitness_is_maximised,
+    the_elite_stands_best_first,
+    tell_leaves_its_arguments,
+    tell_refuses_what_is_no_fitness,
+    a_plateau_is_no_end,
+    a_restored_strategy_goes_on,
+    what_is_forgotten_does_not_count,
+)
+
+
+def fitness(population: Array) -> Array:
+    """Return minus the squared distance (P,) from the peak."""
+    return -((population - PEAK) ** 2).sum(axis=1)
+
+
+def _distance(value: float) -> float:
+    return float(np.sqrt(-value))
+
+
+def _candidates(strategy: EvolutionStrategy, generations: int) -> list[Array]:
+    loop = evolve(strategy, lambda population, _: fitness(population), generations)
+    return [generation.population.copy() for generation in loop]
+
+
+def _asked(given: Given, generations: int) -> EvolutionStrategy:
+    """Return a strategy after so many generations that was asked for the next, and not told of it."""
+    strategy = given.make()
+    _candidates(strategy, generations)
+    strategy.ask()
+    return strategy
+
+
+def _stored(state: StrategyState) -> Mapping[str, Any]:
+    """Return a copy of ``state``. Raises `ContractViolation` if something in it cannot be stored."""
+    for name, value in state.items():
+        if not isinstance(value, (int, float, str)) and not (
+            isinstance(value, np.ndarray) and value.dtype == np.float64
+        ):
+            what = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+            raise ContractViolation(f"state: expected float64 arrays, numbers and text, {name!r} is {what}")
+    return {name: copied(value) for name, value in state.items()}

@@ -1,1 +1,0 @@
-"""Compiled functions of the kits: read by Numba, which infers their types."""

@@ -1,0 +1,101 @@
+"""A working plugin package for each kind that has a contract check: one file, one entry-point line, one test."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from sysid_evo.errors import InvalidArgument, RegistrationError
+from sysid_evo.files import write_atomically
+from sysid_evo.registry.registry import KINDS
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What differs between kinds: where the kit of the contract is, how the thing is used, further files.
+
+    ``check`` are the options of `plugin check` that are wanted besides the name; ``files`` are sources
+    and targets, with ``{name}`` for the name.
+    """
+
+    use: str
+    kit: str = "sysid_evo.testing"
+    check: str = ""
+    files: Mapping[str, str] | None = None
+
+
+TEST = "tests/test_{name}.py"
+
+COMMON = {"pyproject.toml.txt": "pyproject.toml", "README.md.txt": "README.md"}
+
+PLUGINS = {
+    "model": Kind("sysid-evo compare --models $name,parametrised"),
+    "task": Kind("sysid-evo compare --task $name"),
+    "controller": Kind("sysid-evo compare --controller $name"),
+    "strategy": Kind("sysid-evo compare --strategy $name"),
+    "robot": Kind("sysid-evo compare --robot $name", kit="hardware.testing"),
+    "reader": Kind(
+        "sysid-evo inspect logs/",
+        check=" --data tests/example.jsonl",
+        files={"test_reader.py.txt": TEST, "example.jsonl.txt": "tests/example.jsonl"},
+    ),
+}
+
+
+def write_plugin(name: str, folder: Path, kind: str = "model") -> list[Path]:
+    """Write the package of a new thing of this ``kind`` called ``name`` into ``folder`` and return its files.
+
+    Raises `InvalidArgument` if ``name`` is no Python name or a file stands in the way,
+    `RegistrationError` if the name is in use.
+    """
+    if kind not in PLUGINS:
+        raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
+    if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
+        raise InvalidArgument(f"plugin: expected a lower-case Python name such as my_{kind}, got {name!r}")
+    of_kind = PLUGINS[kind]
+    sources = {f"{kind}.py.txt": "{name}.py", **(of_kind.files or {"test_plugin.py.txt": TEST}), **COMMON}
+    targets = {source: folder / target.format(name=name) for source, target in sources.items()}
+    standing = [str(path) for path in targets.values() if path.exists()]
+    if standing:
+        raise InvalidArgument(f"plugin: {', '.join(standing)} would be overwritten; choose another folder with --out")
+    _refuse_a_name_in_use(name, kind)
+    values = {
+        "name": name,
+        "title": "".join(part.capitalize() for part in name.split("_")),
+        "factory": f"{name}_robot",
+        "kebab": name.replace("_", "-"),
+        "kind": kind,
+        "kit": of_kind.kit,
+        "group": KINDS[kind].group,
+        "check_options": of_kind.check,
+    }
+    values["use"] = Template(of_kind.use).substitute(values)
+    for source, path in targets.items():
+        text = Template(files("sysid_evo.plugin_template").joinpath(source).read_text()).substitute(values)
+        write_atomically(path, partial(_write, text))
+    return list(targets.values())
+
+
+def _refuse_a_name_in_use(name: str, kind: str) -> None:
+    registry = KINDS[kind]
+    if name in registry.names():
+        raise RegistrationError(
+            f"{kind} {name!r} is taken by the module {registry.module(name)}, so that the new module {name} "
+            "could not register it; choose another name"
+        )
+    found = importlib.util.find_spec(name)
+    if found is not None and found.origin is not None:
+        raise InvalidArgument(
+            f"plugin: a module called {name!r} can be imported already ({found.origin}), and the new file {name}.py "
+            "would hide it or be hidden; choose another name"
+        )
+
+
+def _write(text: str, path: Path) -> None:
+    path.write_text(text)

@@ -1,0 +1,362 @@
+"""Search of a family's hyper-parameters by simulation error on held-out data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import types
+import typing
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Union
+
+import numpy as np
+
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.extras import check_installed
+from sysid_evo.models.parameters import OneOf, Searched, Within, check_names, limits_of
+from sysid_evo.progress import Progress
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.registry import models
+from sysid_evo.validation.folds import folds_of
+from sysid_evo.validation.simulation_error import FEWEST_STEPS, SECOND, Judge, Trial, history_of, horizons_of
+
+if TYPE_CHECKING:
+    import optuna
+
+
+WORST = 1e6
+"""The error of what does not stay finite."""
+
+PARTS = 1000
+"""Parts in which a budget of time is told."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One trial: the whole spec, its error (None if it failed or was broken off), and why."""
+
+    spec: Spec
+    error: float | None
+    seconds: float
+    reason: str = ""
+
+
+class Tuning:
+    """A search for the parameters of the family in ``spec``; those that stand in it are kept.
+
+    The error of a trial is that of free runs after ``horizons`` steps (one second) on what was held out, whole
+    recordings in ``folds`` turns (blocks of time where there is one): RMSE / standard deviation, the mean over
+    states and horizons. The first trial has the family's defaults where they lie in the `search_space`; the others are
+    proposed by a tree of Parzen estimators (Bergstra et al. 2011). A trial that is worse than the median of the others
+    after a fold is broken off. All trials learn with the same random numbers.
+
+    With a ``file`` every trial is kept there, and a search of the same family, data, horizons and seed goes on.
+    """
+
+    def __init__(
+        self,
+        spec: str | Spec,
+        dataset: Dataset,
+        *,
+        horizons: Sequence[int] | None = None,
+        folds: int = 3,
+        only: Sequence[str] | None = None,
+        seed: int = 0,
+        file: str | Path | None = None,
+    ) -> None:
+        check_installed("tuning", ["optuna"])
+        self.spec, self.dataset, self.seed = models.check(spec), dataset, seed
+        lacking = models.lacking(self.spec.name)
+        if lacking is not None:
+            raise lacking
+        models.make(self.spec).check_system(dataset.system)
+        self.space = search_space(self.spec.name, fixed=self.spec.parameters, only=only)
+        second = max(FEWEST_STEPS, round(SECOND / dataset.system.dt))
+        pairs = folds_of(dataset, folds)
+        self.horizons = tuple(horizons_of(pairs, list(horizons or [second])))
+        if horizons and set(horizons) - {*self.horizons}:
+            raise InvalidArgument(
+                f"horizons: expected steps that fit into what is held out, at most {max(self.horizons)}, got "
+                f"{', '.join(map(str, horizons))}"
+            )
+        self.pairs = pairs
+        history = history_of(pairs, self.horizons)
+        self.judge = Judge.of(dataset, [Trial.of(held, self.horizons, history) for _, held in pairs])
+        self.file = None if file is None else Path(file)
+        self.seeds = np.random.default_rng(seed).integers(2**32, size=len(pairs)).tolist()
+
+    @property
+    def identity(self) -> str:
+        """What a search must share with another to go on where that was."""
+        parts = [
+            str(self.spec),
+            self.dataset.fingerprint,
+            self.horizons,
+            len(self.pairs),
+            sorted(self.space),
+            self.seed,
+        ]
+        return f"{self.spec.name}-{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]}"
+
+    @cached_property
+    def study(self) -> optuna.Study:
+        """The trials so far, those in the file included."""
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        storage = None
+        if self.file is not None:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            storage = JournalStorage(JournalFileBackend(str(self.file)))
+        study = optuna.create_study(
+            storage=storage,
+            study_name=self.identity,
+            load_if_exists=True,
+            pruner=optuna.pruners.MedianPruner(n_startup_trials=5),
+        )
+        done = len(study.trials)
+        study.sampler = optuna.samplers.TPESampler(seed=(self.seed + 7919 * done) % 2**32, n_startup_trials=8)
+        if not done:
+            study.enqueue_trial(self._defaults())
+        return study
+
+    def run(
+        self, *, seconds: float | None = None, trials: int | None = None, progress: Progress | None = None
+    ) -> Iterator[Tried]:
+        """Yield trials until ``seconds`` are over or there are so many; what was tried before counts too.
+
+        A trial that has begun is brought to its end. What stops it, Ctrl-C too, loses that trial alone.
+        """
+        import optuna
+
+        if seconds is None and trials is None:
+            raise InvalidArgument("tune: expected seconds or a number of trials")
+        began = time.monotonic()
+        while True:
+            share = 0.0 if seconds is None else (time.monotonic() - began) / seconds
+            count = len(self.tried)
+            share = max(share, 0.0 if trials is None else count / trials)
+            if progress is not None:
+                progress(min(PARTS, int(PARTS * share)), PARTS, self._note)
+            if share >= 1.0:
+                return
+            trial = self.study.ask(self._distributions())
+            started = time.monotonic()
+            try:
+                error, reason = self._error(trial)
+            except BaseException:  # whatever stops the search: this trial is none
+                self.study.tell(trial, state=optuna.trial.TrialState.FAIL)
+                raise
+            trial.set_user_attr("seconds", round(time.monotonic() - started, 2))
+            trial.set_user_attr("reason", reason)
+            state = optuna.trial.TrialState.COMPLETE
+            if error is None:
+                state = optuna.trial.TrialState.FAIL if reason else optuna.trial.TrialState.PRUNED
+            self.study.tell(trial, error, state=state)
+            yield self._told(self.study.trials[trial.number])
+
+    @property
+    def tried(self) -> list[Tried]:
+        """All trials that came to an end, the best first."""
+        ended = [self._told(trial) for trial in self.study.trials if "seconds" in trial.user_attrs]
+        return sorted(ended, key=lambda one: np.inf if one.error is None else one.error)
+
+    @property
+    def best(self) -> Tried:
+        """The best trial. Raises `InvalidArgument` if none came to an end."""
+        found = [one for one in self.tried if one.error is not None]
+        if not found:
+            reasons = "; ".join(dict.fromkeys(one.reason for one in self.tried if one.reason)) or "there was no time"
+            raise InvalidArgument(f"tune: no trial of {self.spec} came to an end: {reasons}")
+        return found[0]
+
+    @property
+    def importance(self) -> dict[str, float]:
+        """How much each parameter decides of the error, shares of 1, the most first; empty with too few trials."""
+        import optuna
+
+        if sum(one.error is not None for one in self.tried) < 4:
+            return {}
+        evaluator = optuna.importance.FanovaImportanceEvaluator(seed=self.seed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that a method is experimental is no concern of who reads a table
+            try:
+                found = optuna.importance.get_param_importances(self.study, evaluator=evaluator)
+            except (RuntimeError, ValueError):  # all errors are the same
+                return {}
+        return {key: float(share) for key, share in found.items()}
+
+    @property
+    def _note(self) -> str:
+        found = [one for one in self.tried if one.error is not None]
+        return f"{len(self.tried)} trials, best error {found[0].error:.3f}" if found else ""
+
+    def _error(self, trial: optuna.Trial) -> tuple[float | None, str]:
+        """Return the error of a trial; None with the reason if it fails, without one if it is broken off."""
+        parameters = self._parameters(trial.params)
+        runs = []
+        for fold, ((seen, _), judged) in enumerate(zip(self.pairs, self.judge.trials, strict=True)):
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of one trial among many
+                    model: Any = models.make(self.spec.name, **parameters)
+                    model.fit(seen, rng=np.random.default_rng(self.seeds[fold]))
+                    runs.append(judged.run(model))
+            except Exception as error:  # a plugin may fail in any way; the other trials go on
+                return None, f"{type(error).__name__}: {error}".splitlines()[0]
+            part = Judge(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
+            found = min(part.errors(runs).mean, WORST)
+            trial.report(found, fold)
+            if fold + 1 < len(self.pairs) and trial.number > 0 and trial.should_prune():
+                return None, ""
+        return found, ""
+
+    def _parameters(self, proposed: Mapping[str, Any]) -> dict[str, Any]:
+        """Return all parameters to make the model with: what is fixed, and what a trial proposes."""
+        chosen = {
+            key: json.loads(value) if isinstance(value, str) else _short(value) for key, value in proposed.items()
+        }
+        return {**self.spec.parameters, **chosen}
+
+    def _told(self, trial: optuna.trial.FrozenTrial) -> Tried:
+        spec = Spec(self.spec.name, self._parameters(trial.params))
+        reason = str(trial.user_attrs.get("reason", ""))
+        complete = trial.state.name == "COMPLETE"
+        return Tried(
+            spec,
+            trial.value if complete else None,
+            float(trial.user_attrs["seconds"]),
+            reason or ("" if complete else "broken off"),
+        )
+
+    def _distributions(self) -> dict[str, Any]:
+        return {key: self._distribution(key, where) for key, where in self.space.items()}
+
+    def _distribution(self, key: str, where: Searched) -> Any:
+        from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+        if isinstance(where, OneOf):
+            return CategoricalDistribution([json.dumps(value) for value in where.values])
+        if whole(self.spec.name, key):
+            return IntDistribution(int(np.ceil(where.low)), int(where.high), log=where.log)
+        return FloatDistribution(where.low, where.high, log=where.log)
+
+    def _defaults(self) -> dict[str, Any]:
+        """Return the defaults of the family where they lie in the space."""
+        found: dict[str, Any] = {}
+        for key, default in models.parameters(self.spec.name).items():
+            where = None if key is None else self.space.get(key)
+            if key is None or where is None:
+                continue
+            if isinstance(where, OneOf):
+                found |= {key: json.dumps(default)} if default in where.values else {}
+            elif isinstance(default, (int, float)) and where.low <= default <= where.high:
+                found[key] = default
+        return found
+
+
+def _short(value: Any) -> Any:
+    """Return a number in four digits, which is what is written down and used."""
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def tune(
+    spec: str | Spec,
+    dataset: Dataset,
+    *,
+    seconds: float | None = None,
+    trials: int | None = None,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Tuning:
+    """Search the parameters of a family for so many ``seconds`` or ``trials``; see `Tuning` for the ``settings``.
+
+    ``tune(...).best.spec`` is the best found, ready for `make_model`.
+    """
+    found = Tuning(spec, dataset, **settings)
+    for _ in found.run(seconds=seconds, trials=trials, progress=progress):
+        pass
+    return found
+
+
+NEVER = frozenset({"stochastic", "rest_hold", "most_steps", "folds", "lag_search", "state_lags", "control_lags"})
+"""What has little to do with how well a model predicts, or has ranges of its own."""
+
+LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
+
+FACTOR = 8.0
+"""How far a positive number is searched from its default, both ways."""
+
+SMALLEST, LARGEST = 1e-6, 1.0
+"""Where a number is searched that is 0 by default."""
+
+
+def search_space(name: str, *, fixed: Collection[str] = (), only: Collection[str] | None = None) -> dict[str, Searched]:
+    """Return where each parameter of the registered family ``name`` is searched, those that are ``fixed`` left out.
+
+    What the family declares in ``searched`` comes first. Of the rest, lags are searched from 0 to 2 earlier states and
+    6 earlier controls, a positive number within a factor of 8 of its default and its limits, words of a `Literal` and
+    truth values in turn. Left out are names, lists, numbers without a default, and what a preset changes: that is a
+    matter of time. ``only`` names those to search. Raises `InvalidArgument` if nothing is left.
+    """
+    family: Any = models.get(name)
+    check_names(family, only or ())
+    found: dict[str, Searched] = dict(declared(family))
+    annotations, limits = typing.get_type_hints(family.__init__), limits_of(family)
+    budgets = {key for preset in family.presets.values() for key in preset}
+    for key, default in models.parameters(name).items():
+        if key is None or key in found:
+            continue
+        if key in LAGS:
+            found[key] = LAGS[key]
+        elif key not in NEVER and (key not in budgets or key in (only or ())):
+            derived = _derived(annotations.get(key, Any), default, limits.get(key))
+            found |= {} if derived is None else {key: derived}
+    chosen = {key: one for key, one in found.items() if key not in fixed and (only is None or key in only)}
+    if not chosen:
+        wanted = "" if only is None else f" among {', '.join(only)}"
+        raise InvalidArgument(f"model {name!r} has no parameter to search{wanted}; it declares some in ``searched``")
+    return chosen
+
+
+def declared(family: type) -> Mapping[str, Searched]:
+    """Return the ``searched`` of a class, those of its bases included; the class nearest to it wins."""
+    merged: dict[str, Searched] = {}
+    for base in reversed(family.__mro__):
+        merged.update(base.__dict__.get("searched", {}))
+    return merged
+
+
+def _derived(kind: Any, default: Any, limit: Any) -> Searched | None:
+    """Return where a parameter of this type, default and `Limit` is searched, None if that cannot be told."""
+    options = [one for one in _options(kind) if one is not types.NoneType]
+    if typing.get_origin(kind) is Literal:
+        return OneOf(typing.get_args(kind))
+    if options == [bool]:
+        return OneOf((False, True))
+    if not options or not {*options} <= {int, float} or isinstance(default, bool) or default is None:
+        return None
+    low, high = (-np.inf, np.inf) if limit is None else (limit.low, limit.high)
+    if default > 0:
+        return Within(max(low, default / FACTOR), min(high, default * FACTOR), log=True)
+    return Within(max(low, SMALLEST), min(high, LARGEST), log=True) if default == 0 and float in options else None
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    """Return the types of a union, or the one type."""
+    return typing.get_args(kind) if typing.get_origin(kind) in (Union, types.UnionType) else (kind,)
+
+
+def whole(name: str, key: str) -> bool:
+    """Whether the parameter ``key`` of a family is a whole number."""
+    family: Any = models.get(name)
+    options = _options(typing.get_type_hints(family.__init__).get(key, Any))
+    return int in options and float not in options

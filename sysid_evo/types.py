@@ -1,0 +1,48 @@
+"""Array types and the one check that names what was expected and what came."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.errors import ShapeError
+
+Array: TypeAlias = npt.NDArray[np.float64]
+
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+IntArray: TypeAlias = npt.NDArray[np.int64]
+
+Seeds: TypeAlias = npt.NDArray[np.uint64]
+
+
+def check_shape(name: str, array: npt.ArrayLike, expected: tuple[int | None, ...]) -> Array:
+    """Return ``array`` as float64, or raise `ShapeError` if its shape is not ``expected``.
+
+    ``None`` stands for any length. The message names the array and both shapes.
+    """
+    result = _numbers(name, array)
+    fits = result.ndim == len(expected) and all(
+        want is None or want == have for want, have in zip(expected, result.shape, strict=True)
+    )
+    if not fits:
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in expected) + ")"
+        raise ShapeError(f"{name}: expected shape {wanted}, got {result.shape}")
+    return result
+
+
+def check_last(name: str, array: npt.ArrayLike, expected: int) -> Array:
+    """Return ``array`` as float64, or raise `ShapeError` if its last axis is not ``expected`` long."""
+    result = _numbers(name, array)
+    if result.shape[-1:] != (expected,):
+        raise ShapeError(f"{name}: expected {expected} values on the last axis, got shape {result.shape}")
+    return result
+
+
+def _numbers(name: str, array: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: expected numbers, got {type(array).__name__}: {error}") from error

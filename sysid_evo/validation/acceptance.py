@@ -1,0 +1,119 @@
+"""Whether a candidate is better: acceptance test, margins, simplest of those about as good."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.special import stdtrit
+
+from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.simulation_error import error_of
+
+
+def inside(errors: Sequence[float], gate: float) -> list[int]:
+    """Return the numbers of those whose error is at most ``gate`` times the lowest, in their order."""
+    lowest = min(errors)
+    return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]
+
+
+BETTER = 0.15
+"""Share by which the error must be lower than without a correction,"""
+
+IN_EACH = 0.05
+"""that by which it must be lower in every block,"""
+
+CONFIDENCE = 0.975
+"""and the probability that it is lower at all, from the differences second by second (Student's t);"""
+
+BETTER_OF_TRAINING, CONFIDENCE_OF_TRAINING = 1.0, 0.99
+"""those of more training and of means, of which many are tried and each can learn much from little: this share is
+divided by the root of the seconds that are compared (19 % of 28, 38 % of 7), and is `BETTER` at least."""
+
+AND = " and "
+"""Between the two of a mean."""
+
+Kind: TypeAlias = Literal["alone", "further", "mean", "beside"]
+"""Whether a trial is a correction or another fit, more training of the model that there was, the mean of such training
+and a correction, or the mean of another fit and a correction."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """The errors (B, H, nx) of free runs over a block that was held back, and the second in which each begins (B,)."""
+
+    errors: Array
+    second: IntArray
+
+    def squares(self) -> dict[int, float]:
+        """Return the mean square of the errors of the runs that begin in each second."""
+        mean = np.mean(self.errors**2, axis=(1, 2))
+        return {int(second): float(mean[self.second == second].mean()) for second in np.unique(self.second)}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
+
+    The blocks are fewer where it was given up before the last, since it had `failed` in one. ``sure`` says whether it
+    is better than none beyond what chance would do to so short a recording, ``asked`` by what share it must be.
+    """
+
+    name: str
+    error: float
+    each: tuple[float, ...]
+    sure: bool
+    kind: Kind = "alone"
+    asked: float = BETTER
+
+    @property
+    def other(self) -> str:
+        """The second of a mean."""
+        return self.name.rpartition(AND)[2]
+
+    @property
+    def good(self) -> bool:
+        """Whether it is better by enough, surely, and in every block."""
+        return self.sure and self.error <= 1.0 - self.asked and self.everywhere
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it is better in every block."""
+        return max(self.each) <= 1.0 - IN_EACH
+
+
+def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Kind = "alone") -> Trial:
+    """Return a trial from what the blocks show without and with a correction, which may know the first ones only."""
+    pairs = list(zip(plain, corrected, strict=False))
+    each = tuple(_share(before, after) for before, after in pairs)
+    whole = error_of(np.concatenate([after.errors for _, after in pairs]))
+    before = error_of(np.concatenate([before.errors for before, _ in pairs]))
+    gains = []
+    for one, other in pairs:
+        first, second = one.squares(), other.squares()
+        gains += [first[key] - second[key] for key in first.keys() & second.keys()]
+    asked, confidence = BETTER, CONFIDENCE
+    if kind in ("further", "mean"):
+        asked, confidence = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), CONFIDENCE_OF_TRAINING
+    sure = surely_positive(np.array(gains), confidence)
+    return Trial(name, whole / max(before, 1e-12), each, sure, kind, float(asked))
+
+
+def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
+    """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
+    return any(_share(*pair) > 1.0 - IN_EACH for pair in zip(plain, corrected, strict=False))
+
+
+def _share(before: Held, after: Held) -> float:
+    """Return the error in a block as a share of that without a correction."""
+    return error_of(after.errors) / max(error_of(before.errors), 1e-12)
+
+
+def surely_positive(gains: Array, confidence: float = CONFIDENCE) -> bool:
+    """Whether the mean of ``gains`` (N,) is above zero by more than chance explains."""
+    if len(gains) < 3:
+        return False
+    error = gains.std(ddof=1) / np.sqrt(len(gains))
+    return bool(gains.mean() > stdtrit(len(gains) - 1, confidence) * error)

@@ -1,0 +1,217 @@
+"""What is held out: recordings, conditions, blocks of time.
+
+search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
+    search.fit(dataset)
+
+A `Dataset` counts as its episodes there: ``dataset[i]`` is the data set of episode i, and a model's `fit` and
+`score` join the list of them that scikit-learn cuts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from sysid_evo.data.dataset import Dataset, as_dataset
+from sysid_evo.data.trajectory import Trajectory, recording
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.types import BoolArray, IntArray
+
+BLOCKS = 6
+
+SHORTEST = 30
+
+FOLDS = 3
+
+LEAST_SHARE = 0.5
+"""Of the steps that would be left if all recordings were as long: so many must be where some are held out."""
+
+
+@dataclass(frozen=True)
+class EpisodeFold:
+    """Holds out whole recordings in turn, in ``n_splits`` groups, in their order.
+
+    Pieces of one recording, such as ``log[0:400]`` and ``log[400:800]``, stay together: they share battery,
+    tyres and floor, so that a piece is no fair test of what was learned from another.
+    """
+
+    n_splits: int = 5
+
+    def __post_init__(self) -> None:
+        if self.n_splits < 2:
+            raise InvalidArgument(f"EpisodeFold: expected n_splits >= 2, got {self.n_splits}")
+
+    def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
+        """Return the number of groups, as scikit-learn asks for it."""
+        return self.n_splits
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` if they are too few."""
+        recordings = [recording(name) for name in as_dataset(X, "EpisodeFold").names]
+        different = list(dict.fromkeys(recordings))
+        if len(different) < self.n_splits:
+            raise InvalidData(
+                f"EpisodeFold: expected at least {self.n_splits} recordings, got {len(different)}; "
+                "give a smaller n_splits, or hold out time with Dataset.split(0.2)"
+            )
+        for group in np.array_split(np.array(different, dtype=object), self.n_splits):
+            held = np.isin(recordings, list(group))
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
+@dataclass(frozen=True)
+class ConditionFold:
+    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
+
+    def get_n_splits(
+        self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
+    ) -> int:
+        """Return the number of conditions, as scikit-learn asks for it."""
+        return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
+        dataset = as_dataset(X, "ConditionFold")
+        if len(dataset.conditions) < 2:
+            raise InvalidData(
+                f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
+                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
+            )
+        of_each = np.array([episode.condition for episode in dataset], dtype=object)
+        for condition in dataset.conditions:
+            held = of_each == condition
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
+def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
+    """Return what is learned from and what is held out: every ``folds``-th block of time of each episode.
+
+    An episode is cut into 6 blocks, fewer if they were shorter than 30 steps; one too short to be
+    cut is only learned from. If nothing can be held out, both sides are the whole data set.
+    """
+    learned: list[Trajectory] = []
+    held: list[Trajectory] = []
+    for number, episode in enumerate(dataset.episodes):
+        blocks = min(BLOCKS, len(episode) // SHORTEST)
+        if blocks < 2:
+            learned.append(episode)
+            continue
+        edges = np.linspace(0, len(episode), blocks + 1).astype(int)
+        out = [(block + number) % min(folds, blocks) == fold % min(folds, blocks) for block in range(blocks)]
+        begin = 0
+        for block in range(1, blocks + 1):
+            if block == blocks or out[block] != out[begin]:
+                (held if out[begin] else learned).append(episode[int(edges[begin]) : int(edges[block])])
+                begin = block
+    if not held or not learned:
+        return dataset, dataset
+    return dataset.with_episodes(learned), dataset.with_episodes(held)
+
+
+def folds_of(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
+    """Return up to ``count`` pairs of what is learned from and what is held out.
+
+    Whole recordings are held out, in groups of about the same length where there are more than ``count``; pieces of one
+    stay together. Of a single recording, or where one is so long that too little would be left without it, blocks of
+    time.
+    """
+    names = [recording(name) for name in dataset.names]
+    if len(set(names)) >= 2:
+        groups = balanced(names, [len(episode) for episode in dataset], min(max(count, 2), len(set(names))))
+        rows = [np.isin(names, list(group)) for group in groups]
+        pairs = [(dataset[np.flatnonzero(~held).tolist()], dataset[np.flatnonzero(held).tolist()]) for held in rows]
+        if all(seen.n_steps >= LEAST_SHARE * dataset.n_steps * (1.0 - 1.0 / len(pairs)) for seen, _ in pairs):
+            return pairs[:count]
+    pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
+    return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
+
+
+def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[list[str]]:
+    """Return the recordings of these episodes in ``count`` groups of about the same length, in their order.
+
+    The longest first, each joins the group that is shortest by then: what was recorded one after the other, such as
+    manoeuvres of one kind, comes into different groups.
+    """
+    length = dict.fromkeys(names, 0)
+    for name, steps in zip(names, lengths, strict=True):
+        length[name] += steps
+    groups: list[list[str]] = [[] for _ in range(count)]
+    for name in sorted(length, key=lambda one: -length[one]):
+        min(groups, key=lambda group: sum(length[one] for one in group)).append(name)
+    return sorted(groups, key=lambda group: min(names.index(one) for one in group))
+
+
+MOST_GROUPS = 4
+
+LONE_FOLDS = 3
+
+
+def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+    """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
+    recordings = len({recording(name) for name in dataset.names})
+    if recordings < 2:
+        return []
+    folds = EpisodeFold(min(MOST_GROUPS, recordings)).split(dataset)
+    return [(dataset[list(seen)], dataset[list(held)]) for seen, held in folds]
+
+
+def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+    """Return what `unseen_recordings` does, or for one recording alone its held-out blocks of time in turn."""
+    return unseen_recordings(dataset) or [time_blocks(dataset, fold) for fold in range(LONE_FOLDS)]
+
+
+GATE_BLOCKS = 3
+
+
+@dataclass(frozen=True)
+class Block:
+    """The samples ``low`` to ``high`` of a recording, held back while the rest is learned from."""
+
+    low: int
+    high: int
+    horizon: int
+
+    def held(self, first: IntArray) -> BoolArray:
+        """Return which windows that begin at ``first`` (B,) lie inside."""
+        return (first >= self.low) & (first + self.horizon <= self.high)
+
+    def learned(self, first: IntArray) -> BoolArray:
+        """Return which windows lie outside; one that reaches over an edge is on neither side."""
+        return (first + self.horizon <= self.low) | (first >= self.high)
+
+    def rest(self, dataset: Dataset) -> Dataset:
+        """Return ``dataset`` without these samples."""
+        kept: list[Trajectory] = []
+        for episode, low, high in self._edges(dataset):
+            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+        return dataset.with_episodes(kept)
+
+    def part(self, dataset: Dataset) -> Dataset:
+        """Return these samples of ``dataset``."""
+        return dataset.with_episodes([episode[low:high] for episode, low, high in self._edges(dataset) if high > low])
+
+    def _edges(self, dataset: Dataset) -> Iterator[tuple[Trajectory, int, int]]:
+        """Yield every episode and where the block begins and ends in it."""
+        begin = 0
+        for episode in dataset:
+            low, high = (int(np.clip(edge - begin, 0, len(episode))) for edge in (self.low, self.high))
+            yield episode, low, high
+            begin += len(episode)
+
+
+def blocks_of(first: IntArray, horizon: int) -> list[Block]:
+    """Return three blocks of time with as many of the windows that begin at ``first`` (B,) each.
+
+    None if one of them has no window to learn from, or none to be judged by.
+    """
+    edges = np.quantile(first, np.linspace(0.0, 1.0, GATE_BLOCKS + 1)).astype(int)
+    edges[0], edges[-1] = 0, int(first.max()) + horizon
+    blocks = [Block(low, high, horizon) for low, high in pairwise(edges.tolist())]
+    return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []

@@ -1,0 +1,185 @@
+"""Simulation (free run) on held-out windows and its error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.trajectory import Windows
+from sysid_evo.errors import InvalidData
+from sysid_evo.models.base import DynamicsModel
+from sysid_evo.system import System
+from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.bootstrap import Errors
+
+if TYPE_CHECKING:
+    from sysid_evo.models.adaptation.correction import Pieces, Terms
+
+
+SECOND, FEWEST_STEPS = 1.0, 10
+
+STRIDE = 4
+
+MOST_WINDOWS = 10_000
+"""Windows that judge a model: more of them take longer and say the same."""
+
+
+def judging_windows(
+    dataset: Dataset, history: int, *, stride: int = STRIDE, seconds: float = SECOND, fewest: int = FEWEST_STEPS
+) -> Windows:
+    """Return windows of one second and at least ten steps, or the longest the data have, wherever the body moves.
+
+    One starts every ``stride`` samples, of long data at larger strides, so that there are `MOST_WINDOWS` or fewer.
+    """
+    longest = max(len(episode) for episode in dataset.episodes) - history
+    horizon = min(max(fewest, round(seconds / dataset.system.dt)), longest)
+    if horizon < 1:
+        raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
+    least = -(-dataset.n_steps // MOST_WINDOWS)
+    windows = dataset.windows(horizon, stride=max(stride, least), history=history, moving=True)
+    return windows if len(windows) else dataset.windows(horizon, stride=least, history=history)
+
+
+def simulation_error(model: DynamicsModel, windows: Windows) -> float:
+    """Return the mean over channels and steps of RMSE / standard deviation of the truth, in free run.
+
+    Steps count alike, so that neither the first nor the last alone decides. 0 is perfect, about 1 is no
+    better than the mean of the truth; infinite if a state is not finite.
+    """
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    return relative_error(model.system, simulated, windows)
+
+
+def relative_error(system: System, simulated: Array, windows: Windows) -> float:
+    """Return the mean over channels and steps of RMSE / spread of ``simulated`` (N, H, nx); inf if not finite."""
+    off, spread = system.difference(simulated, windows.states), system.spread(windows.states)
+    spread = np.where(spread > 0, spread, 1.0)
+    with np.errstate(all="ignore"):
+        error = float(np.mean(np.sqrt(np.mean(off**2, axis=0)) / spread))
+    return error if np.isfinite(error) else float("inf")
+
+
+JUDGING_STRIDE = 6
+
+JUDGING_MOST_WINDOWS = 800
+"""Free runs of one fold: they overlap, and more of them take longer and say the same."""
+
+LONGEST_HISTORY = 64
+
+HISTORY_SHARE = 3
+"""A history takes one part in so many of what the longest horizon leaves of what is held out."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The free runs of one fold: measured ``windows``, and the horizons (steps) at which they count."""
+
+    windows: Windows
+    horizons: tuple[int, ...]
+
+    @classmethod
+    def of(cls, held: Dataset, horizons: Sequence[int], history: int) -> Self:
+        """Cut windows of what is held out, wherever the body moves; all of them where it never does for so long."""
+        longest = max(horizons)
+        places = held.window_places(longest, stride=JUDGING_STRIDE, history=history, moving=True)
+        if not len(places):
+            places = held.window_places(longest, stride=1)
+        rows = np.arange(len(places), dtype=np.int64)
+        if len(rows) > JUDGING_MOST_WINDOWS:
+            rows = np.linspace(0, len(rows) - 1, JUDGING_MOST_WINDOWS).astype(np.int64)
+        return cls(places[rows], tuple(horizons))
+
+    @property
+    def truth(self) -> Array:
+        """The measured states (N, H, nx) at the horizons."""
+        return self.windows.states[:, [horizon - 1 for horizon in self.horizons]]
+
+    @property
+    def blocks(self) -> IntArray:
+        """The number of the block of time (N,) of each window: as long as the longest horizon."""
+        length = max(self.horizons)
+        longest = int(self.windows.start.max(initial=0)) // length + 1
+        return np.asarray(self.windows.episode * longest + self.windows.start // length, dtype=np.int64)
+
+    def run(self, model: DynamicsModel) -> Array:
+        """Return what ``model`` simulates (N, H, nx) at the horizons; a short history is padded with its beginning."""
+        w = self.windows
+        missing = max(0, model.n_lags - w.past_controls.shape[1])
+        states = np.concatenate([np.repeat(w.past_states[:, :1], missing, axis=1), w.past_states], axis=1)
+        neutral = np.tile(model.system.neutral_control, (len(w), missing, 1))
+        controls = np.concatenate([neutral, w.past_controls], axis=1)
+        found = model.simulate(states, controls, w.controls)
+        return np.asarray(found[:, [horizon - 1 for horizon in self.horizons]])
+
+    def diverged(self, model: DynamicsModel, simulated: Array) -> float:
+        """Return the share of the runs (N, H, nx) that reach the envelope of ``model`` or are no numbers."""
+        off = ~np.isfinite(simulated)
+        if model.envelope is not None:
+            off |= (simulated <= model.envelope[0]) | (simulated >= model.envelope[1])
+        return float(off.any(axis=(1, 2)).mean())
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Trials of all folds, and the ``spread`` (nx,) of the states by which errors are divided."""
+
+    system: System
+    trials: tuple[Trial, ...]
+    spread: Array
+
+    @classmethod
+    def of(cls, dataset: Dataset, trials: Sequence[Trial]) -> Self:
+        moving = [episode.states[rows] for episode, rows in zip(dataset.episodes, dataset.moving, strict=True)]
+        states = np.concatenate(moving)
+        if len(states) < 2:
+            states = np.concatenate([episode.states for episode in dataset.episodes])
+        spread = dataset.system.spread(states)
+        return cls(dataset.system, tuple(trials), np.where(spread > 0, spread, 1.0))
+
+    def errors(self, simulated: Sequence[Array]) -> Errors:
+        """Condense what a model simulated in the trials, (N, H, nx) each."""
+        squares, counts, first = [], [], 0
+        for trial, states in zip(self.trials, simulated, strict=True):
+            off = self.system.difference(states, trial.truth) / self.spread
+            _, block = np.unique(trial.blocks, return_inverse=True)
+            sums = np.zeros((block.max(initial=-1) + 1, *off.shape[1:]))
+            np.add.at(sums, block, off**2)
+            squares.append(sums)
+            counts.append(np.bincount(block, minlength=len(sums)))
+            first += len(sums)
+        return Errors(np.concatenate(squares), np.concatenate(counts).astype(np.int64))
+
+
+def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list[int]:
+    """Return those of the ``wanted`` horizons (steps) that fit into what is held out; the longest possible if none."""
+    longest = min(max(len(episode) for episode in held) for _, held in pairs)
+    fitting = sorted({horizon for horizon in wanted if horizon <= longest - 1})
+    return fitting or [max(1, longest // 2)]
+
+
+def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) -> int:
+    """Return how many samples are measured before a free run: a third of what the longest of the ``horizons`` leaves.
+
+    A model with hidden states finds them in the history, and where that is short its runs begin far off.
+    """
+    typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
+    return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))
+
+
+FARTHEST = 10.0
+"""Standard deviations that an error counts at most."""
+
+
+def off(terms: Terms, runs: Array, pieces: Pieces) -> Array:
+    """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts most."""
+    wrong = terms.system.difference(runs, np.broadcast_to(pieces.truth, runs.shape)) / pieces.scale
+    return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
+
+
+def error_of(errors: Array) -> float:
+    """Return the mean over steps and states of the root mean square over windows of ``errors`` (B, H, nx)."""
+    return float(np.mean(np.sqrt(np.mean(errors**2, axis=0))))
