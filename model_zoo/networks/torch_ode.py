@@ -13,7 +13,7 @@ from model_zoo.networks.neural_ode import flow_predictor, flow_step
 from model_zoo.scaling import Standard
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
-from sysid_evo.errors import InvalidArgument, ShapeError
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.kernels import Predictor
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.processors import one_thread
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     import torch
 
     from model_zoo.networks.torch_training import Equation
-
 
 HIDDEN = (32, 32)
 
@@ -96,15 +95,12 @@ class TorchOde(DynamicsModel):
         return nn.Sequential(*layers, nn.Linear(n_inputs, n_outputs))
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        from model_zoo.networks.torch_training import train
-
         standard, counter = Standard.of(dataset), Counter(progress, self.updates)
         self.centre_, self.scale_ = standard.of_inputs(CarryLayout(self.system.nx, self.system.nu, *self.lags))
         self.rates_ = standard.change / self.system.dt
         with one_thread(int(rng.integers(2**63))):
-            equation = self._equation(self._new_module(), TRAINED)
-            train(
-                equation,
+            equation = self._equation(TRAINED)
+            equation.train(
                 dataset,
                 standard,
                 updates=self.updates,
@@ -134,66 +130,31 @@ class TorchOde(DynamicsModel):
     @cached_property
     def equation(self) -> Equation:
         """What was learned, for torch."""
-        import torch
-
-        module = self._new_module()
-        weights = (torch.tensor(weight) for weight in self.weights_)
-        module.load_state_dict(dict(zip(self.weight_names_, weights, strict=True)))
-        return self._equation(module.eval(), STEPPED)
+        with one_thread(0):
+            return self._equation(STEPPED).with_weights(dict(zip(self.weight_names_, self.weights_, strict=True)))
 
     def predictor(self) -> Predictor | None:
         return flow_predictor(self.network, self.system, self.lags) if self.plain else None
 
     def next_state(self, carry: Array, control: Array) -> Array:
-        return (
-            flow_step(self.network, self.system, self.lags, carry, control)
-            if self.plain
-            else self._by_torch(carry, control)
-        )
+        if self.plain:
+            return flow_step(self.network, self.system, self.lags, carry, control)
+        return self.equation.next_states(carry, control)
 
-    def _by_torch(self, carry: Array, control: Array) -> Array:
-        """Return the next states; nan in the rows that the solver cannot follow."""
-        import torch
-
-        from model_zoo.networks.torch_training import SOLVER_FAILED
-
-        try:
-            with one_thread(0), torch.no_grad():
-                return self.equation.after(torch.tensor(carry), torch.tensor(control)).numpy()
-        except SOLVER_FAILED:
-            if len(carry) == 1:
-                return np.full((1, self.system.nx), np.nan)
-            rows = range(len(carry))
-            return np.concatenate([self._by_torch(carry[i : i + 1], control[i : i + 1]) for i in rows])
-
-    def _new_module(self) -> torch.nn.Module:
-        """Return `module` for this system in float64. Raises `ShapeError` if its outputs have another shape."""
-        import torch
+    def _equation(self, tolerance: float) -> Equation:
+        """Return the equation with a new module. Raises `ShapeError` if its outputs have another shape."""
+        from model_zoo.networks.torch_training import Equation  # loads torch
 
         n_inputs, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
-        made = self.module(n_inputs, nx).double()
-        with torch.no_grad():
-            shape = tuple(made.eval()(torch.zeros(2, n_inputs, dtype=torch.float64)).shape)
-        if shape != (2, nx):
-            raise ShapeError(
-                f"{type(self).__name__}.module: expected a module that turns (2, {n_inputs}) into (2, {nx}), "
-                f"got {shape}"
-            )
-        return made
-
-    def _equation(self, module: torch.nn.Module, tolerance: float) -> Equation:
-        import torch
-
-        from model_zoo.networks.torch_training import Equation
-
-        return Equation(
-            module,
+        return Equation.of(
+            self.module(n_inputs, nx),
             self.system,
             self.layout,
-            centre=torch.tensor(self.centre_),
-            scale=torch.tensor(self.scale_),
-            rates=torch.tensor(self.rates_),
+            centre=self.centre_,
+            scale=self.scale_,
+            rates=self.rates_,
             solver=self.solver,
             adjoint=self.adjoint,
             tolerance=tolerance,
+            owner=type(self).__name__,
         )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -20,9 +20,11 @@ from model_zoo.scaling import Standard
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset, Windows
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.models.dynamics import chained
+from sysid_evo.processors import one_thread
 from sysid_evo.system import System
+from sysid_evo.types import Array
 from sysid_evo.validation.folds import time_blocks
 from sysid_evo.validation.simulation_error import judging_windows, relative_error
 
@@ -34,6 +36,14 @@ MOST_STEPS = 10_000
 
 SOLVER_FAILED = AssertionError
 """What torchdiffeq raises where they would take more, or meet what is no number."""
+
+FOLDS = 5
+
+ON_SINGLE_STEPS = 2 / 3
+"""Share of the updates, which take little time each."""
+
+CHECKS = 12
+"""Times that the running mean of the weights is judged."""
 
 
 class Turning(torch.autograd.Function):
@@ -72,9 +82,52 @@ class Equation:
     adjoint: bool
     tolerance: float
 
-    def with_module(self, module: torch.nn.Module) -> Equation:
-        """Return the same equation with another module."""
-        return replace(self, module=module)
+    @classmethod
+    def of(
+        cls,
+        module: torch.nn.Module,
+        system: System,
+        layout: CarryLayout,
+        *,
+        centre: Array,
+        scale: Array,
+        rates: Array,
+        solver: str,
+        adjoint: bool,
+        tolerance: float,
+        owner: str,
+    ) -> Self:
+        """Return the equation of the ``module`` of the class ``owner``, which becomes one of float64.
+
+        Raises `ShapeError` if its outputs have another shape than (B, nx).
+        """
+        n_inputs, nx = len(centre), system.nx
+        module = module.double()
+        with torch.no_grad():
+            shape = tuple(module.eval()(torch.zeros(2, n_inputs, dtype=torch.float64)).shape)
+        if shape != (2, nx):
+            raise ShapeError(
+                f"{owner}.module: expected a module that turns (2, {n_inputs}) into (2, {nx}), got {shape}"
+            )
+        numbers = torch.tensor(centre), torch.tensor(scale), torch.tensor(rates)
+        return cls(module, system, layout, *numbers, solver, adjoint, tolerance)
+
+    def with_weights(self, weights: Mapping[str, Array]) -> Self:
+        """Return this equation, its module ready to simulate with these weights."""
+        self.module.load_state_dict({name: torch.tensor(weight) for name, weight in weights.items()})
+        self.module.eval()
+        return self
+
+    def next_states(self, carry: Array, control: Array) -> Array:
+        """Return the states (B, nx) after dt; nan in the rows that the solver cannot follow."""
+        try:
+            with one_thread(0), torch.no_grad():
+                return self.after(torch.tensor(carry), torch.tensor(control)).numpy()
+        except SOLVER_FAILED:
+            if len(carry) == 1:
+                return np.full((1, self.system.nx), np.nan)
+            rows = range(len(carry))
+            return np.concatenate([self.next_states(carry[i : i + 1], control[i : i + 1]) for i in rows])
 
     def run(self, states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
         """Return the states (B, H, nx) of free runs from histories (B, L + 1, nx), (B, L, nu) under (B, H, nu)."""
@@ -97,6 +150,86 @@ class Equation:
             rate, state, self._times, rtol=self.tolerance, atol=self._absolute, method=self.solver, options=options
         )
         return solved[-1]
+
+    def train(
+        self,
+        dataset: Dataset,
+        standard: Standard,
+        *,
+        updates: int,
+        horizon: int,
+        learning_rate: float,
+        rng: np.random.Generator,
+        told: Callable[[], None],
+    ) -> None:
+        """Train the module in place on all but the held-out blocks of time.
+
+        Every window is a shot of its own from a measured state (multiple shooting), as `Plan` says: first of one step,
+        then of ``horizon`` steps. What stays are, of the running means of the weights, those that simulate the held-out
+        blocks best over one second. ``told`` is called after each update.
+        """
+        learned, held = time_blocks(dataset, 0, FOLDS)
+        history, module = self.layout.history, self.module
+        shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
+        batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
+        single = round(ON_SINGLE_STEPS * updates)
+        plan = Plan(single, updates - single, horizon, learning_rate=learning_rate)
+
+        def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
+            return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))
+
+        mean = AveragedModel(module, avg_fn=running)
+        optimiser = torch.optim.Adam(
+            module.parameters(), betas=(MOMENTUM, SPREAD), weight_decay=2.0 * plan.weight_decay
+        )
+        best, lowest = copy.deepcopy(module.state_dict()), math.inf
+        for update in range(updates):
+            steps, size, rate = schedule(plan, update, shots.horizon)
+            samples = batches.of([rng.integers(0, len(shots), size)], steps)[:, 0]
+            now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
+            noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, self.layout.nx))
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            optimiser.zero_grad()
+            module.train()
+            if self._pulled_back(now, torch.from_numpy(noise), scale):
+                optimiser.step()
+            mean.update_parameters(module)
+            if update + 1 == updates or (update + 1) % max(1, updates // CHECKS) == 0:
+                error = replace(self, module=mean.module).error(windows)
+                if error < lowest:
+                    best, lowest = copy.deepcopy(mean.module.state_dict()), error
+            told()
+        if not math.isfinite(lowest):
+            raise InvalidArgument(
+                f"no free run of the module was finite: expected one that solver={self.solver!r} can follow; "
+                "give a lower learning_rate, or a module whose outputs are bounded"
+            )
+        module.load_state_dict(best)
+
+    def _pulled_back(self, samples: Tensor, noise: Tensor, scale: Tensor) -> bool:
+        """Set the gradients for windows (B, L + 1 + H, nx + nu), shortened to 1; return whether they are finite."""
+        nx, history = self.layout.nx, self.layout.history
+        states, controls = samples[..., :nx], samples[..., nx:]
+        try:
+            found = self.run(states[:, : history + 1] + noise, controls[:, :history], controls[:, history:-1])
+            error = (((found - states[:, history + 1 :]) / scale) ** 2).mean(dim=(0, 2))
+            weights = torch.from_numpy(step_weights(error.detach().numpy()[:, None]))
+            torch.autograd.backward((weights * error).sum())
+        except SOLVER_FAILED:
+            return False
+        return bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(self.module.parameters(), 1.0)))
+
+    def error(self, windows: Windows) -> float:
+        """Return the error of free runs over ``windows``."""
+        given = (torch.from_numpy(part) for part in (windows.past_states, windows.past_controls, windows.controls))
+        self.module.eval()
+        try:
+            with torch.no_grad():
+                simulated = self.run(*given).numpy()
+        except SOLVER_FAILED:
+            return math.inf
+        return relative_error(self.system, simulated, windows)
 
     @cached_property
     def _times(self) -> Tensor:
@@ -147,94 +280,3 @@ def seen(system: System, states: Tensor) -> Tensor:
 
 def _largest(error: Tensor) -> Tensor:
     return error.abs().max()
-
-
-FOLDS = 5
-
-ON_SINGLE_STEPS = 2 / 3
-"""Share of the updates, which take little time each."""
-
-CHECKS = 12
-"""Times that the running mean of the weights is judged."""
-
-
-def train(
-    equation: Equation,
-    dataset: Dataset,
-    standard: Standard,
-    *,
-    updates: int,
-    horizon: int,
-    learning_rate: float,
-    rng: np.random.Generator,
-    told: Callable[[], None],
-) -> float:
-    """Train the module of ``equation`` in place on all but the held-out blocks of time; return the error on these.
-
-    Every window is a shot of its own from a measured state (multiple shooting), as `Plan` says: first of one step, then
-    of ``horizon`` steps. What stays are, of the running means of the weights, those that simulate the held-out blocks
-    best over one second. ``told`` is called after each update.
-    """
-    learned, held = time_blocks(dataset, 0, FOLDS)
-    history, module = equation.layout.history, equation.module
-    shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
-    batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
-    single = round(ON_SINGLE_STEPS * updates)
-    plan = Plan(single, updates - single, horizon, learning_rate=learning_rate)
-
-    def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
-        return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))
-
-    mean = AveragedModel(module, avg_fn=running)
-    optimiser = torch.optim.Adam(module.parameters(), betas=(MOMENTUM, SPREAD), weight_decay=2.0 * plan.weight_decay)
-    best, lowest = copy.deepcopy(module.state_dict()), math.inf
-    for update in range(updates):
-        steps, size, rate = schedule(plan, update, shots.horizon)
-        samples = batches.of([rng.integers(0, len(shots), size)], steps)[:, 0]
-        now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
-        noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, equation.layout.nx))
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        optimiser.zero_grad()
-        module.train()
-        if _pulled_back(equation, now, torch.from_numpy(noise), scale):
-            optimiser.step()
-        mean.update_parameters(module)
-        if update + 1 == updates or (update + 1) % max(1, updates // CHECKS) == 0:
-            error = _judged(equation, mean.module, windows)
-            if error < lowest:
-                best, lowest = copy.deepcopy(mean.module.state_dict()), error
-        told()
-    if not math.isfinite(lowest):
-        raise InvalidArgument(
-            f"no free run of the module was finite: expected one that solver={equation.solver!r} can follow; "
-            "give a lower learning_rate, or a module whose outputs are bounded"
-        )
-    module.load_state_dict(best)
-    return lowest
-
-
-def _pulled_back(equation: Equation, samples: Tensor, noise: Tensor, scale: Tensor) -> bool:
-    """Set the gradients for windows (B, L + 1 + H, nx + nu), shortened to 1; return whether they are finite."""
-    nx, history = equation.layout.nx, equation.layout.history
-    states, controls = samples[..., :nx], samples[..., nx:]
-    try:
-        found = equation.run(states[:, : history + 1] + noise, controls[:, :history], controls[:, history:-1])
-        error = (((found - states[:, history + 1 :]) / scale) ** 2).mean(dim=(0, 2))
-        weights = torch.from_numpy(step_weights(error.detach().numpy()[:, None]))
-        torch.autograd.backward((weights * error).sum())
-    except SOLVER_FAILED:
-        return False
-    return bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(equation.module.parameters(), 1.0)))
-
-
-def _judged(equation: Equation, module: torch.nn.Module, windows: Windows) -> float:
-    """Return the error of free runs over ``windows`` with the weights of ``module``."""
-    given = (torch.from_numpy(part) for part in (windows.past_states, windows.past_controls, windows.controls))
-    module.eval()
-    try:
-        with torch.no_grad():
-            simulated = equation.with_module(module).run(*given).numpy()
-    except SOLVER_FAILED:
-        return math.inf
-    return relative_error(equation.system, simulated, windows)

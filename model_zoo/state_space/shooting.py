@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from model_zoo.state_space.recordings import Segments
+from model_zoo.state_space.shooting_kernel import compiled_run, compiled_sensitivities
 from model_zoo.state_space.units import slopes, values
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.types import Array, BoolArray, IntArray
@@ -111,11 +112,9 @@ class Spaces:
 
     def run(self, states: Array, controls: Array) -> Array:
         """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
-        from model_zoo.state_space.shooting_kernel import compiled_flow_run, compiled_run
-
         out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
         room = np.empty(self._room + 2 * self.n)
-        compiled = compiled_flow_run() if self.flow else compiled_run()
+        compiled = compiled_run(flow=self.flow)
         for s in range(len(self)):
             own = self._arguments(s, states[s], controls, 0)
             compiled(*own, np.array([FAR]), out[s].reshape(-1), room)
@@ -166,14 +165,12 @@ class Spaces:
         States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
         a sample does not count; the last n are those by the start.
         """
-        from model_zoo.state_space.shooting_kernel import compiled_flow_sensitivities, compiled_sensitivities
-
         ny = segments.outputs.shape[2]
         size = self.outer[s].size + self.inner[s].size + self.n
         states = np.empty((*segments.counts.shape, self.n))
         derivatives = np.empty((*segments.counts.shape, ny, size))
         room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2 + 2 * size * self.flow))
-        compiled = compiled_flow_sensitivities() if self.flow else compiled_sensitivities()
+        compiled = compiled_sensitivities(flow=self.flow)
         compiled(
             *self._arguments(s, starts, segments.controls, ny),
             segments.counts.reshape(-1),

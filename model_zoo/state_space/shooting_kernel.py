@@ -12,22 +12,26 @@ import math
 from typing import Any
 
 from model_zoo.state_space.units import BOUND, SHARP
-from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.kernels import WHOLES, KernelSource, Signature, view
 
 
 @functools.cache
-def compiled_run() -> Any:
-    """Return `run`, compiled."""
-    signature = Signature.of(run, sizes=WHOLES, kinds=WHOLES)
-    return compile_kernel(KernelSource(run), signature, "float64", pointer=False)
+def compiled_run(*, flow: bool) -> Any:
+    """Return `run` compiled, with ``flow`` that of a differential equation."""
+    return _compiled(KernelSource(run, {"step": flow_step} if flow else {}))
 
 
 @functools.cache
-def compiled_sensitivities() -> Any:
-    """Return `sensitivities`, compiled."""
-    signature = Signature.of(sensitivities, sizes=WHOLES, kinds=WHOLES)
-    return compile_kernel(KernelSource(sensitivities), signature, "float64", pointer=False)
+def compiled_sensitivities(*, flow: bool) -> Any:
+    """Return `sensitivities` compiled, with ``flow`` those of a differential equation."""
+    return _compiled(KernelSource(sensitivities, {"pushing_step": pushing_flow_step} if flow else {}))
+
+
+def _compiled(source: KernelSource) -> Any:
+    from sysid_evo.engine.compiled.compiler import compile_kernel  # loads Numba
+
+    signature = Signature.of(source.function, sizes=WHOLES, kinds=WHOLES)
+    return compile_kernel(source, signature, "float64", pointer=False)
 
 
 def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room):
@@ -167,21 +171,6 @@ def advance(states, at, outer, pace, n, width, far, room):
         for j in range(width):
             total += outer[i * width + j] * room[j]
         states[at + n + i] = min(max(states[at + i] + pace[i] * total, -far), far)
-
-
-@functools.cache
-def compiled_flow_run() -> Any:
-    """Return `run` of a differential equation, compiled."""
-    signature = Signature.of(run, sizes=WHOLES, kinds=WHOLES)
-    return compile_kernel(KernelSource(run, {"step": flow_step}), signature, "float64", pointer=False)
-
-
-@functools.cache
-def compiled_flow_sensitivities() -> Any:
-    """Return `sensitivities` of a differential equation, compiled."""
-    signature = Signature.of(sensitivities, sizes=WHOLES, kinds=WHOLES)
-    source = KernelSource(sensitivities, {"pushing_step": pushing_flow_step})
-    return compile_kernel(source, signature, "float64", pointer=False)
 
 
 def flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room):

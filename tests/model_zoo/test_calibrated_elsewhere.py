@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from sysid_evo.data import Dataset
 from sysid_evo.models.adaptation import ANEW, NONE, REFIT, Learned, Terms
-from sysid_evo.models.adaptation import adapted as elsewhere
+from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
 from sysid_evo.models.adaptation.selection import Adaptation, Verdict
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
@@ -18,6 +19,8 @@ from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 NOISE = 0.05
+
+ADAPTED = import_module("sysid_evo.models.adaptation.adapted")  # in the package the name is that of a function
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +53,7 @@ def test_the_error_of_a_step_is_that_over_all_held_parts_and_the_base_keeps_its_
     base: Any, parts: list[Dataset]
 ) -> None:
     before = kept(base)
-    found = elsewhere.calibrated_elsewhere(base, [uncorrected(base, held) for held in parts], _rng())
+    found = calibrated_elsewhere(base, [uncorrected(base, held) for held in parts], _rng())
     assert found is not base
     assert all((one == other).all() for one, other in zip(kept(base), before, strict=True))
     assert found.residual_[:2] == pytest.approx(np.full(2, NOISE), rel=0.25)  # how it turns is not linear
@@ -67,8 +70,8 @@ def test_samples_of_two_parts_and_of_two_episodes_are_never_neighbours(
         seen.append(numbers)
         return np.zeros(errors.shape[1])
 
-    monkeypatch.setattr(elsewhere, "persistent_share", persistent_share)
-    elsewhere.calibrated_elsewhere(base, [uncorrected(base, held) for held in parts], _rng())
+    monkeypatch.setattr(ADAPTED, "persistent_share", persistent_share)
+    calibrated_elsewhere(base, [uncorrected(base, held) for held in parts], _rng())
     (numbers,) = seen
     steps = np.diff(numbers)
     assert (steps > 0).all()
@@ -85,10 +88,10 @@ def test_every_part_is_run_with_the_error_of_all_and_has_its_share_of_windows(
         cases.extend(own)
         return np.ones((4, 3))
 
-    monkeypatch.setattr(elsewhere, "MOST_WINDOWS", 60)
-    monkeypatch.setattr(elsewhere, "horizon_scales", horizon_scales)
+    monkeypatch.setattr(ADAPTED, "MOST_WINDOWS", 60)
+    monkeypatch.setattr(ADAPTED, "horizon_scales", horizon_scales)
     apart = [*(uncorrected(base, held) for held in parts), uncorrected(base, None)]
-    found = elsewhere.calibrated_elsewhere(base, apart, _rng())
+    found = calibrated_elsewhere(base, apart, _rng())
     assert [len(case.windows) for case in cases] == [30, 30]
     assert all((case.model.base.residual_ == found.residual_).all() for case in cases)
     assert MOST_WINDOWS > 60
@@ -99,7 +102,7 @@ def test_a_correction_is_part_of_the_step(base: Any, parts: list[Dataset]) -> No
     plain, pushed = uncorrected(base, parts[0]), 1.0
     coefficients = plain.coefficients.copy()
     coefficients[0] = pushed / (plain.terms.unit * base.system.dt)
-    shifted = elsewhere.calibrated_elsewhere(base, [replace(plain, coefficients=coefficients)], _rng())
+    shifted = calibrated_elsewhere(base, [replace(plain, coefficients=coefficients)], _rng())
     assert shifted.residual_ == pytest.approx(np.full(3, pushed), rel=0.1)
 
 
@@ -112,8 +115,8 @@ def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(
 ) -> None:
     learned = uncorrected(base, None)
     found = Adaptation(learned, Verdict(10.0, 3, 0.5, (), chosen), (uncorrected(base, parts[0]),))
-    monkeypatch.setattr(elsewhere, "adaptation", lambda *_, **__: found)
+    monkeypatch.setattr(ADAPTED, "adaptation", lambda *_, **__: found)
     calibrated = base.variant()
-    monkeypatch.setattr(elsewhere, "calibrated_elsewhere", lambda *_: calibrated)
+    monkeypatch.setattr(ADAPTED, "calibrated_elsewhere", lambda *_: calibrated)
     adapted: Any = make_model("adapted", base=None).given(base).fit(parts[0], rng=_rng())  # type: ignore[attr-defined]
     assert adapted.base_ is (calibrated if anew else base)

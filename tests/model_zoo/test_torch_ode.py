@@ -119,7 +119,7 @@ def test_numpy_torch_compiled_and_adaptive_steps_agree(recording: Dataset) -> No
     np.testing.assert_allclose(compiled[:, :3], stepped, atol=1e-9)
     adaptive = model.variant(solver="dopri5").next_state(carry, control)
     np.testing.assert_allclose(stepped, adaptive, atol=1e-5)
-    np.testing.assert_allclose(model._by_torch(carry, control), adaptive, atol=1e-5)
+    np.testing.assert_allclose(model.equation.next_states(carry, control), adaptive, atol=1e-5)
     assert np.abs(stepped - carry[:, :3]).max() > 0.05
 
 
