@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +12,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.evolution import ControllerEvolution, Stage
 from sysid_evo.files import write_atomically
-from sysid_evo.registry import Spec, tasks
 
 FILE = "experiment.toml"
 
@@ -154,38 +153,11 @@ class Experiment(BaseModel):
             found = found.model_copy(update={"polish": min(found.polish, found.generations)})
         return found
 
-    @property
-    def evolution(self) -> ControllerEvolution:
-        """How controllers are evolved. Raises what the registries say about wrong names and parameters."""
-        budget = self.budget
-        return ControllerEvolution(
-            generations=budget.generations,
-            trials=budget.trials,
-            runs=budget.runs,
-            aggregate=self.aggregate,
-            selection_trials=self.selection_trials,
-            estimator_delay=self.estimator_delay,
-            controller=Spec.parse(budget.controller),
-            task=Spec.parse(self.task),
-            strategy=Spec.parse(budget.strategy),
-            noise=self._noise,
-            caution=self.caution,
-            schedule=Stage.parse_many(self.schedule) if self.schedule else (),
-        )
-
-    @property
-    def _noise(self) -> str:
-        if self.noise is None:
-            return str(getattr(tasks.get(Spec.parse(self.task).name), "usual_noise", ""))
-        return "" if self.noise == NONE else self.noise
-
 
 def _sentence(error: Any) -> str:
     """Return one finding of pydantic as: what, what is wrong, what came."""
     where = ".".join(map(str, error["loc"]))
     if error["type"] == "extra_forbidden":
-        import difflib
-
         close = difflib.get_close_matches(where, Experiment.model_fields, n=1)
         return f"{where} is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
     message = error["msg"].replace("Input should be", "expected").replace("Value error, ", "")

@@ -19,6 +19,7 @@ from evaluation.cells.controllers import (
     chosen_cell,
     controller_cell,
     evolution_on,
+    evolution_settings,
     labels_inside,
 )
 from evaluation.cells.data import GivenData, RecordedData, Split
@@ -103,7 +104,7 @@ def plan_comparison(
     (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
     """
     remarks: list[str] = []
-    evolution = experiment.evolution
+    evolution = evolution_settings(experiment)
     _constructible(evolution)
     if experiment.by_hand and experiment.only is not None:
         raise InvalidArgument(f"by_hand: no controller is run with only = {experiment.only!r}; leave one out")
@@ -253,7 +254,7 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
 
 def check_experiment(experiment: Experiment) -> None:
     """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
-    _constructible(experiment.evolution)
+    _constructible(evolution_settings(experiment))
     robot = _robot(experiment, has_data=experiment.data is not None)
     if robot is not None:
         make_robot(robot)

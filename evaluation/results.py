@@ -10,17 +10,13 @@ from typing import Any
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import Manner, manners
 from evaluation.exploitability.results import ModelExploitability
-from evaluation.planning import Comparison
 from evaluation.prediction.scores import ConditionErrors, Prediction, error_of
 from evaluation.transfer.forecast import Forecast, ModelForecast, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.plan import Store
 from sysid_evo.system import System
-from sysid_evo.version import versions
 
 
 @dataclass(frozen=True)
@@ -97,48 +93,6 @@ class Report:
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionErrors, ...]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, comparison: Comparison, store: Store) -> Report:
-        """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
-
-        Raises `InvalidData` if there are no data, or no model was fitted.
-        """
-        from evaluation.running import _controllers, _failures, _prediction
-
-        parts = store.outcome(comparison.data)
-        if parts.value is None:
-            raise InvalidData(f"{comparison.data.title}: {parts.reason}")
-        training, test = parts.value.training, parts.value.test
-        fitted = {label: store.outcome(fit) for label, fit in comparison.fits.items()}
-        models = {label: outcome.value for label, outcome in fitted.items() if outcome.value is not None}
-        if not models:
-            reasons = "; ".join(f"{label}: {outcome.reason}" for label, outcome in fitted.items())
-            raise InvalidData(f"no model could be fitted: {reasons}")
-        matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
-        found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
-        return cls(
-            title=comparison.title,
-            data=DataSummary.of(training, training if test is None else test),
-            models=tuple(
-                ModelSummary.of(label, model, family=comparison.fits[label].spec.name)
-                for label, model in models.items()
-            ),
-            prediction=_prediction(comparison, store),
-            matrix=matrix,
-            exploitability=() if found is None or matrix is None else found,
-            advice=store.outcome(comparison.advice).value,
-            failures=tuple(_failures(comparison, store)),
-            settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
-            versions=versions(),
-            controllers=_controllers(comparison, store),
-            conditions={
-                label: outcome.value
-                for label, cell in comparison.conditions.items()
-                if (outcome := store.outcome(cell)).value is not None
-            },
-            timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
-        )
 
     @cached_property
     def transfer(self) -> TransferSummary | None:

@@ -135,7 +135,7 @@ def cells_of(
 
     others = other_models(store, columns)
     champion = controller_cell(experiment, columns, judges=columns + others)
-    delay = experiment.evolution.estimator_delay
+    delay = experiment.estimator_delay
 
     def on(column: Column) -> RunCell:
         return RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed)

@@ -9,71 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment import FILE, Experiment
-from evaluation.planning import Comparison, check_experiment, comparison_of, plan_comparison
+from evaluation.planning import Comparison, check_experiment, plan_comparison
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
 from evaluation.report.report import save_report
 from evaluation.report.study import save_study
-from evaluation.results import Failure, Report
+from evaluation.results import DataSummary, Failure, ModelSummary, Report
 from evaluation.run_folder import check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather, save_parquet
 from evaluation.study.study import FILE as STUDY_FILE
 from evaluation.study.study import Study
-from evaluation.transfer.matrix import Measured, load_measured, save_measured
-from sysid_evo.cli.console import out, session, tell
+from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
 from sysid_evo.registry import load_plugin
-
-
-def run_study(
-    study: Study | str | Path | Mapping[str, Any],
-    *,
-    out: str | Path | None = None,
-    observer: Observer | None = None,
-    jobs: int | None = None,
-    scheduler: Scheduler | None = None,
-) -> StudyResults:
-    """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
-
-    ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
-    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for::
-
-        from evaluation import run_study
-
-        found = run_study({
-            "title": "Two families on two cars",
-            "experiment": {"models": ["linear", "nearest_neighbour"], "minutes": 1.0, "generations": 20},
-            "grid": {"robot": ["emulated_car", "emulated_car(seed=1)"], "seed": "0..1"},
-        }, out="runs/two_families")
-        print([(row.point, row.controller, row.achieved) for row in found.controllers])
-
-    Raises what `plan_study` does, before any work.
-    """
-    found = study if isinstance(study, Study) else Study.of(study) if isinstance(study, Mapping) else Study.read(study)
-    if out is None and not isinstance(study, (str, Path)):
-        raise InvalidArgument("out: expected a folder for a study that is not in a file")
-    folder = study_folder(out, Path(str(study)))
-    planned = plan_study(found)
-    found.write(folder / STUDY_FILE)
-    execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
-    return finish(planned, folder)
-
-
-def study_folder(out: str | Path | None, file: Path) -> Path:
-    """Return ``out``, else ``runs/<name of the file>``, if it is new, empty or a run. Raises `InvalidArgument`."""
-    return check_run_folder(Path("runs") / file.stem if out is None else out)
-
-
-def finish(planned: PlannedStudy, folder: Path) -> StudyResults:
-    """Return what stands in ``folder``, and write tables, document and page there."""
-    results = gather(planned, folder)
-    save_parquet(results, folder)
-    save_study(results, folder)
-    return results
+from sysid_evo.version import versions
 
 
 def compare(
@@ -125,23 +78,74 @@ def compare(
     return finished(comparison, store)
 
 
+def _plain(value: Any) -> Any:
+    """Return lists as tuples and paths as text, so that the experiment can be stored."""
+    if isinstance(value, (list, tuple)):
+        return tuple(_plain(item) for item in value)
+    return str(value) if isinstance(value, Path) else value
+
+
 def finished(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
     """Return the report of what ``store`` holds, and write it into the run folder.
 
     A page that shows just that already is drawn again only if it is wanted ``afresh``.
     """
-    report = Report.of(comparison, store)
+    report = gather_results(comparison, store)
     results = [(cell.digest, None if record is None else (record.status, record.files))
                for cell in comparison.plan for record in [store.find(cell.digest)]]  # fmt: skip
     save_report(report, store.path, of=hashlib.sha256(json.dumps(results).encode()).hexdigest(), afresh=afresh)
     return report
 
 
-def _plain(value: Any) -> Any:
-    """Return lists as tuples and paths as text, so that the experiment can be stored."""
-    if isinstance(value, (list, tuple)):
-        return tuple(_plain(item) for item in value)
-    return str(value) if isinstance(value, Path) else value
+def report_again(comparison: Comparison, store: Store) -> Report | None:
+    """Write the report of a run anew, with the cells measured since; None if the run has no model yet."""
+    if not any(store.done(fit) for fit in comparison.fits.values()):
+        return None
+    for assess in (*comparison.predictions.values(), comparison.exploitability, comparison.advice):
+        if assess is not None:
+            tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
+            if all(needed.digest in tried for needed in assess.needs):
+                execute(Plan.of([assess]), store, only=[assess])
+    return finished(comparison, store, afresh=True)
+
+
+def gather_results(comparison: Comparison, store: Store) -> Report:
+    """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
+
+    Raises `InvalidData` if there are no data, or no model was fitted.
+    """
+    parts = store.outcome(comparison.data)
+    if parts.value is None:
+        raise InvalidData(f"{comparison.data.title}: {parts.reason}")
+    training, test = parts.value.training, parts.value.test
+    fitted = {label: store.outcome(fit) for label, fit in comparison.fits.items()}
+    models = {label: outcome.value for label, outcome in fitted.items() if outcome.value is not None}
+    if not models:
+        reasons = "; ".join(f"{label}: {outcome.reason}" for label, outcome in fitted.items())
+        raise InvalidData(f"no model could be fitted: {reasons}")
+    matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
+    found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
+    return Report(
+        title=comparison.title,
+        data=DataSummary.of(training, training if test is None else test),
+        models=tuple(
+            ModelSummary.of(label, model, family=comparison.fits[label].spec.name) for label, model in models.items()
+        ),
+        prediction=_prediction(comparison, store),
+        matrix=matrix,
+        exploitability=() if found is None or matrix is None else found,
+        advice=store.outcome(comparison.advice).value,
+        failures=tuple(_failures(comparison, store)),
+        settings=comparison.experiment.model_dump(mode="json", exclude_none=True),
+        versions=versions(),
+        controllers=_controllers(comparison, store),
+        conditions={
+            label: outcome.value
+            for label, cell in comparison.conditions.items()
+            if (outcome := store.outcome(cell)).value is not None
+        },
+        timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
+    )
 
 
 HELD_BY_THE_MATRIX = ("run",)
@@ -192,31 +196,48 @@ def _blocked(cell: Cell, store: Store) -> bool:
     return any(store.outcome(needed).value is None for needed in cell.needs)
 
 
-def append(folder: Path, *measured: Measured) -> None:
-    """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
-    for item in measured:
-        save_measured(folder, item)
-    if (folder / FILE).is_file() and report_again(folder) is not None:
-        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
-    else:
-        tell(f"stored in {folder}, which has no report (compare makes one)")
+def run_study(
+    study: Study | str | Path | Mapping[str, Any],
+    *,
+    out: str | Path | None = None,
+    observer: Observer | None = None,
+    jobs: int | None = None,
+    scheduler: Scheduler | None = None,
+) -> StudyResults:
+    """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
 
+    ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
+    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for::
 
-def report_again(run: Path) -> Report | None:
-    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+        from evaluation import run_study
 
-    Raises `InvalidArgument` if ``run`` is no comparison's run.
+        found = run_study({
+            "title": "Two families on two cars",
+            "experiment": {"models": ["linear", "nearest_neighbour"], "minutes": 1.0, "generations": 20},
+            "grid": {"robot": ["emulated_car", "emulated_car(seed=1)"], "seed": "0..1"},
+        }, out="runs/two_families")
+        print([(row.point, row.controller, row.achieved) for row in found.controllers])
+
+    Raises what `plan_study` does, before any work.
     """
-    comparison, remarks = comparison_of(run)
-    session.run = run
-    store = Store(run)
-    for remark in remarks:
-        tell(remark, label="note: ", style="dim")
-    if not any(store.done(fit) for fit in comparison.fits.values()):
-        return None
-    for assess in (*comparison.predictions.values(), comparison.exploitability, comparison.advice):
-        if assess is not None:
-            tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
-            if all(needed.digest in tried for needed in assess.needs):
-                execute(Plan.of([assess]), store, only=[assess])
-    return finished(comparison, store, afresh=True)
+    found = study if isinstance(study, Study) else Study.of(study) if isinstance(study, Mapping) else Study.read(study)
+    if out is None and not isinstance(study, (str, Path)):
+        raise InvalidArgument("out: expected a folder for a study that is not in a file")
+    folder = study_folder(out, Path(str(study)))
+    planned = plan_study(found)
+    found.write(folder / STUDY_FILE)
+    execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
+    return finish(planned, folder)
+
+
+def study_folder(out: str | Path | None, file: Path) -> Path:
+    """Return ``out``, else ``runs/<name of the file>``, if it is new, empty or a run. Raises `InvalidArgument`."""
+    return check_run_folder(Path("runs") / file.stem if out is None else out)
+
+
+def finish(planned: PlannedStudy, folder: Path) -> StudyResults:
+    """Return what stands in ``folder``, and write tables, document and page there."""
+    results = gather(planned, folder)
+    save_parquet(results, folder)
+    save_study(results, folder)
+    return results

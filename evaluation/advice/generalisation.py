@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from evaluation.advice.evidence import Evidence, Remark, WindowErrors, window_errors
 from evaluation.formatting import percent
@@ -141,8 +142,6 @@ class Windows:
 
     def nearby(self, learned: BoolArray, judged: BoolArray) -> tuple[Array, Array]:
         """Return the mean error (n, nx) of the nearest windows ``learned``, and how far (n,) the last of them is."""
-        from scipy.spatial import cKDTree
-
         distances, near = cKDTree(self.inputs[learned]).query(self.inputs[judged], k=NEIGHBOURS)
         return self.errors[learned][np.asarray(near, dtype=np.int64)].mean(axis=1), np.asarray(distances)[:, -1]
 

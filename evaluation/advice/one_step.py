@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from evaluation.advice.evidence import Evidence, Remark
 from evaluation.formatting import percent
@@ -275,8 +276,6 @@ def estimate_noise(evidence: Evidence) -> Noise | None:
 
 def _nearest(points: Array, places: IntArray) -> IntArray:
     """Return for each point the nearest that is more than `APART` steps away in time."""
-    from scipy.spatial import cKDTree
-
     count = min(len(points), NEIGHBOURS + 2 * APART + 1)
     near = np.asarray(cKDTree(points).query(points, k=count)[1], dtype=np.int64)
     apart = np.abs(places[near] - places[:, None]) > APART

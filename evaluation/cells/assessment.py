@@ -14,20 +14,25 @@ from evaluation.cells.data import Parts
 from evaluation.cells.models import FitCell, PredictCell
 from evaluation.cells.plants import BELIEVED, Column, believed
 from evaluation.exploitability.assessment import assess_exploitability
-from evaluation.exploitability.results import ModelExploitability
+from evaluation.exploitability.results import (
+    ModelExploitability,
+    exploitability_from_json,
+    exploitability_to_json,
+)
 from evaluation.exploitability.search import search_exploit
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
-from evaluation.storage import (
-    exploitability_from_json,
-    exploitability_to_json,
-    load_cell,
-    read_json,
-    save_cell,
-    write_json,
-)
+from evaluation.storage import read_json, write_json
 from evaluation.transfer.matrix import Cell as MatrixCell
-from evaluation.transfer.matrix import Measured, TransferMatrix, run_on, transfer_seeds, with_measured
+from evaluation.transfer.matrix import (
+    Measured,
+    TransferMatrix,
+    load_cell,
+    run_on,
+    save_cell,
+    transfer_seeds,
+    with_measured,
+)
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument, InvalidData

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
 from evaluation.cells.plants import BELIEVED, Column, believed, prediction_error
-from evaluation.experiment import Experiment
+from evaluation.experiment import NONE, Experiment
 from evaluation.transfer.forecast import RULE, worth_by
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.engine import Runner
@@ -370,12 +370,33 @@ POLISHED = 2
 """Finalists that the recommended recipe polishes."""
 
 
+def evolution_settings(experiment: Experiment) -> ControllerEvolution:
+    """Return how controllers are evolved. Raises what the registries say about wrong names and parameters."""
+    budget, noise = experiment.budget, experiment.noise
+    if noise is None:
+        noise = str(getattr(tasks.get(Spec.parse(experiment.task).name), "usual_noise", ""))
+    return ControllerEvolution(
+        generations=budget.generations,
+        trials=budget.trials,
+        runs=budget.runs,
+        aggregate=experiment.aggregate,
+        selection_trials=experiment.selection_trials,
+        estimator_delay=experiment.estimator_delay,
+        controller=Spec.parse(budget.controller),
+        task=Spec.parse(experiment.task),
+        strategy=Spec.parse(budget.strategy),
+        noise="" if noise == NONE else noise,
+        caution=experiment.caution,
+        schedule=Stage.parse_many(experiment.schedule) if experiment.schedule else (),
+    )
+
+
 def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> ControllerEvolution:
     """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for.
 
     Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
     """
-    evolution = experiment.evolution
+    evolution = evolution_settings(experiment)
     if len(members) == 1 and Spec.parse(evolution.aggregate).name in MEAN_OF_ONE:
         evolution = replace(evolution, aggregate=ALONE)
     if experiment.noise is None and any(member.robot is not None for member in members):

@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
-from evaluation.prediction.scores import PERSISTENCE, ConditionErrors, ModelPrediction
+from evaluation.prediction.scores import (
+    FORM,
+    PERSISTENCE,
+    ConditionErrors,
+    ModelPrediction,
+    load_prediction,
+    save_prediction,
+)
 from evaluation.prediction.scoring import Persistence, score_model, within_and_across
-from evaluation.storage import FORM, load_prediction, read_json, save_prediction, write_json
+from evaluation.storage import read_json, write_json
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel, load_model, save_model

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc, stdtr, stdtrit
 
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
@@ -131,8 +132,6 @@ def analyse(steps: StepErrors) -> Residuals:
 
 
 def _autocorrelation(errors: Array) -> tuple[Array, Array, Array]:
-    from scipy.special import chdtrc
-
     nx = errors.shape[1]
     variance = np.nansum(errors**2, axis=0)
     sums, sizes = np.zeros((LAGS, nx)), np.zeros((LAGS, nx))
@@ -144,8 +143,6 @@ def _autocorrelation(errors: Array) -> tuple[Array, Array, Array]:
 
 
 def _cross_correlation(errors: Array, controls: Array) -> tuple[Array, Array, Array]:
-    from scipy.special import stdtr, stdtrit
-
     nx, nu, rows = errors.shape[1], controls.shape[1], len(errors)
     lags = range(-AHEAD, LAGS + 1)
     cross, spread = np.zeros((len(lags), nu, nx)), np.zeros((len(lags), nu, nx))

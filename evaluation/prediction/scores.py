@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from evaluation.prediction.cases import MeasuredCases
-from evaluation.prediction.regions import RegionError
+from evaluation.prediction.regions import Region, RegionError
 from evaluation.prediction.residuals import Residuals
-from sysid_evo.errors import InvalidArgument
+from evaluation.storage import DAMAGED, plain, read_with_arrays, write_with_arrays
+from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import Interval, interval
 from sysid_evo.validation.measures import mean_over_channels
@@ -227,3 +230,105 @@ class EpisodeError:
     name: str
     n: Array
     fit: Array
+
+
+ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
+
+RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
+
+FORM = 4
+"""Raised whenever stored scores hold something else than before."""
+
+
+def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
+    """Write the scores of a model to ``path`` with two suffixes; return the files."""
+    arrays = {"curve": prediction.curve, "curve_interval": prediction.curve_interval}
+    residuals = prediction.residuals
+    if residuals is not None:
+        arrays.update({f"residuals.{name}": getattr(residuals, name) for name in RESIDUALS})
+    for i, episode in enumerate(prediction.episodes):
+        arrays.update({f"episode.{i}.n": episode.n, f"episode.{i}.fit": episode.fit})
+    arrays.update({f"free_states.{i}": states for i, states in enumerate(prediction.free_states)})
+    scores = []
+    for i, score in enumerate(_all_scores(prediction)):
+        arrays.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
+        scores.append({"horizon": score.horizon, "samples": score.samples, "interval": plain(score.interval)})
+    arrays.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
+    divergence = prediction.divergence
+    value = {
+        "name": prediction.name,
+        "family": prediction.family,
+        "scores": scores,
+        "free_runs": len(prediction.free_states),
+        "divergence": None
+        if divergence is None
+        else {
+            "share": divergence.share,
+            "median_time": divergence.median_time,
+            "free_run_times": list(divergence.free_run_times),
+        },
+        "residuals": None if residuals is None else residuals.samples,
+        "regions": [_region_to_json(region) for region in prediction.regions],
+        "episodes": [episode.name for episode in prediction.episodes],
+        "coverage": [
+            {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
+        ],
+        "notes": list(prediction.notes),
+    }
+    return write_with_arrays(value, arrays, path)
+
+
+def load_prediction(path: Path) -> ModelPrediction:
+    """Read what `save_prediction` wrote. Raises `ArtefactError`."""
+    try:
+        value, arrays = read_with_arrays(path)
+        scores = [_score(i, found, arrays) for i, found in enumerate(value["scores"])]
+        divergence = value["divergence"]
+        return ModelPrediction(
+            name=value["name"],
+            family=value["family"],
+            at=tuple(score for score in scores if score.horizon is not None),
+            free_run=next((score for score in scores if score.horizon is None), None),
+            curve=arrays["curve"],
+            curve_interval=arrays["curve_interval"],
+            divergence=None
+            if divergence is None
+            else Divergence(divergence["share"], divergence["median_time"], tuple(divergence["free_run_times"])),
+            residuals=None
+            if value["residuals"] is None
+            else Residuals(value["residuals"], **{name: arrays[f"residuals.{name}"] for name in RESIDUALS}),
+            regions=tuple(_region_of(region) for region in value["regions"]),
+            episodes=tuple(
+                EpisodeError(name, arrays[f"episode.{i}.n"], arrays[f"episode.{i}.fit"])
+                for i, name in enumerate(value["episodes"])
+            ),
+            coverage=tuple(
+                Coverage(**held, inside=arrays[f"coverage.{i}"]) for i, held in enumerate(value["coverage"])
+            ),
+            free_states=tuple(arrays[f"free_states.{i}"] for i in range(value["free_runs"])),
+            notes=tuple(value["notes"]),
+        )
+    except DAMAGED as error:
+        raise ArtefactError(f"{path}: not stored scores of a prediction: {type(error).__name__}: {error}") from error
+
+
+def _all_scores(prediction: ModelPrediction) -> tuple[ErrorScore, ...]:
+    return prediction.at if prediction.free_run is None else (*prediction.at, prediction.free_run)
+
+
+def _score(number: int, value: dict[str, Any], arrays: dict[str, Any]) -> ErrorScore:
+    arrays = {name: arrays[f"score.{number}.{name}"] for name in ARRAYS}
+    return ErrorScore(value["horizon"], value["samples"], interval=_interval(value["interval"]), **arrays)
+
+
+def _region_to_json(found: RegionError) -> dict[str, Any]:
+    return {**asdict(found), "interval": plain(found.interval)}
+
+
+def _region_of(value: dict[str, Any]) -> RegionError:
+    fields = {**value, "region": Region(**value["region"]), "interval": _interval(value["interval"])}
+    return RegionError(**fields)
+
+
+def _interval(limits: list[float | None]) -> Interval:
+    return Interval(*(float("nan") if limit is None else limit for limit in limits))

@@ -274,8 +274,6 @@ def _check_distinct(where: str, pairs: Sequence[tuple[str, Any]]) -> None:
 
 
 def _no_axis(setting: str) -> str:
-    import difflib
-
     if setting in LEFT_OUT:
         return "cannot be an axis" + ("; name it under [experiment]" if setting == "plugins" else "")
     close = difflib.get_close_matches(setting, Experiment.model_fields, n=1)

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.storage import DAMAGED, read_with_arrays, write_with_arrays
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, Runner, as_runners
-from sysid_evo.errors import InvalidArgument, SysidEvoError
+from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.models import Dynamics
@@ -282,6 +283,33 @@ class Cell:
         fields["traces"] = tuple(Trace.from_dict(trace) for trace in fields["traces"])
         fields["missing"] = tuple(fields.get("missing", ()))
         return cls(**fields)
+
+
+LONG = ("states", "controls", "pose")
+"""What there is of each trace at every step: as text it would take fifty times as long."""
+
+
+def save_cell(cell: Cell, path: Path) -> list[Path]:
+    """Write a cell to ``path`` with two suffixes; return the files."""
+    value = cell.to_dict()
+    arrays = {}
+    for i, trace in enumerate(value["traces"]):
+        for name in LONG:
+            numbers = trace.pop(name)
+            if numbers is not None:
+                arrays[f"trace.{i}.{name}"] = np.asarray(numbers)
+    return write_with_arrays(value, arrays, path)
+
+
+def load_cell(path: Path) -> Cell:
+    """Read what `save_cell` wrote. Raises `ArtefactError`."""
+    try:
+        value, arrays = read_with_arrays(path)
+        for i, trace in enumerate(value["traces"]):
+            trace.update({name: arrays.get(f"trace.{i}.{name}") for name in LONG})
+        return Cell.from_dict(value)
+    except DAMAGED as error:
+        raise ArtefactError(f"{path}: not a cell of a transfer matrix: {error}") from error
 
 
 def transfer_seeds(seed: int, trials: int) -> Seeds:

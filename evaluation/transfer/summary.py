@@ -119,8 +119,8 @@ class RankCorrelation:
 class TransferSummary:
     """All controllers, the one to pick without the robot, and what would have predicted success.
 
-    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself, and
-    people, are left out of the correlations: what the first claim is what they achieve, and people claim nothing.
+    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself,
+    and people, are left out of the correlations: what the first claim is what they achieve, and people claim nothing.
     """
 
     controllers: tuple[ControllerSummary, ...]

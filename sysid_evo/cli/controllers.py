@@ -96,6 +96,7 @@ def evolve(
     folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
     so that controllers meet it in the models.
     """
+    from evaluation.cells.controllers import evolution_settings
     from evaluation.experiment import Experiment
     from evaluation.run_folder import check_run_folder, latest_run_folder
     from sysid_evo.cli.recordings import print_regions
@@ -124,7 +125,7 @@ def evolve(
     alone = run is None and not any(is_model_of_a_run(member) for member in members)
     store = Store(check_run_folder(None) if alone else latest_run_folder(run))
     columns = tuple(find_column(store, member) for member in members)
-    evolution = experiment.evolution
+    evolution = evolution_settings(experiment)
     for doubt in check_evolution(store, columns, evolution):
         tell(doubt, label="note: ", style="dim")
     champion, claims, elsewhere = cells_of(experiment, store, columns)
@@ -188,6 +189,7 @@ def exploit(
     fitness in MODEL less the median of theirs.
     """
     from evaluation.cells.assessment import SearchCell
+    from evaluation.cells.controllers import evolution_settings
     from evaluation.experiment import Experiment
     from evaluation.run_folder import latest_run_folder
     from sysid_evo.plan.plan import Plan
@@ -207,8 +209,9 @@ def exploit(
     store = Store(latest_run_folder(run))
     target = find_column(store, model)
     others = tuple(one for one in other_models(store, (target,)) if one.registered != target.registered)
-    check_evolution(store, (target,), experiment.evolution)
-    cell = SearchCell(target, others, experiment.evolution, experiment.seed)
+    evolution = evolution_settings(experiment)
+    check_evolution(store, (target,), evolution)
+    cell = SearchCell(target, others, evolution, experiment.seed)
     outcomes = carry_out(Plan.of([cell]), store, dry_run=dry_run, json=json)
     if outcomes is None:
         return
@@ -221,7 +224,7 @@ def exploit(
     file = f"{store.where(cell)}.json"
     if json:
         from evaluation.exploitability import card
-        from evaluation.storage import exploitability_to_json
+        from evaluation.exploitability.results import exploitability_to_json
 
         told: dict[str, Any] = {"model": target.label, "fitness": shown, "unit": matrix.unit, "file": file}
         told["card"] = [] if found is None else list(card(found))

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from evaluation.planning import Comparison
     from evaluation.report import Report
     from evaluation.study import PlannedStudy, StudyResults
+    from evaluation.transfer.matrix import Measured
     from sysid_evo.plan.store import Outcome, Store
 
 
@@ -313,7 +314,6 @@ def report(
 ) -> None:
     """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
     from evaluation.report.save import FORMATS, write_format
-    from evaluation.running import report_again
     from sysid_evo.errors import InvalidArgument, InvalidData
 
     for name in formats or ():
@@ -327,6 +327,35 @@ def report(
     for name in formats or ():
         if files := write_format(made, name, run):  # one without figures has none as svg
             tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
+
+
+def append(folder: Path, *measured: Measured) -> None:
+    """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
+    from evaluation.experiment import FILE
+    from evaluation.transfer.matrix import save_measured
+
+    for item in measured:
+        save_measured(folder, item)
+    if (folder / FILE).is_file() and report_again(folder) is not None:
+        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+    else:
+        tell(f"stored in {folder}, which has no report (compare makes one)")
+
+
+def report_again(run: Path) -> Report | None:
+    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+
+    Raises `InvalidArgument` if ``run`` is no comparison's run.
+    """
+    from evaluation import running
+    from evaluation.planning import comparison_of
+    from sysid_evo.plan.store import Store
+
+    comparison, remarks = comparison_of(run)
+    session.run = run
+    for remark in remarks:
+        tell(remark, label="note: ", style="dim")
+    return running.report_again(comparison, Store(run))
 
 
 def study(

@@ -116,7 +116,6 @@ def drive_controller(
     on a page. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
     """
     from evaluation.run_folder import owner_of, seed_of_run
-    from evaluation.running import append
     from evaluation.transfer import Measured, cell_of, transfer_seeds
     from hardware.driving.controller_driving import ControllerPanel, moment_of, page_server
     from hardware.driving.trials import RobotRunner
@@ -124,6 +123,7 @@ def drive_controller(
     from hardware.preflight import check_driving
     from hardware.robot import find_robot
     from hardware.run_report import Reason, Stops, punctuality
+    from sysid_evo.cli.experiments import append
     from sysid_evo.cli.progress import Bars
     from sysid_evo.controllers.controller import make_controller
     from sysid_evo.errors import LinkLost
@@ -215,9 +215,9 @@ def run_stepped(
     With ``watching`` the trials are then played back on a page. ``keep`` is a folder for their data set.
     """
     from evaluation.run_folder import seed_of_run
-    from evaluation.running import append
     from evaluation.transfer import Measured, cell_of, transfer_seeds
     from hardware.driving.controller_driving import play_back
+    from sysid_evo.cli.experiments import append
     from sysid_evo.controllers.controller import make_controller
     from sysid_evo.data.dataset import Dataset
     from sysid_evo.tasks.task import make_task
@@ -453,8 +453,8 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
     """Add the trials that were driven to their end to the run's matrix, as the row ``name``."""
     import numpy as np
 
-    from evaluation.running import append
     from evaluation.transfer import Cell, Measured, Trace, person
+    from sysid_evo.cli.experiments import append
     from sysid_evo.tasks.task import make_task
 
     assert driven.run is not None

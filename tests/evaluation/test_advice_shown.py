@@ -10,6 +10,7 @@ from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report import Report, advice_lines, tables, to_json, verdict
 from evaluation.report.report import sections
+from evaluation.running import gather_results
 from sysid_evo.plan import Store, execute
 from tests.evaluation.made_up import prediction, report
 from tests.evaluation.planted import Fault, drive
@@ -58,7 +59,7 @@ def test_a_comparison_advises_on_the_model_that_predicts_best(tmp_path: Path) ->
     comparison = plan_comparison(experiment, dataset=drive(Fault(late=6)))
     store = Store(tmp_path)
     execute(comparison.plan, store)
-    made = Report.of(comparison, store)
+    made = gather_results(comparison, store)
     assert made.advice is not None
     assert made.prediction is not None
     assert made.advice.model == made.prediction.ranking(20)[0].name == "late"

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
+from evaluation.prediction.scores import load_prediction, save_prediction
 from evaluation.report.sections.prediction import coverage_sheet, intervals_hold
-from evaluation.storage import load_prediction, save_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System

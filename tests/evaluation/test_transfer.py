@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from evaluation.storage import load_cell, save_cell
 from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from evaluation.transfer.matrix import load_cell, save_cell
 from evaluation.transfer.summary import mean_ranks
 from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import make_controller

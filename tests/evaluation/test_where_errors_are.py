@@ -10,7 +10,7 @@ import pytest
 
 from evaluation.prediction import Interval, Prediction, PredictionProtocol, Region, assess_prediction, worst_region
 from evaluation.prediction.regions import candidate_regions
-from evaluation.storage import load_prediction, save_prediction
+from evaluation.prediction.scores import load_prediction, save_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.types import Array

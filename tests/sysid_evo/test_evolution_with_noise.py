@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import EvolveCell
+from evaluation.cells.controllers import EvolveCell, evolution_settings
 from evaluation.cells.plants import Column
 from evaluation.experiment import Experiment
 from sysid_evo.controllers import Controller
@@ -83,7 +83,7 @@ def test_noise_is_checked_where_it_is_given() -> None:
     with pytest.raises(UnknownName, match="doubt"):
         ControllerEvolution(caution="fog")
     with pytest.raises(UnknownName, match="envelope"):
-        _ = Experiment(noise="fog").evolution
+        evolution_settings(Experiment(noise="fog"))
 
 
 def test_candidates_lose_fitness_where_models_are_doubted(
