@@ -4,27 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from hardware.arguments import number, text
-from hardware.connection import Connection, Session
-from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import Recorded
-from hardware.robot import Robot
-from hardware.run_report import Stops
-from hardware.self_test import Finding
-from hardware.simulators.simulator import EnvironmentRunner
-from hardware.simulators.simulator_robot import examine
+from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorSession
+from hardware.simulators.simulator_robot import SimulatorRobot
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.extras import check_installed
-from sysid_evo.progress import Progress
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -34,10 +26,9 @@ if TYPE_CHECKING:
 
 
 @register_robot("gymnasium")
-class GymnasiumRobot(Robot):
+class GymnasiumRobot(SimulatorRobot):
     """An environment of Gymnasium, by its ``id``.
 
-    It steps when it is told to, so that nothing runs in real time.
     The states are its observations: a Box of numbers in a row. ``angle`` says which of them are angles, so that they
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
     semicolons. ``channels`` names the states, with units in brackets: ``"angle [rad], speed [rad/s]"``. ``dt`` (s)
@@ -49,8 +40,7 @@ class GymnasiumRobot(Robot):
     """
 
     requires: ClassVar[tuple[str, ...]] = ("gymnasium",)
-    stepped: ClassVar[bool] = True
-    dynamics = None
+    simulator: Environment
 
     def __init__(
         self,
@@ -61,72 +51,20 @@ class GymnasiumRobot(Robot):
         dt: float | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
-        self.name = text("robot gymnasium: id", id)
+        text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
-        self.environment = Environment.describe(
-            id, angle=None if angle is None else str(angle), channels=channels, dt=dt, settings=dict(settings or {})
-        )
-        self.system = self.environment.system
-
-    def connect(self, *, seed: int | None = None) -> Connection:
-        """Raise `IncompatibleSystem`: an environment has no clock and no tracker."""
-        raise IncompatibleSystem(
-            f"{self.name} is an environment: it has no clock and no tracker, so that the control loop cannot drive it. "
-            "sysid-evo record and compare run it step by step"
-        )
-
-    def runner(self) -> EnvironmentRunner:
-        return EnvironmentRunner(self.environment)
-
-    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
-        """Say what its spaces became, and how its episodes go under random controls for ``seconds`` of its own time."""
-        return examine(self.environment, seconds=seconds, seed=seed or 0, stops=stops)
-
-    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
-        """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
-        from hardware.simulators.recording import samples_each
-
-        samples_each(self.environment, duration)
-        return []
-
-    def record_manoeuvres(
-        self,
-        manoeuvres: Sequence[Manoeuvre],
-        *,
-        seed: int,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
-        """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
-        raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
-
-    def record(
-        self,
-        *,
-        seed: int,
-        duration: float,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
-        """Excite the environment for ``duration`` s of its own time; there are no journals for ``folder``."""
-        from hardware.simulators.recording import record_environment
-
-        return record_environment(self.environment, seed=seed, duration=duration, stops=stops, progress=progress)
-
-
-LONGEST_SEED = 2**31
+        angle = None if angle is None else str(angle)
+        super().__init__(Environment.describe(id, angle=angle, channels=channels, dt=dt, settings=dict(settings or {})))
 
 
 @dataclass(frozen=True)
-class Environment:
-    """The environment called ``id``, made with ``settings``, and what its numbers are.
+class Environment(Simulator):
+    """The environment called ``name``, made with ``settings``, and what its numbers are.
 
     One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
     """
 
-    id: str
+    name: str
     settings: Mapping[str, Any]
     system: System
     observations: ObservationMap
@@ -156,19 +94,17 @@ class Environment:
             env.close()
 
     def open(self) -> EnvironmentSession:
-        """Return a session; use it in a ``with`` statement."""
         return EnvironmentSession(self)
 
 
-class EnvironmentSession(Session):
+class EnvironmentSession(SimulatorSession):
     """Episodes of one environment, one after the other."""
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
-        self._env = make(environment.id, environment.settings)
+        self._env = make(environment.name, environment.settings)
 
     def reset(self, seed: int, at: Array | None = None) -> Array:
-        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
         observation, _ = self._env.reset(seed=int(seed) % LONGEST_SEED)
         if at is None:
             return self._environment.observations.state(observation)
@@ -177,7 +113,6 @@ class EnvironmentSession(Session):
         return np.array(at, dtype=np.float64)
 
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
-        """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
         action = self._environment.actions.action(control)
         observation, reward, ended, late, _ = self._env.step(action)
         return self._environment.observations.state(observation), float(reward), bool(ended), bool(late)

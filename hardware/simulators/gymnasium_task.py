@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hardware.simulators import gymnasium_rewards
-from hardware.simulators.gymnasium_robot import KNOWN, LONGEST_SEED, ActionMap, control_channels, make
+from hardware.simulators.gymnasium_robot import KNOWN, ActionMap, control_channels, make
+from hardware.simulators.simulator import LONGEST_SEED
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, TaskKernel
 from sysid_evo.registry import register_task

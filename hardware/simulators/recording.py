@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.recording.record import Recorded
 from hardware.run_report import LoopReport, Reason, Stops
-from hardware.simulators.gymnasium_robot import LONGEST_SEED, Environment, EnvironmentSession
+from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorSession
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.progress import Progress
@@ -30,34 +30,34 @@ SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" fo
 """Feedback is half of the recording."""
 
 
-def record_environment(
-    environment: Environment,
+def record_simulator(
+    simulator: Simulator,
     *,
     seed: int,
     duration: float,
     stops: Stops | None = None,
     progress: Progress | None = None,
 ) -> Recorded:
-    """Excite ``environment`` for ``duration`` s of its time and return what it showed.
+    """Excite ``simulator`` for ``duration`` s of its time and return what it showed.
 
     An eighth of the time goes to each of steps of three lengths, sine sweeps, and four times random feedback.
-    Whenever an episode ends, because it is over or its time is up, the next begins where the environment puts it.
+    Whenever an episode ends, because it is over or its time is up, the next begins where the simulator puts it.
     The same seed gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the
-    environment returns what is no number or ends every episode at once.
+    simulator returns what is no number or ends every episode at once.
     """
-    system = environment.system
-    each = samples_each(environment, duration)
+    system = simulator.system
+    each = samples_each(simulator, duration)
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
     tried: list[Tried] = []
     reason = Reason.SAMPLES
-    with environment.open() as session:
+    with simulator.open() as session:
         for number, name in enumerate(SCRIPTS):
-            script = _script(name, environment, episodes, tried, rng.spawn(1)[0])
+            script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
             counted = _counter(progress, number * each, len(SCRIPTS) * each)
-            for count, episode in enumerate(_episodes(session, environment, script, each, rng, counted)):
+            for count, episode in enumerate(_episodes(session, simulator, script, each, rng, counted)):
                 if len(episode[1]) >= SHORTEST:
-                    episodes.append(_trajectory(episode, environment, f"{name}-{count + 1}"))
+                    episodes.append(_trajectory(episode, simulator, f"{name}-{count + 1}"))
                 if stops is not None and stops.reason is not None:
                     reason = stops.reason
                     break
@@ -65,28 +65,28 @@ def record_environment(
                 break
     if not episodes:
         raise InvalidData(
-            f"{environment.id}: every episode ended within {SHORTEST} steps, so that nothing was recorded"
+            f"{simulator.name}: every episode ended within {SHORTEST} steps, so that nothing was recorded"
         )
     report = LoopReport(reason, "", np.zeros(0), np.zeros(0))
     return Recorded((), Dataset(system, tuple(episodes)), report)
 
 
-def samples_each(environment: Environment, duration: float) -> int:
+def samples_each(simulator: Simulator, duration: float) -> int:
     """Return the samples of each script in a recording of ``duration`` s. Raises `InvalidArgument` for too few."""
-    dt, count = environment.system.dt, len(SCRIPTS)
+    dt, count = simulator.system.dt, len(SCRIPTS)
     each = round(duration / dt / count)
     if each < FEWEST:
         raise InvalidArgument(
-            f"recording of {environment.id}: expected at least {FEWEST * count * dt / 60.0:.2g} min for "
+            f"recording of {simulator.name}: expected at least {FEWEST * count * dt / 60.0:.2g} min for "
             f"{count} scripts of {FEWEST} samples, got {duration / 60.0:.2g} min"
         )
     return each
 
 
 def _script(
-    name: str, environment: Environment, episodes: list[Trajectory], tried: list[Tried], rng: np.random.Generator
+    name: str, simulator: Simulator, episodes: list[Trajectory], tried: list[Tried], rng: np.random.Generator
 ) -> Script:
-    system = environment.system
+    system = simulator.system
     kind, _, which = name.partition("-")
     if kind == "steps":
         return Steps(system, float(which), rng)
@@ -97,15 +97,15 @@ def _script(
 
 
 def _episodes(
-    session: EnvironmentSession,
-    environment: Environment,
+    session: SimulatorSession,
+    simulator: Simulator,
     script: Script,
     steps: int,
     rng: np.random.Generator,
     counted: Callable[[int], None],
 ) -> Iterator[tuple[list[Array], list[Array]]]:
     """Yield states and controls of one episode after the other, ``steps`` in all."""
-    system, done, lasted = environment.system, 0, 0
+    system, done, lasted = simulator.system, 0, 0
     while done < steps:
         states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
         script.begin(lasted)
@@ -122,9 +122,9 @@ def _episodes(
         yield states, controls
 
 
-def _trajectory(episode: tuple[list[Array], list[Array]], environment: Environment, name: str) -> Trajectory:
+def _trajectory(episode: tuple[list[Array], list[Array]], simulator: Simulator, name: str) -> Trajectory:
     states, controls = episode
-    return Trajectory(np.array(states), np.array(controls), environment.system.dt, name=name)
+    return Trajectory(np.array(states), np.array(controls), simulator.system.dt, name=name)
 
 
 def _counter(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
@@ -210,7 +210,7 @@ class Tried:
 class RandomFeedback(Script):
     """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
 
-    An environment whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
+    A system whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
     some feedbacks, and swings far under others. Every second episode takes weights near those of one that lasted
     long, so that it goes where the state can be kept. ``seen`` are states (N, nx) that give scale and aims,
     ``tried`` what was tried before, to which this one adds.

@@ -1,83 +1,116 @@
-"""Runs controllers in an environment: its column of the transfer matrix."""
+"""The contract of a simulator that steps when told, and the runner of controllers in it.
+
+A simulator runs episodes: each is begun from a seed and steps one sample at a time until it is over. None of it is
+in real time.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hardware.connection import Session
 from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import View
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, results
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
+from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
-if TYPE_CHECKING:
-    from hardware.simulators.gymnasium_robot import Environment, EnvironmentSession
+LONGEST_SEED = 2**31
+"""Seeds of episodes lie below it."""
+
+
+class SimulatorSession(Session):
+    """Episodes of one simulator, one after the other."""
+
+    @abstractmethod
+    def reset(self, seed: int, at: Array | None = None) -> Array:
+        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
+
+    @abstractmethod
+    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+        """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
+
+
+class Simulator(ABC):
+    """What steps when it is told to; ``name`` is what people call it.
+
+    One that is ``settable`` can be put into any state of its ``system``.
+    """
+
+    name: str
+    system: System
+    settable: bool
+
+    @abstractmethod
+    def open(self) -> SimulatorSession:
+        """Return a session; use it in a ``with`` statement."""
 
 
 ENGINE = "environment"
 
 AT_ONCE = 128
-"""Copies of the environment that run side by side, so that controller and task are asked once for all."""
+"""Sessions that run side by side, so that controller and task are asked once for all."""
 
 
 @dataclass(frozen=True)
-class EnvironmentRunner:
-    """Runs every candidate in the environment itself, step by step.
+class SimulatorRunner:
+    """Runs every candidate in the simulator itself, step by step: its column of the transfer matrix.
 
-    A trial begins in the state in which the task begins it, if the environment can be put there, else where its
-    own reset with the trial's seed puts it. It is over when the environment or the task ends it.
+    A trial begins in the state in which the task begins it, if the simulator can be put there, else where its
+    own reset with the trial's seed puts it. It is over when the simulator or the task ends it.
     """
 
-    environment: Environment
+    simulator: Simulator
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
     ) -> Rollouts:
         """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `Runner`."""
-        system = self.environment.system
+        system = self.simulator.system
         task = task.bind(system)
         controller = controller.bind_to(task)
         parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
         if len(seeds) < 1 or len(parameters) < 1:
-            raise InvalidArgument(f"{self.environment.id}: expected at least one candidate and one seed, got none")
+            raise InvalidArgument(f"{self.simulator.name}: expected at least one candidate and one seed, got none")
         each = max(1, AT_ONCE // len(seeds))
         parts = []
         with ExitStack() as stack:
             count = min(each, len(parameters)) * len(seeds)
-            sessions = [stack.enter_context(self.environment.open()) for _ in range(count)]
+            sessions = [stack.enter_context(self.simulator.open()) for _ in range(count)]
             for first in range(0, len(parameters), each):
-                trials = _Trials(self.environment, sessions, controller, parameters[first : first + each], task, seeds)
+                trials = _Trials(self.simulator, sessions, controller, parameters[first : first + each], task, seeds)
                 trials.run(record)
                 parts.append(trials)
         return _joined(parts, len(seeds), record)
 
 
 class _Trials:
-    """P candidates in E trials, each in an environment of its own."""
+    """P candidates in E trials, each in a session of its own."""
 
     def __init__(
         self,
-        environment: Environment,
-        sessions: list[EnvironmentSession],
+        simulator: Simulator,
+        sessions: list[SimulatorSession],
         controller: Controller,
         parameters: Array,
         task: Task,
         seeds: Seeds,
     ) -> None:
-        self.system, self.task, self.controller, self.parameters = environment.system, task, controller, parameters
+        self.system, self.task, self.controller, self.parameters = simulator.system, task, controller, parameters
         self.seeds, self.grid = seeds, (len(parameters), len(seeds))
         batch = len(parameters) * len(seeds)
         self.sessions = sessions[:batch]
         task_state = task.begin(seeds).tile(len(parameters))
         begun = [
-            session.reset(int(seed), task_state.state[i] if environment.settable else None)
+            session.reset(int(seed), task_state.state[i] if simulator.settable else None)
             for i, (session, seed) in enumerate(zip(self.sessions, np.tile(seeds, len(parameters)), strict=True))
         ]
         self.state = np.array(begun)
@@ -118,7 +151,7 @@ class _Trials:
                     self.controls[i].append(control[i])
 
     def _step(self, control: Array, going: BoolArray) -> tuple[Array, BoolArray]:
-        """Return the states after one step (B, nx), and which trials the environment ended."""
+        """Return the states after one step (B, nx), and which trials the simulator ended."""
         after, ended = self.state.copy(), np.zeros(len(going), dtype=bool)
         for i in np.flatnonzero(going):
             after[i], _, over, late = self.sessions[i].step(control[i])

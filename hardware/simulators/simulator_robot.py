@@ -1,34 +1,93 @@
-"""Looks at an environment: what its spaces became, and how its episodes go."""
+"""A simulator as a robot: self-test, recording, no connection."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from hardware.connection import Connection
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import Recorded
+from hardware.robot import Robot
 from hardware.run_report import Stops
 from hardware.self_test import Finding, described
+from hardware.simulators.recording import record_simulator, samples_each
+from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorRunner
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.progress import Progress
 
-if TYPE_CHECKING:
-    from hardware.simulators.gymnasium_robot import Environment
+
+class SimulatorRobot(Robot):
+    """A ``simulator`` that steps when it is told to, so that nothing runs in real time."""
+
+    stepped: ClassVar[bool] = True
+    dynamics = None
+    simulator: Simulator
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.name, self.system, self.simulator = simulator.name, simulator.system, simulator
+
+    def connect(self, *, seed: int | None = None) -> Connection:
+        """Raise `IncompatibleSystem`: an environment has no clock and no tracker."""
+        raise IncompatibleSystem(
+            f"{self.name} is an environment: it has no clock and no tracker, so that the control loop cannot drive it. "
+            "sysid-evo record and compare run it step by step"
+        )
+
+    def runner(self) -> SimulatorRunner:
+        return SimulatorRunner(self.simulator)
+
+    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+        """Say what its channels are, and how its episodes go under random controls for ``seconds`` of its own time."""
+        return examine(self.simulator, seconds=seconds, seed=seed or 0, stops=stops)
+
+    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
+        """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
+        samples_each(self.simulator, duration)
+        return []
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
+        raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
+
+    def record(
+        self,
+        *,
+        seed: int,
+        duration: float,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Excite the simulator for ``duration`` s of its own time; there are no journals for ``folder``."""
+        return record_simulator(self.simulator, seed=seed, duration=duration, stops=stops, progress=progress)
 
 
 FEWEST = 200
 """Steps that are tried at least."""
 
 
-def examine(environment: Environment, *, seconds: float, seed: int, stops: Stops | None = None) -> tuple[Finding, ...]:
-    """Step the environment under random controls for ``seconds`` of its time; a stop from outside ends it."""
-    from hardware.simulators.gymnasium_robot import LONGEST_SEED
-
-    system = environment.system
+def examine(simulator: Simulator, *, seconds: float, seed: int, stops: Stops | None = None) -> tuple[Finding, ...]:
+    """Step the simulator under random controls for ``seconds`` of its time; a stop from outside ends it."""
+    system = simulator.system
     states, controls = (", ".join(map(described, channels)) for channels in (system.states, system.controls))
     sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it waits to be told to step."
     rng, steps = np.random.default_rng(seed), max(FEWEST, round(seconds / system.dt))
     lengths, seen, rewards = [0], [], []
     began = time.perf_counter()
-    with environment.open() as session:
+    with simulator.open() as session:
         seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
         for _ in range(steps):
             if stops is not None and stops.reason is not None:

@@ -61,7 +61,7 @@ def test_rewards_starts_and_ends_are_those_of_the_environment() -> None:
     seeds = trial_seeds(2, 3)
     found = robot.runner().run(RecurrentNetwork(hidden=3), parameters, task, seeds, record=True)
     lengths = set()
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for trajectory, fitness, seed in zip(found.trajectories, found.fitness.ravel(), np.tile(seeds, 3), strict=True):
             np.testing.assert_allclose(trajectory.states[0], session.reset(int(seed)), atol=1e-6)
             total = sum(max(session.step(control)[1], task.worst / 40) for control in trajectory.controls)

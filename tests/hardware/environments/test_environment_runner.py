@@ -72,7 +72,7 @@ def by_hand(robot: GymnasiumRobot, task: Task, parameters: Array, seed: Any, at:
         inner.state = np.array(at)
     task, total = task.bind(robot.system), 0.0
     controller = RecurrentNetwork(hidden=3).bind(len(task.observations), robot.system.nu)
-    states = [robot.environment.observations.state(observation) if at is None else at]
+    states = [robot.simulator.observations.state(observation) if at is None else at]
     memory = np.zeros(3)
     i, h = len(task.observations), 3
     w_in, w_h = parameters[: i * h].reshape(i, h), parameters[i * h : (i + h) * h].reshape(h, h)
@@ -82,8 +82,8 @@ def by_hand(robot: GymnasiumRobot, task: Task, parameters: Array, seed: Any, at:
         raw = np.tanh(memory @ parameters[(i + h) * h :].reshape(h, -1))
         control = robot.system.actuate(raw)
         total += control[0]
-        observation, _, ended, late, _ = env.step(robot.environment.actions.action(control))
-        states.append(robot.system.near(robot.environment.observations.state(observation), states[-1]))
+        observation, _, ended, late, _ = env.step(robot.simulator.actions.action(control))
+        states.append(robot.system.near(robot.simulator.observations.state(observation), states[-1]))
         if ended or late or states[-1][0] > task.end:
             break
     assert controller.n_parameters == len(parameters)
@@ -99,7 +99,7 @@ def test_every_trial_is_what_a_loop_written_by_hand_gives(name: str) -> None:
     trajectories = iter(found.trajectories)
     for candidate in range(2):
         for trial, seed in enumerate(SEEDS):
-            at = starts[trial] if robot.environment.settable else None
+            at = starts[trial] if robot.simulator.settable else None
             fitness, states = by_hand(robot, task, parameters[candidate], seed, at)
             assert found.fitness[candidate, trial] == pytest.approx(fitness, abs=1e-5)
             assert found.survived[candidate, trial] == len(states) - 1

@@ -33,7 +33,7 @@ def test_reward_and_end_of_every_step_are_those_of_the_environment(name: str) ->
     low = np.array([max(c.low, -6.0) for c in robot.system.states])
     high = np.array([min(c.high, 6.0) for c in robot.system.states])
     ends = set()
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for _ in range(300):
             state = session.reset(0, rng.uniform(low, high))
             control = robot.system.actuate(rng.uniform(-1.0, 1.0, robot.system.nu))
@@ -50,7 +50,7 @@ def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_lo
     robot = GymnasiumRobot(id=name)
     task = EnvironmentTask(id=name).bind(robot.system)
     seeds = trial_seeds(4, 3)
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for start, seed in zip(task.begin(seeds).state, seeds, strict=True):
             np.testing.assert_allclose(np.cos(start), np.cos(session.reset(int(seed))), atol=1e-6)
         assert session._env.spec.max_episode_steps == task.horizon
@@ -62,7 +62,7 @@ def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot() -> None:
     parameters = np.random.default_rng(1).standard_normal((2, 3 * (4 + 3 + 1)))
     seeds = trial_seeds(8, 2)
     found = robot.runner().run(RecurrentNetwork(hidden=3), parameters, task, seeds, record=True)
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for trajectory, fitness in zip(found.trajectories, found.fitness.ravel(), strict=True):
             session.reset(0, trajectory.states[0])
             total = sum(session.step(control)[1] for control in trajectory.controls)

@@ -26,7 +26,7 @@ def rotor(**parameters: Any) -> GymnasiumRobot:
 @pytest.mark.parametrize("name", CLASSIC)
 def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name: str) -> None:
     robot = GymnasiumRobot(id=name)
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         inner: Any = session._env.unwrapped
         state = session.reset(3)
         for k in range(5):
@@ -36,7 +36,7 @@ def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name: 
 
 @pytest.mark.parametrize("name", CLASSIC)
 def test_a_classic_environment_can_begin_in_any_state(name: str) -> None:
-    environment = GymnasiumRobot(id=name).environment
+    environment = GymnasiumRobot(id=name).simulator
     start = np.array([0.1, 0.02, -0.05, 0.03][: environment.system.nx])
     control = environment.system.actuate(np.array([0.5]))
     with environment.open() as session:
@@ -58,7 +58,7 @@ def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_fir
     assert system.state_names == ("observation_0", "angle_1")
     assert system.periods == {1: TURN}
     assert rotor().system.state_names == ("observation_0", "observation_1", "observation_2")
-    environment = rotor(angle="1,2").environment
+    environment = rotor(angle="1,2").simulator
     np.testing.assert_allclose(environment.observations.state([0.5, np.cos(2.5), np.sin(2.5)]), [0.5, 2.5])
 
 
@@ -91,7 +91,7 @@ def test_actions_become_controls_and_controls_actions(
 ) -> None:
     robot = rotor(settings={"actions": actions})
     assert [channel.levels for channel in robot.system.controls] == levels
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         session.reset(0)
         session.step(np.array(control))
         inner: Any = session._env.unwrapped
@@ -99,7 +99,7 @@ def test_actions_become_controls_and_controls_actions(
 
 
 def test_the_force_of_the_cart_has_the_sign_of_its_push() -> None:
-    environment = GymnasiumRobot(id="CartPole-v1").environment
+    environment = GymnasiumRobot(id="CartPole-v1").simulator
     with environment.open() as session:
         session.reset(0, np.zeros(4))
         assert session.step(np.array([10.0]))[0][1] > 0.1

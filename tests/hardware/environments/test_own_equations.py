@@ -18,7 +18,7 @@ def test_one_step_of_the_equations_is_one_of_the_environment(name: str) -> None:
     states = rng.uniform(low, high, (40, robot.system.nx))
     controls = robot.system.actuate(rng.uniform(-1.0, 1.0, (40, 1)))
     found = own.step(states, controls)
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for state, control, after in zip(states, controls, found, strict=True):
             session.reset(0, state)
             expected = session.step(control)[0]

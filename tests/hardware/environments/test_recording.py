@@ -24,7 +24,7 @@ def recorded(name: str, duration: float, seed: int = 0) -> Dataset:
 def test_a_recording_replays_in_the_environment_itself() -> None:
     robot = GymnasiumRobot(id="Pendulum-v1")
     dataset = robot.record(seed=1, duration=50.0).dataset
-    with robot.environment.open() as session:
+    with robot.simulator.open() as session:
         for episode in dataset.episodes[::4]:
             for state, control, after in list(zip(episode.states, episode.controls, episode.states[1:], strict=False))[
                 ::20
