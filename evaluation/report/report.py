@@ -147,7 +147,7 @@ SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
     exploitability.section,
     run.failures_section,
     data.section,
-    run.failures_section,
+    run.section,
 )
 
 
