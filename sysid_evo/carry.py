@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from sysid_evo.system import System
-    from sysid_evo.types import Array
-
+from sysid_evo.system import System
+from sysid_evo.types import Array
 
 T = TypeVar("T")
 

@@ -49,12 +49,13 @@ def import_(
     Logs of poses, three times as fast as the control rate or faster, are differentiated and filtered;
     logs that carry velocities at the control rate are taken row by row.
     """
+    from sysid_evo.data.dataset import Dataset
     from sysid_evo.data.reading import read_recording
 
     load_plugins(plugin)
     patterns = parsed("--condition", condition or [])
     recording = read_recording(logs, columns=columns, condition_column=condition_column)
-    dataset = recording.dataset().labelled(patterns)
+    dataset = Dataset.of_recording(recording).labelled(patterns)
     dataset.save(folder)
     _tell(dataset.notes, recording.doubts)
     out.print(episode_table(dataset))
@@ -94,12 +95,13 @@ def inspect(
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:
     """Return a data set, the logs it was made of (none if it was stored), and what looks wrong in them."""
     from sysid_evo.data.dataset import Dataset
-    from sysid_evo.data.reading import is_stored, read_recording
+    from sysid_evo.data.frames import is_stored_dataset
+    from sysid_evo.data.reading import read_recording
 
-    if len(paths) == 1 and is_stored(paths[0]):
+    if len(paths) == 1 and is_stored_dataset(paths[0]):
         return Dataset.read(paths[0], columns=columns), (), ()
     recording = read_recording(paths, columns=columns)
-    return recording.dataset(), recording.logs, recording.doubts
+    return Dataset.of_recording(recording), recording.logs, recording.doubts
 
 
 def _tell(notes: Iterable[str], doubts: Iterable[str]) -> None:

@@ -6,12 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from sysid_evo.angles import TURN
 from sysid_evo.controllers.program import Program
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import ControllerKernel
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import controllers
 from sysid_evo.system import Channel
 from sysid_evo.tasks.task import Task, TaskState
@@ -118,4 +119,7 @@ def period_of(channel: Channel) -> float | None:
     return channel.period
 
 
-make_controller = controllers.make
+def make_controller(spec: str | Spec, /, **parameters: Any) -> Controller:
+    """Return the controller that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    made: Controller = controllers.make(spec, **parameters)
+    return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +17,27 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.carry import CarryLayout
-from sysid_evo.data.frames import from_frame, load_dataset, save_dataset, to_frame, to_labelled
-from sysid_evo.data.reading import read_dataset
+from sysid_evo.data.frames import (
+    HEADER,
+    StoredSamples,
+    episodes_of_frame,
+    frame_of,
+    is_stored_dataset,
+    read_samples,
+    unreadable,
+    write_samples,
+    xarray_of,
+)
+from sysid_evo.data.reading import Recording, listed, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
+from sysid_evo.errors import (
+    ArtefactError,
+    DataWarning,
+    IncompatibleSystem,
+    InvalidArgument,
+    InvalidData,
+    ShapeError,
+)
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray, check_shape
 
@@ -143,7 +161,7 @@ class Dataset:
         ``dt`` apart (5 %), `InvalidArgument` if there is no table.
         """
         _expect_system(system, "Dataset.from_pandas(system, frame)")
-        return from_frame(system, frame, episode=episode)
+        return cls(system, tuple(episodes_of_frame(system, frame, episode=episode)))
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a sample: the columns ``episode`` and ``time`` (s), then states, controls and pose by name.
@@ -152,7 +170,7 @@ class Dataset:
         ``Dataset.from_pandas(system, frame, episode="episode")`` makes the data set again. Raises `InvalidData` if a
         channel has the name of another column.
         """
-        return to_frame(self)
+        return frame_of(self.system, self.episodes)
 
     def to_xarray(self) -> xr.Dataset:
         """Return one variable (episode, time) for each channel, with its unit and its role (state, control, pose).
@@ -161,7 +179,7 @@ class Dataset:
         where it was recorded. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
         coordinate.
         """
-        return to_labelled(self)
+        return xarray_of(self.system, self.episodes)
 
     @classmethod
     def read(
@@ -171,8 +189,28 @@ class Dataset:
         columns: str | Path | None = None,
         condition_column: str | None = None,
     ) -> Dataset:
-        """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`."""
-        return read_dataset(paths, columns=columns, condition_column=condition_column)
+        """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`.
+
+        Each doubt about a log is also one `DataWarning`.
+        """
+        files = listed(paths)
+        if len(files) == 1 and is_stored_dataset(files[0]):
+            if columns is not None:
+                raise InvalidArgument(f"{files[0]}: this is a stored data set, which takes no column map")
+            if condition_column is not None:
+                raise InvalidArgument(
+                    f"{files[0]}: this is a stored data set; name its conditions when the logs are imported"
+                )
+            return cls.load(files[0])
+        recording = read_recording(files, columns=columns, condition_column=condition_column)
+        for doubt in recording.doubts:
+            warnings.warn(doubt, DataWarning, stacklevel=2)
+        return cls.of_recording(recording)
+
+    @classmethod
+    def of_recording(cls, recording: Recording) -> Dataset:
+        """Prepare the logs of a recording, see `Recording.prepared`. Raises `InvalidData`."""
+        return cls(recording.system, *recording.prepared())
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -310,12 +348,19 @@ class Dataset:
 
     def save(self, path: str | Path) -> Path:
         """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
-        return save_dataset(self, Path(path))
+        return write_samples(Path(path), StoredSamples(self.system, self.episodes, self.notes, self.fingerprint))
 
     @classmethod
     def load(cls, path: str | Path) -> Dataset:
         """Read what `save` wrote. Raises `ArtefactError`."""
-        return load_dataset(Path(path))
+        stored = read_samples(Path(path))
+        try:
+            dataset = cls(stored.system, stored.episodes, stored.notes)
+        except ValueError as error:
+            raise unreadable(Path(path), error) from error
+        if dataset.fingerprint != stored.fingerprint:
+            raise ArtefactError(f"{path}: the samples do not match the fingerprint in {HEADER}; the files were changed")
+        return dataset
 
 
 def _expect_system(system: object, call: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,17 +21,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from sysid_evo.data.dataset import Dataset
-
 
 UNEVEN = 0.05
 """Share of dt by which a step of a table may differ from it."""
 
 
-def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = None) -> Dataset:
-    """Make a data set from a table, see `Dataset.from_pandas`."""
-    from sysid_evo.data.dataset import Dataset
-
+def episodes_of_frame(system: System, frame: pd.DataFrame, *, episode: str | None = None) -> list[Trajectory]:
+    """Return the episodes of a table, see `Dataset.from_pandas`."""
     if not hasattr(frame, "columns") or not hasattr(frame, "groupby"):
         raise InvalidArgument(
             f"from_pandas: expected a pandas table, got {type(frame).__name__}. Arrays become a data set by "
@@ -51,13 +48,16 @@ def from_frame(system: System, frame: pd.DataFrame, *, episode: str | None = Non
     tables = [(str(name), table) for name, table in groups]
     for name, table in tables:
         _expect_even(system, name, table)
-    return Dataset.from_arrays(
-        system,
-        [table[list(system.state_names)].to_numpy() for _, table in tables],
-        [table[list(system.control_names)].to_numpy() for _, table in tables],
-        poses=[table[poses].to_numpy() for _, table in tables] if has_pose else None,
-        names=[name for name, _ in tables],
-    )
+    return [
+        Trajectory(
+            states=table[list(system.state_names)].to_numpy(),
+            controls=table[list(system.control_names)].to_numpy()[:-1],
+            dt=system.dt,
+            pose=table[poses].to_numpy() if has_pose else None,
+            name=name,
+        )
+        for name, table in tables
+    ]
 
 
 def _expect_even(system: System, name: str, table: pd.DataFrame) -> None:
@@ -91,38 +91,37 @@ def _seconds(system: System, table: pd.DataFrame) -> Array | None:
     return np.asarray(pd.TimedeltaIndex(index - index[0]).total_seconds(), dtype=np.float64)
 
 
-def to_frame(dataset: Dataset) -> pd.DataFrame:
-    """Return a data set as a table, see `Dataset.to_pandas`."""
+def frame_of(system: System, episodes: Sequence[Trajectory]) -> pd.DataFrame:
+    """Return episodes as a table, see `Dataset.to_pandas`."""
     import pandas as pd
 
-    names = channel_names(dataset.system, "episode", "time")
-    tables = [sample_table(dataset.system, episode) for episode in dataset]
+    names = channel_names(system, "episode", "time")
+    tables = [sample_table(system, episode) for episode in episodes]
     frame = pd.DataFrame(np.concatenate(tables), columns=list(names))
-    frame.insert(0, "time", np.concatenate([times(episode) for episode in dataset]))
-    frame.insert(0, "episode", np.repeat(dataset.names, [len(table) for table in tables]))
+    frame.insert(0, "time", np.concatenate([times(episode) for episode in episodes]))
+    frame.insert(0, "episode", np.repeat([episode.name for episode in episodes], [len(table) for table in tables]))
     return frame
 
 
-def to_labelled(dataset: Dataset) -> xr.Dataset:
-    """Return a data set as labelled arrays, see `Dataset.to_xarray`."""
+def xarray_of(system: System, episodes: Sequence[Trajectory]) -> xr.Dataset:
+    """Return episodes as labelled arrays, see `Dataset.to_xarray`."""
     check_installed("Dataset.to_xarray", ["xarray"])
     import xarray as xr
 
-    system = dataset.system
     names = channel_names(system, "episode", "time", "length", "condition")
-    longest = max(dataset, key=len)
-    values = np.full((len(dataset), len(longest) + 1, len(names)), np.nan)
-    for i, episode in enumerate(dataset):
+    longest = max(episodes, key=len)
+    values = np.full((len(episodes), len(longest) + 1, len(names)), np.nan)
+    for i, episode in enumerate(episodes):
         values[i, : len(episode) + 1] = sample_table(system, episode)
     variables = {
         name: (("episode", "time"), values[:, :, i], attributes)
         for i, (name, attributes) in enumerate(zip(names, _attributes(system), strict=True))
     }
     coordinates = {
-        "episode": list(dataset.names),
+        "episode": [episode.name for episode in episodes],
         "time": ("time", times(longest), {"units": "s"}),
-        "length": ("episode", [len(episode) + 1 for episode in dataset], {"long_name": "samples of the episode"}),
-        "condition": ("episode", [episode.condition for episode in dataset]),
+        "length": ("episode", [len(episode) + 1 for episode in episodes], {"long_name": "samples of the episode"}),
+        "condition": ("episode", [episode.condition for episode in episodes]),
     }
     return xr.Dataset(variables, coordinates, {"dt": system.dt, "system": system.name})
 
@@ -176,30 +175,40 @@ SCHEMA = "sysid-evo/dataset/1"
 HEADER, SAMPLES = "dataset.json", "samples.parquet"
 
 
-def save_dataset(dataset: Dataset, folder: Path) -> Path:
-    """Write ``dataset`` into ``folder``: one row a sample; the last controls of an episode are null.
+@dataclass(frozen=True)
+class StoredSamples:
+    """What a data set is made of, and the ``fingerprint`` that it then has."""
+
+    system: System
+    episodes: tuple[Trajectory, ...]
+    notes: tuple[str, ...]
+    fingerprint: str
+
+
+def write_samples(folder: Path, samples: StoredSamples) -> Path:
+    """Write ``samples`` into ``folder``: one row a sample; the last controls of an episode are null.
 
     Raises `InvalidData` if two columns would have the same name.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    system = dataset.system
+    system = samples.system
     names = channel_names(system, "episode", "step")
     columns: dict[str, list[Any]] = {"episode": [], "step": []} | {name: [] for name in names}
-    for episode in dataset.episodes:
-        samples = sample_table(system, episode)
-        columns["episode"].append(pa.repeat(episode.name, len(samples)))
-        columns["step"].append(pa.array(np.arange(len(samples))))
+    for episode in samples.episodes:
+        rows = sample_table(system, episode)
+        columns["episode"].append(pa.repeat(episode.name, len(rows)))
+        columns["step"].append(pa.array(np.arange(len(rows))))
         for i, name in enumerate(names):
-            columns[name].append(pa.array(samples[:, i], from_pandas=True))
+            columns[name].append(pa.array(rows[:, i], from_pandas=True))
     table = pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
     header = {
         "schema": SCHEMA,
         "system": system.to_dict(),
-        "episodes": [_described(episode) for episode in dataset.episodes],
-        "notes": list(dataset.notes),
-        "fingerprint": dataset.fingerprint,
+        "episodes": [_described(episode) for episode in samples.episodes],
+        "notes": list(samples.notes),
+        "fingerprint": samples.fingerprint,
     }
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / SAMPLES, lambda path: pq.write_table(table, path))
@@ -207,12 +216,10 @@ def save_dataset(dataset: Dataset, folder: Path) -> Path:
     return folder
 
 
-def load_dataset(folder: Path) -> Dataset:
-    """Read what `save_dataset` wrote. Raises `ArtefactError` if it is damaged or of another version."""
+def read_samples(folder: Path) -> StoredSamples:
+    """Read what `write_samples` wrote. Raises `ArtefactError` if it is damaged or of another version."""
     import pyarrow as pa
     import pyarrow.parquet as pq
-
-    from sysid_evo.data.dataset import Dataset
 
     path = folder / HEADER
     try:
@@ -233,18 +240,25 @@ def load_dataset(folder: Path) -> Dataset:
             episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"], entry.get("condition", "")))
         del table, data
         pa.default_memory_pool().release_unused()
-        dataset = Dataset(system, tuple(episodes), tuple(header["notes"]))
+        return StoredSamples(system, tuple(episodes), tuple(header["notes"]), header["fingerprint"])
     except FileNotFoundError as error:
         raise ArtefactError(
             f"{folder}: expected a data set ({HEADER} and {SAMPLES}), {error.filename} is missing"
         ) from error
+    except ArtefactError:
+        raise
     except (KeyError, TypeError, ValueError, pa.ArrowException) as error:
-        if isinstance(error, ArtefactError):
-            raise
-        raise ArtefactError(f"{folder}: not a readable data set: {type(error).__name__}: {error}") from error
-    if dataset.fingerprint != header["fingerprint"]:
-        raise ArtefactError(f"{folder}: the samples do not match the fingerprint in {HEADER}; the files were changed")
-    return dataset
+        raise unreadable(folder, error) from error
+
+
+def unreadable(folder: Path, error: Exception) -> ArtefactError:
+    """Return what to raise where a stored data set is damaged."""
+    return ArtefactError(f"{folder}: not a readable data set: {type(error).__name__}: {error}")
+
+
+def is_stored_dataset(path: str | Path) -> bool:
+    """Return whether ``path`` is a folder that `write_samples` wrote."""
+    return (Path(path) / HEADER).is_file()
 
 
 def _described(episode: Trajectory) -> dict[str, Any]:

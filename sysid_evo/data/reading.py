@@ -1,28 +1,24 @@
-"""Log files become a data set: find them, choose the column map, read, check, prepare."""
+"""Log files become a recording: find them, choose the column map, read, check, prepare."""
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.data.checks import check_control, check_rate, check_time, constant_controls, findings
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
-from sysid_evo.data.frames import HEADER
+from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.data.preparation import RawLog, episodes_of, said_once
 from sysid_evo.data.readers import Table, log_suffixes, reader_for, such_rows
-from sysid_evo.errors import DataWarning, InvalidArgument, InvalidData
+from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array
-
-if TYPE_CHECKING:
-    from sysid_evo.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -38,17 +34,15 @@ class Recording:
     notes: tuple[str, ...]
     doubts: tuple[str, ...]
 
-    def dataset(self) -> Dataset:
-        """Return the episodes: logs at the control rate row by row, faster ones differentiated and filtered.
+    def prepared(self) -> tuple[tuple[Trajectory, ...], tuple[str, ...]]:
+        """Return the episodes, logs at the control rate row by row, faster ones differentiated and filtered.
 
-        The notes of the data set hold the doubts too. Raises `InvalidData`.
+        Beside them are all notes, also what was done to the logs, and the doubts. Raises `InvalidData`.
         """
-        from sysid_evo.data.dataset import Dataset
-
         prepared = [episodes_of(log, self.system) for log in self.logs]
         notes = [*self.notes, *said_once(prepared), *self.doubts]
         episodes = [episode for one in prepared for episode in one.episodes]
-        return Dataset(self.system, tuple(episodes), tuple(dict.fromkeys(notes)))
+        return tuple(episodes), tuple(dict.fromkeys(notes))
 
 
 def read_recording(
@@ -88,44 +82,12 @@ def read_recording(
     return Recording(chosen.system(envelope), tuple(logs), tuple(notes), tuple(doubts))
 
 
-def read_dataset(
-    paths: str | Path | Iterable[str | Path],
-    *,
-    columns: str | Path | None = None,
-    condition_column: str | None = None,
-) -> Dataset:
-    """Read logs (`read_recording`), or a folder that `Dataset.save` wrote, as a data set.
-
-    Each doubt about a log is also one `DataWarning`.
-    """
-    from sysid_evo.data.dataset import Dataset
-
-    stored = _stored(paths)
-    if stored is not None:
-        if columns is not None:
-            raise InvalidArgument(f"{stored}: this is a stored data set, which takes no column map")
-        if condition_column is not None:
-            raise InvalidArgument(
-                f"{stored}: this is a stored data set; name its conditions when the logs are imported"
-            )
-        return Dataset.load(stored)
-    recording = read_recording(paths, columns=columns, condition_column=condition_column)
-    for doubt in recording.doubts:
-        warnings.warn(doubt, DataWarning, stacklevel=3)
-    return recording.dataset()
-
-
-def is_stored(path: str | Path) -> bool:
-    """Return whether ``path`` is a folder that `Dataset.save` wrote."""
-    return (Path(path) / HEADER).is_file()
-
-
 def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return the log files that ``paths`` name: files as they are, of folders every log in them, sorted."""
     files: list[Path] = []
-    for path in _listed(paths):
+    for path in listed(paths):
         if path.is_dir():
-            if is_stored(path):
+            if is_stored_dataset(path):
                 raise InvalidArgument(
                     f"{path}: this is a stored data set already; it cannot be imported again or mixed with logs"
                 )
@@ -149,13 +111,9 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     return files
 
 
-def _listed(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+def listed(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return one path or several as a list."""
     return [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
-
-
-def _stored(paths: str | Path | Iterable[str | Path]) -> Path | None:
-    listed = _listed(paths)
-    return listed[0] if len(listed) == 1 and is_stored(listed[0]) else None
 
 
 def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | None, notes: list[str]) -> RawLog:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, check_shape
@@ -70,11 +71,9 @@ def regressors(system: System, states: Array, controls: Array) -> Array:
     return np.concatenate([system.regressors(states), controls], axis=1)
 
 
-def recorded_pairs(dataset: Dataset, most: int = KEPT_PAIRS) -> Array:
-    """Return states and controls of ``dataset`` side by side, (N, nx + nu), at most ``most``, evenly spread."""
-    pairs = np.concatenate(
-        [np.concatenate([episode.states[:-1], episode.controls], axis=1) for episode in dataset.episodes]
-    )
+def recorded_pairs(episodes: Iterable[Trajectory], most: int = KEPT_PAIRS) -> Array:
+    """Return states and controls of ``episodes`` side by side, (N, nx + nu), at most ``most``, evenly spread."""
+    pairs = np.concatenate([np.concatenate([episode.states[:-1], episode.controls], axis=1) for episode in episodes])
     if len(pairs) <= most:
         return pairs
     return pairs[np.linspace(0, len(pairs) - 1, most).round().astype(np.int64)]

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import gymnasium
 
 from sysid_evo.artefacts import is_stored
-from sysid_evo.data.reading import is_stored as is_data_set
+from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.environments.environments import Actions, ModelEnvironment, ModelVectorEnvironment
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
@@ -110,7 +110,7 @@ def _dynamics(source: Source) -> Dynamics:
 
 def _folder(folder: Path) -> dict[str, Dynamics]:
     files = sorted(folder.glob("*.json"))
-    if not files or is_data_set(folder):
+    if not files or is_stored_dataset(folder):
         raise InvalidArgument(f"environment: no model is stored in {folder}; in a run they stand in the folder models")
     return {file.stem: _dynamics(file) for file in files}
 

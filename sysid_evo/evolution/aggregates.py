@@ -8,11 +8,13 @@ of its spec.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, register_aggregate
 from sysid_evo.types import Array
 
@@ -53,4 +55,9 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
     return worst_first @ weights / counted
 
 
-make_aggregate = aggregates.make
+def make_aggregate(spec: str | Spec, /, **parameters: Any) -> Aggregate:
+    """Return the aggregate that ``spec`` names, with its parameters. Raises what it does with their values."""
+    found = aggregates.check(spec, **parameters)
+    aggregate = partial(aggregates.get(found.name), **found.parameters)
+    aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
+    return aggregate

@@ -36,9 +36,11 @@ from sysid_evo.models.parameters import (
 )
 from sysid_evo.progress import Checkpoint, Progress, shown
 from sysid_evo.randomness import as_generator
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 from sysid_evo.types import Array
+from sysid_evo.validation.simulation_error import judging_windows, simulation_error
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -251,8 +253,6 @@ class DynamicsModel(Dynamics, Estimator):
         mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. A model that
         draws noise runs without. scikit-learn passes ``y``, which is unused.
         """
-        from sysid_evo.validation.simulation_error import judging_windows, simulation_error
-
         data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
         return -simulation_error(self.without_noise(), judging_windows(data, self.n_lags))
 
@@ -271,9 +271,9 @@ class DynamicsModel(Dynamics, Estimator):
         four fits. Raises `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one
         free run.
         """
-        from sysid_evo.models.adaptation.adapted import adapted
-
-        return adapted(self, dataset, training=training, rng=rng, progress=progress)
+        family: Any = models.get("adapted")
+        found: DynamicsModel = family(base=None).given(self, training).fit(dataset, rng=rng, progress=progress)
+        return found
 
     def predictor(self) -> Predictor | None:
         """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
@@ -471,4 +471,7 @@ def require_packages(family: type, packages: Sequence[str]) -> None:
     check_installed(family.__name__, packages, owner or DISTRIBUTION)
 
 
-make_model = models.make
+def make_model(spec: str | Spec, /, **parameters: Any) -> DynamicsModel:
+    """Return the unfitted model that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    made: DynamicsModel = models.make(spec, **parameters)
+    return made

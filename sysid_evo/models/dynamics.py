@@ -15,9 +15,6 @@ from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
-if TYPE_CHECKING:
-    from sysid_evo.models.base import DynamicsModel
-
 
 class Dynamics(ABC):
     """Anything that steps by one ``system.dt``.
@@ -148,7 +145,7 @@ def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
 
 
 def many_runs(
-    model: DynamicsModel,
+    model: Dynamics,
     states: npt.ArrayLike,
     past_controls: npt.ArrayLike | None,
     controls: npt.ArrayLike,

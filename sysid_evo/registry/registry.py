@@ -9,27 +9,16 @@ import math
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import source_digest
-
-if TYPE_CHECKING:
-    from sysid_evo.controllers.controller import Controller
-    from sysid_evo.evolution.aggregates import Aggregate
-    from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
-    from sysid_evo.models.base import DynamicsModel
-    from sysid_evo.models.disturbances import RadicalEnvelope
-    from sysid_evo.models.penalty import Doubt
-    from sysid_evo.motion import Motion
-    from sysid_evo.tasks.task import Task
-
 
 T = TypeVar("T")
 
@@ -268,40 +257,19 @@ def _distribution(point: EntryPoint) -> str | Distribution:
     return DISTRIBUTION if point.dist is None else point.dist
 
 
-class AggregateRegistry(Registry[Any]):
-    """Functions of the fitness (models, candidates, trials); their further arguments are the parameters of a spec."""
+# A contract imports the registry to register what keeps it, so that the registry knows no classes: functions that make
+# a thing of its own type, `sysid_evo.models.base.make_model` and the like, stand with the contracts.
 
-    def make(self, spec: str | Spec, /, **parameters: Any) -> Aggregate:
-        """Return the function that ``spec`` names, with its parameters. Raises what it does with their values."""
-        import numpy as np
-
-        found = self.check(spec, **parameters)
-        aggregate = partial(self.get(found.name), **found.parameters)
-        aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
-        return aggregate
-
-
-models: Registry[DynamicsModel] = Registry("model", "sysid_evo.models")
-
-tasks: Registry[Task] = Registry("task", "sysid_evo.tasks")
-
-controllers: Registry[Controller] = Registry("controller", "sysid_evo.controllers")
-
-strategies: Registry[EvolutionStrategy] = Registry(
-    "strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"})
-)
-
-aggregates = AggregateRegistry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
-
+models: Registry[Any] = Registry("model", "sysid_evo.models")
+tasks: Registry[Any] = Registry("task", "sysid_evo.tasks")
+controllers: Registry[Any] = Registry("controller", "sysid_evo.controllers")
+strategies: Registry[Any] = Registry("strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"}))
+aggregates: Registry[Any] = Registry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
-
 trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
-
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
-
 probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
-
-motions: Registry[Motion] = Registry("motion", "sysid_evo.motions")
+motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
 
 KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
@@ -309,25 +277,23 @@ KINDS: dict[str, Registry[Any]] = {
         models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions,
     )
 }  # fmt: skip
+"""The kinds that ``sysid-evo names`` lists."""
+
+noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
+"""What ``--noise`` may name: one kind of noise, which the command line describes as options."""
+
+cautions: Registry[Any] = Registry("caution", "sysid_evo.cautions")
+"""What ``--caution`` may name, likewise."""
 
 register_model = models.register
-
 register_task = tasks.register
-
 register_controller = controllers.register
-
 register_strategy = strategies.register
-
 register_aggregate = aggregates.register
-
 register_robot = robots.register
-
 register_tracker = trackers.register
-
 register_reader = readers.register
-
 register_probe = probes.register
-
 register_motion = motions.register
 
 SUFFIX = ".toml"
@@ -349,8 +315,6 @@ def make_robot(spec: str | Spec) -> Any:
 
     Raises `InvalidArgument`, also where somebody registered dynamics instead of a robot that has them.
     """
-    from sysid_evo.models.dynamics import Dynamics
-
     found = robot_spec(spec) if isinstance(spec, str) else spec
     try:
         made = robots.make(found)
@@ -358,7 +322,7 @@ def make_robot(spec: str | Spec) -> Any:
         if isinstance(spec, str) and spec.endswith(SUFFIX):
             raise InvalidArgument(f"robot file {spec}: {error}") from error
         raise
-    if isinstance(made, Dynamics):
+    if hasattr(made, "step") and not hasattr(made, "connect"):
         kind = type(made).__name__
         raise InvalidArgument(
             f"robot {found.name!r}: expected a robot, got the dynamics {kind}. Register a function that returns "
@@ -379,10 +343,3 @@ def _of_file(path: Path) -> Spec:
     if not isinstance(driver, str):
         raise InvalidArgument(f'robot file {path}: expected driver = "NAME", one of {", ".join(robots.names())}')
     return Spec(driver, arguments, path.stem)
-
-
-cautions: Registry[Doubt] = Registry("caution", "sysid_evo.cautions")
-"""What ``--caution`` may name."""
-
-noises: Registry[RadicalEnvelope] = Registry("noise", "sysid_evo.noises")
-"""What ``--noise`` may name."""

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from sysid_evo.kernels import TaskKernel
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import tasks
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray, Seeds
@@ -188,4 +189,7 @@ class Scene:
         return self.markers[self.reached] if self.reached < len(self.markers) else None
 
 
-make_task = tasks.make
+def make_task(spec: str | Spec, /, **parameters: Any) -> Task:
+    """Return the task that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    made: Task = tasks.make(spec, **parameters)
+    return made

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.models.base import DynamicsModel
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import time_blocks
-from sysid_evo.validation.simulation_error import STRIDE, judging_windows, relative_error
+from sysid_evo.validation.simulation_error import STRIDE, Simulator, judging_windows, relative_error
 
 FOLDS = 3
 
@@ -26,6 +25,12 @@ GOOD = 0.02
 """A simulation error, in standard deviations, that is as good as none."""
 
 Choice = TypeVar("Choice")
+
+
+class ClippedSimulator(Simulator, Protocol):
+    """A fitted model whose simulations end at limits that its training data set."""
+
+    envelope_: Array
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class HeldOut:
 
     def error(
         self,
-        learn: Callable[[Dataset], DynamicsModel],
+        learn: Callable[[Dataset], ClippedSimulator],
         *,
         stride: int = STRIDE,
         told: Callable[[], None] = lambda: None,
@@ -69,7 +74,7 @@ class HeldOut:
             told()
         return total
 
-    def diverges(self, model: DynamicsModel, simulated: Array) -> bool:
+    def diverges(self, model: ClippedSimulator, simulated: Array) -> bool:
         """Whether a free run reaches twice the largest training value of a state, or the model's own clip."""
         low, high = model.envelope_
         far = np.where(np.isfinite(high), self.far, np.inf)  # a periodic state cannot get far

@@ -6,18 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid_evo.carry import clip_state
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows
-from sysid_evo.models.base import DynamicsModel
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.folds import time_blocks, unseen_recordings
-from sysid_evo.validation.simulation_error import STRIDE, judging_windows
+from sysid_evo.validation.simulation_error import STRIDE, Simulator, judging_windows
 
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
@@ -240,8 +240,34 @@ PIECE = 40
 SPREAD_SMALLEST, SPREAD_LARGEST = 0.1, 10.0
 
 
+class NoisySimulator(Protocol):
+    """A fitted model that can draw noise, which it multiplies with ``noise_scale_``."""
+
+    def variant(self, **parameters: Any) -> Self:
+        """Return a copy with other hyper-parameters."""
+        ...
+
+    def simulate(
+        self,
+        states: npt.ArrayLike,
+        past_controls: npt.ArrayLike,
+        controls: npt.ArrayLike,
+        /,
+        *,
+        samples: int,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Return ``samples`` simulations (samples, B, H, nx), see `Simulator.simulate`."""
+        ...
+
+    def __setattr__(self, name: str, value: Any) -> None: ...
+
+
+Noisy = TypeVar("Noisy", bound=NoisySimulator)
+
+
 def conformal_scale(
-    cases: Sequence[tuple[DynamicsModel, Windows]],
+    cases: Sequence[tuple[NoisySimulator, Windows]],
     rng: np.random.Generator,
     *,
     share: float = SHARE,
@@ -288,7 +314,7 @@ def _evenly(windows: Windows, most: int) -> Windows:
     return windows[np.linspace(0, len(windows) - 1, most).astype(np.int64)]
 
 
-def with_noise(model: DynamicsModel) -> DynamicsModel:
+def with_noise(model: Noisy) -> Noisy:
     """Return a copy of the fitted ``model`` with ``stochastic`` on."""
     return model.variant(stochastic=True)
 
@@ -311,7 +337,7 @@ def rough_fits(dataset: Dataset) -> int:
 
 
 def growth_on_unseen_recordings(
-    fit: Callable[[Dataset], DynamicsModel],
+    fit: Callable[[Dataset], Simulator],
     dataset: Dataset,
     *,
     share: float = SHARE,
@@ -344,7 +370,7 @@ def growth_on_unseen_recordings(
     return factors[0] if steps is None else np.stack(factors)
 
 
-def _last_errors(model: DynamicsModel, held: Dataset, step: int | None) -> Array:
+def _last_errors(model: Simulator, held: Dataset, step: int | None) -> Array:
     """Return the absolute errors (N, nx) after so many steps; None is one second."""
     if step is None:
         windows = judging_windows(held, model.n_lags)

@@ -4,20 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Protocol, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows
 from sysid_evo.errors import InvalidData
-from sysid_evo.models.base import DynamicsModel
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.bootstrap import Errors
 
-if TYPE_CHECKING:
-    from sysid_evo.models.adaptation.correction import Pieces, Terms
+
+class Simulator(Protocol):
+    """What is judged here: a fitted model of any kind."""
+
+    @property
+    def system(self) -> System:
+        """What it is a model of."""
+        ...
+
+    @property
+    def n_lags(self) -> int:
+        """Samples of history that it starts from."""
+        ...
+
+    @property
+    def envelope(self) -> Array | None:
+        """To what its states are clipped, (2, nx)."""
+        ...
+
+    def simulate(self, states: npt.ArrayLike, past_controls: npt.ArrayLike, controls: npt.ArrayLike, /) -> Array:
+        """Return the states (B, H, nx) after a history (B, L + 1, nx), (B, L, nu) under controls (B, H, nu)."""
+        ...
 
 
 SECOND, FEWEST_STEPS = 1.0, 10
@@ -44,7 +64,7 @@ def judging_windows(
     return windows if len(windows) else dataset.windows(horizon, stride=least, history=history)
 
 
-def simulation_error(model: DynamicsModel, windows: Windows) -> float:
+def simulation_error(model: Simulator, windows: Windows) -> float:
     """Return the mean over channels and steps of RMSE / standard deviation of the truth, in free run.
 
     Steps count alike, so that neither the first nor the last alone decides. 0 is perfect, about 1 is no
@@ -105,7 +125,7 @@ class Trial:
         longest = int(self.windows.start.max(initial=0)) // length + 1
         return np.asarray(self.windows.episode * longest + self.windows.start // length, dtype=np.int64)
 
-    def run(self, model: DynamicsModel) -> Array:
+    def run(self, model: Simulator) -> Array:
         """Return what ``model`` simulates (N, H, nx) at the horizons; a short history is padded with its beginning."""
         w = self.windows
         missing = max(0, model.n_lags - w.past_controls.shape[1])
@@ -115,7 +135,7 @@ class Trial:
         found = model.simulate(states, controls, w.controls)
         return np.asarray(found[:, [horizon - 1 for horizon in self.horizons]])
 
-    def diverged(self, model: DynamicsModel, simulated: Array) -> float:
+    def diverged(self, model: Simulator, simulated: Array) -> float:
         """Return the share of the runs (N, H, nx) that reach the envelope of ``model`` or are no numbers."""
         off = ~np.isfinite(simulated)
         if model.envelope is not None:
@@ -168,16 +188,6 @@ def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) ->
     """
     typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
     return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))
-
-
-FARTHEST = 10.0
-"""Standard deviations that an error counts at most."""
-
-
-def off(terms: Terms, runs: Array, pieces: Pieces) -> Array:
-    """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts most."""
-    wrong = terms.system.difference(runs, np.broadcast_to(pieces.truth, runs.shape)) / pieces.scale
-    return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
 
 
 def error_of(errors: Array) -> float:

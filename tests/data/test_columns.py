@@ -141,7 +141,7 @@ def test_a_fast_log_that_carries_velocities_is_filtered_and_decimated(make_drive
         {"t": drive.time, "x": x, "y": y, "yaw": yaw, "u": forward, "r": yaw_rate, "throttle": zero, "steering": zero}
     )
     recording = read_recording(path, columns=columns_file())
-    (episode,) = recording.dataset()
+    (episode,) = Dataset.of_recording(recording)
     assert len(recording.doubts) == 2
     ticks = (4 + np.arange(len(episode) + 1)) * 0.05
     assert np.abs(episode.states - drive.velocity(ticks)[:, [0, 2]]).max() < 0.01

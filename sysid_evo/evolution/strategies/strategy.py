@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import State
+from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import strategies
 from sysid_evo.types import Array, check_shape
 
@@ -107,4 +108,7 @@ class EvolutionStrategy(ABC):
         self._update(population, fitness, check_shape("behaviour", given, described))
 
 
-make_strategy = strategies.make
+def make_strategy(spec: str | Spec, /, **parameters: Any) -> EvolutionStrategy:
+    """Return the strategy that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    made: EvolutionStrategy = strategies.make(spec, **parameters)
+    return made

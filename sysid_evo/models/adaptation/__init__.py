@@ -1,6 +1,6 @@
 """A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
 
-from sysid_evo.models.adaptation.adapted import adapted, as_of
+from sysid_evo.models.adaptation.adapted import as_of
 from sysid_evo.models.adaptation.correction import Terms
 from sysid_evo.models.adaptation.selection import (
     ANEW,
@@ -24,7 +24,6 @@ __all__ = [
     "Trial",
     "Verdict",
     "adaptation",
-    "adapted",
     "as_of",
     "held_out_error",
 ]

@@ -22,7 +22,7 @@ from sysid_evo.models.kernels.correction import correction_kernel
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.models.storage import load_model
 from sysid_evo.progress import Progress
-from sysid_evo.registry.registry import models, register_model
+from sysid_evo.registry.registry import register_model
 from sysid_evo.system import System
 from sysid_evo.types import Array
 from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, persistent_share, usable_horizon
@@ -55,7 +55,7 @@ class Adapted(DynamicsModel):
     def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
         """Take ``base`` to be adapted by the next `fit`, and the data it learned from, if a refit is to be tried."""
         self.base_ = base
-        vars(self)["_training"] = training
+        vars(self)["_training"] = None if training is None else as_of(base.system, training)
         return self
 
     def check_system(self, system: System) -> None:
@@ -264,22 +264,6 @@ def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.rand
     other = base.variant()
     other.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng))
     return other
-
-
-def adapted(
-    model: DynamicsModel,
-    dataset: Dataset,
-    *,
-    training: Dataset | None = None,
-    rng: np.random.Generator | int | None = None,
-    progress: Progress | bool | None = None,
-) -> DynamicsModel:
-    """Return a model of the family ``adapted`` around ``model``, see `DynamicsModel.adapt`."""
-    system = model.system
-    old = None if training is None else as_of(system, training)
-    family: Any = models.get("adapted")
-    found: DynamicsModel = family(base=None).given(model, old).fit(as_of(system, dataset), rng=rng, progress=progress)
-    return found
 
 
 def as_of(system: System, dataset: Dataset) -> Dataset:

@@ -15,7 +15,6 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
-from sysid_evo.validation.simulation_error import FARTHEST, off
 
 FAR = 1.0
 """Time in s within which a coefficient of 1 moves a state by its standard deviation."""
@@ -216,7 +215,7 @@ def _improved(
     """Return better coefficients by one linearisation, and whether there are any."""
     size = start.size
     runs, derivatives = sensitivities(model, terms, start, pieces)
-    here = off(terms, runs[None], pieces).ravel()
+    here = pieces.errors(runs[None]).ravel()
     slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
     weights = _weights(here)
     share = seconds / here.size
@@ -225,7 +224,7 @@ def _improved(
     if not np.isfinite(step).all():
         return start, False
     candidates = np.stack([start, *(start + length * step for length in SHORTENINGS)])
-    reached = off(terms, free_runs(model, terms, candidates, pieces), pieces)
+    reached = pieces.errors(free_runs(model, terms, candidates, pieces))
     costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
     best = int(np.argmin(costs))
     return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
@@ -245,6 +244,9 @@ SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
 
 STRIDE = 3
 
+FARTHEST = 10.0
+"""Standard deviations that an error counts at most."""
+
 ROWS = 2**14
 """Free runs side by side."""
 
@@ -258,6 +260,7 @@ class Pieces:
     what a free run is clipped to.
     """
 
+    system: System
     carry: Array
     controls: Array
     truth: Array
@@ -285,7 +288,7 @@ class Pieces:
         states = states if len(states) else np.concatenate([episode.states for episode in dataset])
         scale = state_scale(system, states)
         first = windows.start + begins[windows.episode]
-        return cls(carry, windows.controls, windows.states, first, scale, model.envelope)
+        return cls(system, carry, windows.controls, windows.states, first, scale, model.envelope)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -299,6 +302,11 @@ class Pieces:
     def horizon(self) -> int:
         """Steps of each window."""
         return int(self.controls.shape[1])
+
+    def errors(self, runs: Array) -> Array:
+        """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts most."""
+        wrong = self.system.difference(runs, np.broadcast_to(self.truth, runs.shape)) / self.scale
+        return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
 
 
 def free_runs(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:

@@ -18,7 +18,7 @@ from sysid_evo.registry.registry import models
 from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import AND, Held, Kind, Trial, failed, judged
 from sysid_evo.validation.folds import Block, blocks_of
-from sysid_evo.validation.simulation_error import error_of, off
+from sysid_evo.validation.simulation_error import error_of
 
 KINDS = ("linear", "gains", "products")
 """What a correction may be linear in, the simplest first."""
@@ -232,7 +232,7 @@ def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> Held:
 def _run(learned: Learned, pieces: Pieces) -> Held:
     """Return the errors of the free runs over ``pieces``."""
     terms = learned.terms
-    errors = off(terms, free_runs(learned.model, terms, learned.coefficients[None], pieces), pieces)[0]
+    errors = pieces.errors(free_runs(learned.model, terms, learned.coefficients[None], pieces))[0]
     return Held(errors, (pieces.first * terms.system.dt).astype(np.int64))
 
 
@@ -330,7 +330,7 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
             return None
         pieces = pieces[np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES).round().astype(np.int64))]
         terms = Terms.of(held)
-        wrong = off(terms, free_runs(model, terms, np.zeros((1, *terms.shape)), pieces), pieces)[0]
+        wrong = pieces.errors(free_runs(model, terms, np.zeros((1, *terms.shape)), pieces))[0]
         squares.append(((wrong * pieces.scale) ** 2).reshape(-1, held.system.nx))
     return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -21,11 +21,8 @@ from sysid_evo.kernels import (
     view,
     where_at_most,
 )
+from sysid_evo.system import System
 from sysid_evo.types import Array
-
-if TYPE_CHECKING:
-    from sysid_evo.models.adaptation.correction import Terms
-
 
 HEAD = Layout(
     "nx",
@@ -45,7 +42,42 @@ HEAD = Layout(
 )
 
 
-def correction_kernel(inner: DynamicsKernel, terms: Terms, coefficients: Array) -> DynamicsKernel | None:
+class CorrectionNumbers(Protocol):
+    """What the kernel takes from the terms of a correction: numbers, see `sysid_evo.models.adaptation.Terms`."""
+
+    @property
+    def system(self) -> System: ...
+    @property
+    def low(self) -> Array: ...
+    @property
+    def high(self) -> Array: ...
+    @property
+    def centre(self) -> Array: ...
+    @property
+    def scale(self) -> Array: ...
+    @property
+    def unit(self) -> Array: ...
+    @property
+    def least(self) -> Array: ...
+    @property
+    def most(self) -> Array: ...
+    @property
+    def weakest(self) -> Array: ...
+    @property
+    def strongest(self) -> Array: ...
+    @property
+    def strength(self) -> Array: ...
+    @property
+    def products(self) -> bool: ...
+    @property
+    def gains(self) -> bool: ...
+    @property
+    def n_inputs(self) -> int: ...
+    @property
+    def size(self) -> int: ...
+
+
+def correction_kernel(inner: DynamicsKernel, terms: CorrectionNumbers, coefficients: Array) -> DynamicsKernel | None:
     """Return the kernel of ``inner`` with ``terms`` and ``coefficients`` (size, nx) added to its accelerations.
 
     None if the motion has no compiled form.

@@ -17,9 +17,9 @@ from hardware.recording.record import logs_of, prepared, record, record_dataset,
 from hardware.robot import Robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.data.columns import load_columns
+from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.preparation import prepare
 from sysid_evo.data.readers import CsvReader
-from sysid_evo.data.reading import read_dataset
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
@@ -261,8 +261,8 @@ def test_journals_are_read_as_logs(robot, rng, tmp_path):
     record(robot, [manoeuvre], tmp_path / "journal", seed=1)
     (log,) = logs_of(tmp_path / "journal", ["short"])
     save_raw(log, robot.system, tmp_path / "raw" / "short.csv")
-    (from_journal,) = read_dataset(tmp_path / "journal").episodes
-    (from_csv,) = read_dataset(tmp_path / "raw").episodes
+    (from_journal,) = Dataset.read(tmp_path / "journal").episodes
+    (from_csv,) = Dataset.read(tmp_path / "raw").episodes
     assert from_journal.states == pytest.approx(from_csv.states, abs=1e-6)
     assert np.array_equal(from_journal.controls, from_csv.controls)
     with pytest.raises(InvalidData, match="Did you mean 'steer'"):

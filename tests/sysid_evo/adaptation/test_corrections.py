@@ -14,7 +14,7 @@ from sysid_evo.models.kernels.correction import correction_kernel
 from sysid_evo.system import System
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
 from sysid_evo.types import Array
-from sysid_evo.validation.simulation_error import error_of, off
+from sysid_evo.validation.simulation_error import error_of
 
 from .cars import FloorCar, drive
 
@@ -49,7 +49,7 @@ def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_line
     left = []
     for terms in (Terms.of(data), Terms.of(data, model=model)):
         found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
-        left.append(error_of(off(terms, free_runs(model, terms, found[None], pieces), pieces)[0]))
+        left.append(error_of(pieces.errors(free_runs(model, terms, found[None], pieces))[0]))
     assert left[1] < 0.1 * left[0]
     assert terms.names[-3:] == [f"foreseen d {name}/dt" for name in data.system.state_names]
 
