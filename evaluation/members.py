@@ -1,24 +1,33 @@
-"""Models, robots and controllers that names, files and run folders stand for."""
+"""Which models, robots and controllers names, files and run folders stand for, and whether they fit each other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from evaluation.cells.controllers import EvolveCell
+from evaluation.cells.data import GivenData
+from evaluation.cells.models import FitCell, PredictCell, StoredModel
+from evaluation.cells.plants import Column, emulated, runner_of
+from evaluation.experiment import FILE
+from evaluation.planning import comparison_of
+from evaluation.run_folder import is_run, latest_run_folder, owner_of
+from evaluation.transfer.matrix import TransferMatrix, run_cell, transfer_seeds
+from sysid_evo.artefacts import is_stored, stored_file
+from sysid_evo.controllers.controller import make_controller
+from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.evolution import Champion, ControllerEvolution, observed_late
+from sysid_evo.evolution.champion import load_champion
+from sysid_evo.evolution.controller_evolution import farthest_driven
+from sysid_evo.models import Dynamics
+from sysid_evo.plan import Record, Store, StoredCell
+from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
-
-if TYPE_CHECKING:
-    from evaluation.cells.plants import Column
-    from evaluation.transfer.matrix import TransferMatrix
-    from sysid_evo.engine import Runner
-    from sysid_evo.evolution import Champion, ControllerEvolution
-    from sysid_evo.models import Dynamics
-    from sysid_evo.plan import Record, Store
-    from sysid_evo.system import System
-
+from sysid_evo.system import System
+from sysid_evo.tasks.task import make_task
 
 KINDS = ("by_hand", "evolve", "choose", "polish")
 """Kinds of cells whose result is a controller; of the same name the later kind counts."""
@@ -39,9 +48,6 @@ class Place:
     @property
     def runner(self) -> Runner:
         """How controllers are run there. Raises `InvalidArgument` for a physical robot."""
-        from evaluation.cells.plants import runner_of
-        from sysid_evo.engine import DynamicsRunner
-
         if self.column.robot is not None:
             return runner_of(self.column.robot)
         return DynamicsRunner(dynamics_of(self.store, self.column))
@@ -60,9 +66,6 @@ def places(names: Sequence[str], run: Path | None) -> tuple[Place, ...]:
 
     A run folder stands for all its models. Raises `InvalidArgument` for what there is not.
     """
-    from evaluation.run_folder import is_run, latest_run_folder
-    from sysid_evo.plan import Store
-
     found: list[Place] = []
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
@@ -85,17 +88,12 @@ def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[
     A run folder stands for all its controllers. With ``task`` all of them do that one, else each the one it was made
     for, and one written by hand that of the first. Raises `InvalidArgument` if these differ.
     """
-    from evaluation.run_folder import is_run, owner_of
-    from sysid_evo.cli.robots import is_stored
-    from sysid_evo.evolution import Champion
-    from sysid_evo.evolution.champion import load_champion
-
     found: list[Contender] = []
     written: list[str] = []
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
             found += [Contender(champion, Path(name)) for champion in _of_run(Path(name))]
-        elif is_stored(name):
+        elif is_stored(name, "controller"):
             found.append(Contender(load_champion(name), owner_of(Path(name))))
         else:
             written.append(name)
@@ -117,10 +115,6 @@ def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[
 
 def check_fit(controllers: Sequence[Contender], systems: Sequence[Place]) -> None:
     """Raise for the first controller that does not fit: `IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`."""
-    from sysid_evo.controllers.controller import make_controller
-    from sysid_evo.evolution import observed_late
-    from sysid_evo.tasks.task import make_task
-
     for place in systems:
         system, runner = place.system, place.runner
         for one in controllers:
@@ -143,8 +137,6 @@ def with_models(one: Contender, systems: Sequence[Place]) -> tuple[Champion, dic
 
     A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
     """
-    from sysid_evo.plan import Store
-
     against, families = [], {}
     robots = {place.column.label: place.label for place in systems if place.column.robot is not None}
     digests = {place.column.model.digest: place.label for place in systems if place.column.model is not None}
@@ -165,11 +157,6 @@ def with_models(one: Contender, systems: Sequence[Place]) -> tuple[Champion, dic
 
 def _of_run(run: Path) -> list[Champion]:
     """Return the controllers of a run: the rows of its matrix, and of what was evolved since what nothing needs."""
-    from evaluation.cells.controllers import EvolveCell
-    from evaluation.experiment import FILE
-    from evaluation.planning import comparison_of
-    from sysid_evo.plan import Store, StoredCell
-
     store = Store(run)
     matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
     rows = [] if matrix is None else [cell for cell in matrix.champions if store.done(cell)]
@@ -199,8 +186,6 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
 
     Returns why the task cannot be done well by the first of them whose equations are known, in sentences.
     """
-    from sysid_evo.evolution.controller_evolution import farthest_driven
-
     systems = {column.label: system_of(store, column) for column in columns}
     (first, system), *others = systems.items()
     for label, other in others:
@@ -230,8 +215,6 @@ def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...
 
 def is_file(name: str) -> bool:
     """Whether ``name`` is the path of a stored model."""
-    from sysid_evo.artefacts import is_stored
-
     return is_stored(name, "model")
 
 
@@ -252,10 +235,6 @@ def is_model_of_a_run(name: str) -> bool:
 
 def find_column(store: Store, name: str) -> Column:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
-    from evaluation.cells.models import StoredModel
-    from evaluation.cells.plants import Column, runner_of
-    from sysid_evo.artefacts import stored_file
-
     if is_file(name):
         file = stored_file(name, "model")
         own = record_of_file(store, file)
@@ -272,11 +251,6 @@ def find_column(store: Store, name: str) -> Column:
 
 def column_of(store: Store, record: Record) -> Column:
     """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
-    from evaluation.cells.data import GivenData
-    from evaluation.cells.models import FitCell, PredictCell
-    from evaluation.cells.plants import Column
-    from sysid_evo.plan import StoredCell
-
     model, family = StoredCell(record, FitCell), record.inputs["model"]["name"]
     data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
     if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
@@ -325,9 +299,6 @@ def system_of(store: Store, column: Column) -> System:
 
 def dynamics_of(store: Store, column: Column) -> Dynamics:
     """Return the model or the emulated robot behind a column."""
-    from evaluation.cells.models import StoredModel
-    from evaluation.cells.plants import emulated
-
     if column.robot is not None:
         return emulated(column.robot)
     assert column.model is not None
@@ -338,16 +309,19 @@ def dynamics_of(store: Store, column: Column) -> Dynamics:
 
 
 TRACES = 10
+"""Trials of each cell whose trajectories are kept, for how controllers behave."""
 
 
 def matrix_of(
-    drivers: Sequence[Contender], systems: Sequence[Place], *, seed: int, trials: int, traces: int = TRACES
+    drivers: Sequence[Contender],
+    systems: Sequence[Place],
+    *,
+    seed: int,
+    trials: int,
+    traces: int = TRACES,
+    progress: Progress | None = None,
 ) -> TransferMatrix:
-    """Run every controller on every system in the same fresh trials, with a bar."""
-    from evaluation.transfer.matrix import TransferMatrix, run_cell, transfer_seeds
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.evolution import observed_late
-
+    """Run every controller on every system in the same fresh trials."""
     families = {place.label: place.column.registered for place in systems}
     champions = []
     for one in drivers:
@@ -357,15 +331,12 @@ def matrix_of(
     robots = [place.label for place in systems if place.column.robot is not None]
     seeds, cells = transfer_seeds(seed, trials), []
     runners = {place.label: place.runner for place in systems}
-    title = f"run {len(champions)} controllers on {len(systems)} systems"
-    with Bars() as bars:
-        bars.begin(title)
-        for champion in champions:
-            for label, runner in runners.items():
-                late = observed_late(label, runner, champion.estimator_delay)
-                cells.append(run_cell(champion, label, late, seeds, traces=traces))
-                bars.advance(len(cells), len(champions) * len(systems))
-        bars.end(title, None)
+    for champion in champions:
+        for label, runner in runners.items():
+            late = observed_late(label, runner, champion.estimator_delay)
+            cells.append(run_cell(champion, label, late, seeds, traces=traces))
+            if progress is not None:
+                progress(len(cells), len(champions) * len(systems))
     return TransferMatrix.of(
         champions,
         tuple(runners),

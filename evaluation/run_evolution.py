@@ -4,27 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from evaluation.cells.assessment import RunCell
+from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell
+from evaluation.cells.data import GivenData
+from evaluation.cells.models import files_of
+from evaluation.cells.plants import Column
+from evaluation.coverage import Region, what_to_record
+from evaluation.experiment import Experiment
+from evaluation.exploitability.assessment import assess_exploitability
+from evaluation.exploitability.results import ModelExploitability
 from evaluation.members import dynamics_of, find_column, is_file, other_models, record_of_file
-from sysid_evo.cli.options import load_plugins
+from evaluation.prediction.scores import error_of
+from evaluation.run_folder import owner_of
+from evaluation.transfer.forecast import Forecast, forecasts
+from evaluation.transfer.matrix import TransferMatrix, transfer, transfer_seeds
+from sysid_evo.artefacts import stored_file
+from sysid_evo.controllers.controller import make_controller
+from sysid_evo.data import Trajectory
+from sysid_evo.data.support import Support, split_pairs
+from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import InvalidArgument
-
-if TYPE_CHECKING:
-    from evaluation.cells.assessment import RunCell
-    from evaluation.cells.controllers import ChampionCell
-    from evaluation.cells.plants import Column
-    from evaluation.coverage import Region
-    from evaluation.experiment import Experiment
-    from evaluation.exploitability.results import ModelExploitability
-    from evaluation.transfer.forecast import Forecast
-    from evaluation.transfer.matrix import TransferMatrix
-    from sysid_evo.data import Trajectory
-    from sysid_evo.data.support import Support
-    from sysid_evo.evolution import Champion
-    from sysid_evo.models import Dynamics
-    from sysid_evo.plan import Again, Plan, Store
-
+from sysid_evo.evolution import Champion, observed_late
+from sysid_evo.evolution.champion import load_champion
+from sysid_evo.models import Dynamics, DynamicsModel
+from sysid_evo.plan import Again, Plan, Store, StoredCell
+from sysid_evo.registry import load_plugin
+from sysid_evo.tasks.task import make_task
 
 TRIALS = 10
 
@@ -36,15 +43,6 @@ def regions_of(
 
     Without ``support`` the data are those of the first model.
     """
-    from evaluation.coverage import what_to_record
-    from evaluation.transfer.matrix import transfer_seeds
-    from sysid_evo.controllers.controller import make_controller
-    from sysid_evo.data.support import Support, split_pairs
-    from sysid_evo.engine import DynamicsRunner
-    from sysid_evo.evolution import observed_late
-    from sysid_evo.models import DynamicsModel
-    from sysid_evo.tasks.task import make_task
-
     fitted = {
         label: model
         for label, model in models.items()
@@ -68,10 +66,6 @@ def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ..
 
     Raises `InvalidArgument` if the models that it was evolved in are not in its run.
     """
-    from evaluation.run_folder import owner_of
-    from sysid_evo.evolution.champion import load_champion
-    from sysid_evo.plan import Store
-
     champion = load_champion(controller)
     champion.check_system(support.system)
     folder = owner_of(controller)
@@ -91,10 +85,6 @@ def by_label(columns: Sequence[Column]) -> tuple[Column, ...]:
 
 def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> Forecast | None:
     """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
-    from evaluation.prediction.scores import error_of
-    from evaluation.transfer.forecast import forecasts
-    from evaluation.transfer.matrix import TransferMatrix
-
     found = {run.column.label: (run.column, cell) for run in runs if (cell := store.outcome(run).value) is not None}
     predicted = {
         label: None if column.prediction is None else store.outcome(column.prediction).value
@@ -130,9 +120,6 @@ def cells_of(
 
     What is evolved on a robot is run nowhere else: there is nothing to forecast.
     """
-    from evaluation.cells.assessment import RunCell
-    from evaluation.cells.controllers import controller_cell
-
     others = other_models(store, columns)
     champion = controller_cell(experiment, columns, judges=columns + others)
     delay = experiment.estimator_delay
@@ -149,8 +136,6 @@ def plan_of(
     champion: ChampionCell, claims: Sequence[RunCell], elsewhere: Sequence[RunCell], again: Again | None = None
 ) -> Plan:
     """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere."""
-    from sysid_evo.plan import Plan
-
     judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
     predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
     return Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
@@ -158,8 +143,6 @@ def plan_of(
 
 def chosen_from(champion: ChampionCell, store: Store) -> int:
     """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
-    from evaluation.cells.controllers import ChooseCell, PolishCell
-
     choice = champion.chosen if isinstance(champion, PolishCell) else champion
     if not isinstance(choice, ChooseCell):
         return 0
@@ -168,10 +151,6 @@ def chosen_from(champion: ChampionCell, store: Store) -> int:
 
 def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
     """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
-    from evaluation.cells.models import files_of
-    from sysid_evo.artefacts import stored_file
-    from sysid_evo.plan import Again
-
     records = {record.digest: record for record in store.records() if record.status == "done"}
     fits = [record for record in records.values() if record.kind == "fit"]
     data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
@@ -190,11 +169,9 @@ def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) 
 
 def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
     """Return the plan of the same command again, for another process."""
-    from evaluation.experiment import Experiment
-    from sysid_evo.plan import Store
-
     experiment = Experiment.of(made_of["settings"])
-    load_plugins([Path(plugin) for plugin in experiment.plugins])
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
     store = Store(run)
     return plan_of(*cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"])))
 
@@ -203,12 +180,6 @@ def _looked_at(
     champion: Champion, target: Column, columns: tuple[Column, ...], store: Store, seed: int, on_robot: bool
 ) -> tuple[TransferMatrix, ModelExploitability | None]:
     """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to."""
-    from evaluation.cells.data import GivenData
-    from evaluation.exploitability.assessment import assess_exploitability
-    from evaluation.transfer.matrix import transfer
-    from sysid_evo.engine import DynamicsRunner
-    from sysid_evo.plan import StoredCell
-
     models = {column.label: dynamics_of(store, column) for column in columns}
     robot = columns[-1].label if on_robot else None
     matrix = transfer(

@@ -78,6 +78,18 @@ class LoopReport:
         """Why the run ended, in words."""
         return f"{self.reason.sentence}: {self.detail}" if self.detail else self.reason.sentence
 
+    @property
+    def punctuality(self) -> str:
+        """How punctual the loop was, in words."""
+        if not self.ticks:
+            return f"No command was sent: {self.sentence}."
+        median, high = np.percentile(self.lateness, (50, 99))
+        gap = self.gaps.max() if len(self.gaps) else 0.0
+        return (
+            f"{self.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
+            f"{1e3 * gap:.0f} ms; {self.skipped} left out, {self.stale} neutral for want of a pose."
+        )
+
 
 SIGNALS = {signal.SIGINT: Reason.SIGINT, signal.SIGTERM: Reason.SIGTERM, signal.SIGHUP: Reason.SIGHUP}
 
@@ -124,17 +136,3 @@ class Stops:
         name = "a thread" if arguments.thread is None else arguments.thread.name
         self.request(Reason.THREAD_DIED, f"{name}: {arguments.exc_type.__name__}: {arguments.exc_value}")
         self._excepthook(arguments)
-
-
-def punctuality(report: LoopReport) -> str:
-    """Return a sentence on how punctual the loop was."""
-    import numpy as np
-
-    if not report.ticks:
-        return f"No command was sent: {report.sentence}."
-    median, high = np.percentile(report.lateness, (50, 99))
-    gap = report.gaps.max() if len(report.gaps) else 0.0
-    return (
-        f"{report.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
-        f"{1e3 * gap:.0f} ms; {report.skipped} left out, {report.stale} neutral for want of a pose."
-    )

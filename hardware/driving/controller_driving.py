@@ -1,34 +1,28 @@
-"""A stored controller drives a robot: trials in the loop or step by step, shown on the page if wanted."""
+"""A controller drives, shown on the page: its trials as they happen, or those of a simulation played back."""
 
 from __future__ import annotations
 
 import time
-import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hardware.driving.keyboard import Keyboard
 from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.server import PageAddress, served
 from hardware.driving.trials import TrialSeries
 from hardware.robot import Robot
 from hardware.run_report import Reason, Stops
-from sysid_evo.cli.console import code_of_loop, out
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts
 from sysid_evo.evolution import Champion
-from sysid_evo.extras import missing_extra
 from sysid_evo.system import System
 from sysid_evo.tasks import Scene, Task
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
-
-if TYPE_CHECKING:
-    from hardware.driving.server import PageServer
-
 
 LONGEST = 20.0
 """Seconds that a trial played back may take: one of a slow process is played faster."""
@@ -190,51 +184,45 @@ def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> lis
     return found
 
 
-WATCHING_POLL = 0.05  # s
-
 LAST_LOOK = 0.3
 """Seconds for which the page still hears how the last trial ended."""
 
 
-@dataclass(frozen=True)
-class Watching:
-    """Where the page is served that shows a controller, and whether it is opened in the browser, too."""
-
-    host: str
-    port: int
-    open_page: bool
-
-    @contextmanager
-    def shown(self, panel: ControllerPanel, stops: Stops) -> Iterator[None]:
-        """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
-
-        def died(why: str) -> None:
-            stops.request(Reason.THREAD_DIED, why)
-
-        with page_server()(panel, Keyboard(life=1.0), host=self.host, port=self.port, died=died) as served:
-            out.print(f"Watch it at {served.url}", highlight=False, markup=False, soft_wrap=True)
-            if self.open_page:
-                webbrowser.open(served.url)
-            while served.seats.driver is None and stops.reason is None:
-                time.sleep(WATCHING_POLL)
-            yield
-            if stops.reason is None:
-                time.sleep(LAST_LOOK)
+@contextmanager
+def watched(
+    panel: ControllerPanel, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+) -> Iterator[None]:
+    """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
+    with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
+        while page.seats.driver is None and stops.reason is None:
+            time.sleep(POLL)
+        yield
+        if stops.reason is None:
+            time.sleep(LAST_LOOK)
 
 
-def play_back(champion: Champion, machine: Robot, seeds: Seeds, rollouts: Rollouts, watching: Watching) -> int:
-    """Show trials that were simulated on a page, as fast as they went or faster, and return the exit code."""
-    task = make_task(champion.task).bind(machine.system)
-    panel = ControllerPanel(machine.name, task, champion.name, faster=pace(task))
-    with Stops() as stops, watching.shown(panel, stops):
+@contextmanager
+def shown_live(
+    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+) -> Iterator[Callable[[TrialSeries], None]]:
+    """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
+    panel = ControllerPanel(robot.name, task.bind(robot.system), name)
+    with watched(panel, address, stops=stops, announce=announce):
+        yield lambda series: panel.show(moment_of(series))
+
+
+def play_back(
+    champion: Champion,
+    robot: Robot,
+    seeds: Seeds,
+    rollouts: Rollouts,
+    address: PageAddress,
+    *,
+    announce: Callable[[str], None],
+) -> Reason | None:
+    """Show trials that were simulated on the page, as fast as they went or faster; return what stopped that, if any."""
+    task = make_task(champion.task).bind(robot.system)
+    panel = ControllerPanel(robot.name, task, champion.name, faster=pace(task))
+    with Stops() as stops, watched(panel, address, stops=stops, announce=announce):
         play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
-    return 0 if stops.reason is None else code_of_loop(stops.reason)
-
-
-def page_server() -> type[PageServer]:
-    """Return the server of the page. Raises `MissingExtra`."""
-    try:
-        from hardware.driving.server import PageServer
-    except ModuleNotFoundError as error:
-        raise missing_extra("driving by hand", error.name) from error
-    return PageServer
+    return stops.reason

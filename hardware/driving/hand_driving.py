@@ -6,34 +6,28 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evaluation.transfer import transfer_seeds
 from hardware.connection import Command, GateLimits, Listener, Measurement, RobotStatus
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.driving.controller_driving import page_server
 from hardware.driving.keyboard import ALL_KEYS, Keyboard, control_of, key_life
 from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.server import PageAddress, check_page, served
 from hardware.driving.trials import RestWatch, Tape
 from hardware.estimator import Estimate
 from hardware.preflight import check_driving
-from hardware.recording.journal import Recorder, recorder_of
 from hardware.robot import Robot
-from hardware.run_report import LoopReport, Reason, Stops
-from sysid_evo.cli.console import code_of_loop, err, out
-from sysid_evo.cli.robots import Driven, _seed, _tell
+from hardware.run_report import LoopReport, Stops
 from sysid_evo.data import Trajectory
-from sysid_evo.errors import IncompatibleSystem, LinkLost
-from sysid_evo.extras import check_installed
+from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.tasks import Scene, Task, TaskState
-from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
 
 POLL = 0.02  # s between two looks at whether a new trial is wanted
@@ -128,6 +122,45 @@ class HandDriving:
         return False
 
 
+def check_driving_by_hand(robot: Robot, task: Task) -> None:
+    """Raise if a person could not drive ``robot`` at ``task`` on the page.
+
+    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
+    controls that keys cannot move and `MissingExtra` if the page cannot be served.
+    """
+    if robot.system.motion is None:
+        raise IncompatibleSystem(
+            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
+            "--controller and --watch the page shows how a controller drives it"
+        )
+    check_page()
+    control_of(0, robot.system)
+    key_life(robot.system)
+    check_driving(robot, task)
+
+
+@contextmanager
+def driven_by_hand(
+    robot: Robot,
+    task: Task,
+    address: PageAddress,
+    *,
+    seed_of: Callable[[int], int],
+    stops: Stops,
+    announce: Callable[[str], None],
+    recorder: Callable[[str, GateLimits], Listener] | None = None,
+    origin: Array | None = None,
+) -> Iterator[Iterator[HandTrial]]:
+    """Serve the page, where somebody drives ``robot`` at ``task``; gives the trials as they end, see `HandDriving`."""
+    keyboard = Keyboard(life=key_life(robot.system))
+    instruments = Instruments(robot, task, keyboard)
+    driving = HandDriving(
+        robot, task, keyboard, instruments, seed_of=seed_of, stops=stops, recorder=recorder, origin=origin
+    )
+    with served(instruments, keyboard, address, stops=stops, announce=announce):
+        yield driving.trials()
+
+
 class Phase(Enum):
     """Where a trial stands."""
 
@@ -139,7 +172,7 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrialProgress:
     """How far a trial has come: ``steps`` driven, ``score`` so far, ``waypoint`` (2,) m if the task has one."""
 
     phase: Phase
@@ -232,8 +265,8 @@ class HumanPilot(Pilot):
         self.progress = self._progress(Phase.DRIVING)
         return control
 
-    def _progress(self, phase: Phase) -> Progress:
-        return Progress(
+    def _progress(self, phase: Phase) -> TrialProgress:
+        return TrialProgress(
             phase=phase,
             steps=self._tape.ticks[-1] if self._tape.ticks else 0,
             score=float(self._task.fitness(self._state)[0]),
@@ -372,89 +405,3 @@ class WhileDriving(Listener):
             for _, earlier in self._earlier:
                 earlier(self._listener)
             self._earlier.clear()
-
-
-def check_driving_by_hand(robot: Robot, task: Task) -> None:
-    """Raise if a person could not drive ``robot`` at ``task`` on the page.
-
-    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
-    controls that keys cannot move and `MissingExtra` if the page cannot be served.
-    """
-    from hardware.driving.server import PREFLIGHT_PAGE
-
-    if robot.system.motion is None:
-        raise IncompatibleSystem(
-            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
-            "--controller and --watch the page shows how a controller drives it"
-        )
-    check_installed("driving by hand", PREFLIGHT_PAGE)
-    control_of(0, robot.system)
-    key_life(robot.system)
-    check_driving(robot, task)
-
-
-def drive_by_hand(
-    driven: Driven,
-    seed: int | None,
-    trials: int | None,
-    folder: Path | None,
-    tracker_origin: bool,
-    *,
-    page: tuple[str, int, bool],
-) -> tuple[list[HandTrial], int]:
-    """Let somebody drive; return the trials and the exit code."""
-    import webbrowser
-
-    import numpy as np
-
-    robot, system, first = driven.robot, driven.robot.system, _seed(seed, driven.run)
-    task = make_task(driven.task)
-    check_driving_by_hand(robot, task)
-    task = task.bind(system)
-    keyboard = Keyboard(life=key_life(system))
-    instruments = Instruments(robot, task, keyboard)
-    host, port, open_page = page
-    stops = Stops()
-    recorders: list[Recorder] = []
-    ended: list[HandTrial] = []
-
-    def recorder(name: str, limits: GateLimits) -> Recorder:
-        assert folder is not None
-        recorders.append(recorder_of(folder, robot, name, limits))
-        return recorders[-1]
-
-    server = page_server()
-    with (
-        stops,
-        server(
-            instruments, keyboard, host=host, port=port, died=lambda why: stops.request(Reason.THREAD_DIED, why)
-        ) as served,
-    ):
-        driving = HandDriving(
-            robot,
-            task,
-            keyboard,
-            instruments,
-            seed_of=lambda index: int(transfer_seeds(first, index + 1)[index]),
-            stops=stops,
-            recorder=None if folder is None else recorder,
-            origin=np.zeros(system.n_pose) if tracker_origin else None,
-        )
-        out.print(f"Drive {robot.name} at {served.url}", highlight=False, markup=False, soft_wrap=True)
-        if open_page:
-            webbrowser.open(served.url)
-        try:
-            for trial in driving.trials():
-                ended.append(trial)
-                _tell(trial, task.fitness_unit)
-                if sum(each.fitness is not None for each in ended) == trials:
-                    stops.request(Reason.SAMPLES)
-        except LinkLost as error:
-            err.print(f"{robot.name}: {error}", highlight=False, markup=False, soft_wrap=True)
-            stops.request(Reason.LINK_LOST)
-    for made in recorders:
-        if made.problem is not None:
-            err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
-    reason = stops.reason or Reason.PILOT
-    under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
-    return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)

@@ -9,28 +9,30 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+import webbrowser
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from starlette.applications import Starlette
-from starlette.middleware import Middleware
-from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
-from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.types import ASGIApp, Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketClose, WebSocketDisconnect
-
 from hardware.connection import Session
 from hardware.driving.keyboard import InvalidWord, Keyboard, Seat, Seats
 from hardware.driving.page_messages import Panel
+from hardware.run_report import Reason, Stops
 from sysid_evo.errors import InvalidArgument, LinkLost
+from sysid_evo.extras import check_installed
 
 if TYPE_CHECKING:
-    pass
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.types import ASGIApp, Receive, Scope, Send
+    from starlette.websockets import WebSocket
 
+PACKAGES = ("starlette", "uvicorn", "websockets")
+"""What the page is served with."""
 
 PAGE = Path(__file__).parent / "page"
 
@@ -64,8 +66,42 @@ START_UP = 5.0  # s
 INVALID = 1008  # the web socket's code for a message that breaks the rules
 
 
+@dataclass(frozen=True)
+class PageAddress:
+    """Where the page is served, and whether it is opened in the browser, too. Port 0 is a free one."""
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    opened: bool = False
+
+
+def check_page() -> None:
+    """Raise `MissingExtra` if a package is missing that the page is served with."""
+    check_installed("driving by hand", PACKAGES)
+
+
+@contextmanager
+def served(
+    panel: Panel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+) -> Iterator[PageServer]:
+    """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
+
+    def died(why: str) -> None:
+        stops.request(Reason.THREAD_DIED, why)
+
+    with PageServer(panel, keyboard, host=address.host, port=address.port, died=died) as page:
+        announce(page.url)
+        if address.opened:
+            webbrowser.open(page.url)
+        yield page
+
+
 def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
     """Return the page, its files and its web socket, all behind ``/token/``."""
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.websockets import WebSocketDisconnect
 
     async def converse(page: WebSocket) -> None:
         await page.accept()
@@ -92,8 +128,8 @@ class PageServer(Session):
 
     ``port`` 0 takes a free one. ``died`` is called with a sentence, in that thread, if the server
     ends before it is closed; all keys are released then. ``seats`` are those of the open pages.
-    Raises `InvalidArgument` if the address
-    cannot be taken, `LinkLost` if the server does not start.
+    Raises `MissingExtra` for a missing package, `InvalidArgument` if the address cannot be taken, `LinkLost` if the
+    server does not start.
     """
 
     def __init__(
@@ -105,6 +141,7 @@ class PageServer(Session):
         port: int,
         died: Callable[[str], None],
     ) -> None:
+        check_page()
         import uvicorn
 
         token = new_token()
@@ -157,6 +194,8 @@ class PageServer(Session):
 
 
 def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
+    from starlette.responses import FileResponse
+
     async def answer(_: Request) -> Response:
         return FileResponse(path, headers=HEADERS)
 
@@ -220,6 +259,9 @@ class Guard:
         self._names = {"localhost", host.lower(), socket.gethostname().lower()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        from starlette.responses import PlainTextResponse
+        from starlette.websockets import WebSocketClose
+
         if scope["type"] == "lifespan" or self._allows(scope):
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
@@ -254,7 +296,3 @@ class Guard:
         except ValueError:
             return False
         return True
-
-
-PREFLIGHT_PAGE = ("starlette", "uvicorn", "websockets")
-"""Modules that the page for driving by hand is served with."""

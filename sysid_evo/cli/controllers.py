@@ -58,7 +58,7 @@ from sysid_evo.cli.options import (
     seconds,
     split_members,
 )
-from sysid_evo.cli.progress import carry_out
+from sysid_evo.cli.progress import Bars, carry_out
 
 if TYPE_CHECKING:
     from evaluation.exploitability import ModelExploitability
@@ -343,7 +343,11 @@ def transfer(
     systems = places(listed("--on", on) or (), run)
     drivers = contenders(controllers, systems[0].system, task)
     check_fit(drivers, systems)
-    matrix = matrix_of(drivers, systems, seed=seed or 0, trials=trials)
+    title = f"run {len(drivers)} controllers on {len(systems)} systems"
+    with Bars() as bars:
+        bars.begin(title)
+        matrix = matrix_of(drivers, systems, seed=seed or 0, trials=trials, progress=bars.advance)
+        bars.end(title, None)
     if json:
         out.print_json(json_format.dumps(transfer_to_json(matrix)))
     else:

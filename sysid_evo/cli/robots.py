@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from evaluation.transfer import Measured
     from hardware.connection import GateLimits, Listener
-    from hardware.driving.controller_driving import Watching
     from hardware.driving.hand_driving import HandTrial
-    from hardware.driving.trials import TrialSeries
+    from hardware.driving.server import PageAddress
     from hardware.robot import Robot
     from sysid_evo.engine.results import Rollouts
     from sysid_evo.evolution.champion import Champion
@@ -105,24 +104,25 @@ def drive_controller(
     seed: int | None = None,
     tracker_origin: bool = False,
     listeners: Sequence[Listener] = (),
-    watching: Watching | None = None,
+    page: PageAddress | None = None,
     keep: Path | None = None,
 ) -> int:
     """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
 
     An evolved one has its own task, one written by hand does ``task``.
     The trials are those of the transfer matrix, from the first on. The result becomes a cell of the run
-    in ``folder``, or of the one that the file belongs to, whose report is then made again. ``watching`` shows it
-    on a page. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
+    in ``folder``, or of the one that the file belongs to, whose report is then made again. ``page`` is where it is
+    shown. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
     """
     from evaluation.run_folder import owner_of, seed_of_run
     from evaluation.transfer import Measured, cell_of, transfer_seeds
-    from hardware.driving.controller_driving import ControllerPanel, moment_of, page_server
+    from hardware.driving.controller_driving import shown_live
+    from hardware.driving.server import check_page
     from hardware.driving.trials import RobotRunner
     from hardware.emulation.simulated_robot import in_real_time
     from hardware.preflight import check_driving
     from hardware.robot import find_robot
-    from hardware.run_report import Reason, Stops, punctuality
+    from hardware.run_report import Reason, Stops
     from sysid_evo.cli.experiments import append
     from sysid_evo.cli.progress import Bars
     from sysid_evo.controllers.controller import make_controller
@@ -130,8 +130,8 @@ def drive_controller(
     from sysid_evo.evolution.champion import Champion, load_champion
     from sysid_evo.tasks.task import make_task
 
-    if watching is not None:
-        page_server()  # what it lacks is said before anything runs
+    if page is not None:
+        check_page()  # what it lacks is said before anything runs
     machine = find_robot(robot)
     if is_stored(controller):
         champion = load_champion(controller)
@@ -140,8 +140,8 @@ def drive_controller(
         champion = Champion.hand_written(controller, task, machine.system)
     champion.check_system(machine.system)
     if machine.stepped:
-        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, watching=watching, keep=keep)
-    if watching is not None:
+        return run_stepped(champion, machine, trials=trials, folder=folder, seed=seed, page=page, keep=keep)
+    if page is not None:
         machine = in_real_time(machine)
     if seed is None:
         seed = seed_of_run(folder) if folder else champion.seed
@@ -151,13 +151,8 @@ def drive_controller(
     with ExitStack() as stack:
         bars, stops = stack.enter_context(Bars()), stack.enter_context(Stops())
         told = None
-        if watching is not None:
-            panel = ControllerPanel(machine.name, goal.bind(machine.system), champion.name)
-            stack.enter_context(watching.shown(panel, stops))
-
-            def told(series: TrialSeries) -> None:
-                panel.show(moment_of(series))
-
+        if page is not None:
+            told = stack.enter_context(shown_live(machine, goal, champion.name, page, stops=stops, announce=_watch_at))
         runner = RobotRunner(
             machine,
             tracker_frame=tracker_origin,
@@ -187,7 +182,7 @@ def drive_controller(
         bars.end(title, report.sentence if report.reason.is_fault else None)
     out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)
     out.print(trials_table(measured, rollouts))
-    out.print(punctuality(report), highlight=False)
+    out.print(report.punctuality, highlight=False)
     if folder is not None and not measured.cell.failed:
         append(folder, measured)
     return code_of_loop(report.reason)
@@ -207,12 +202,12 @@ def run_stepped(
     trials: int,
     folder: Path | None,
     seed: int | None,
-    watching: Watching | None = None,
+    page: PageAddress | None = None,
     keep: Path | None = None,
 ) -> int:
     """Run a controller on a robot that steps when it is told to, as an environment, and return the exit code.
 
-    With ``watching`` the trials are then played back on a page. ``keep`` is a folder for their data set.
+    With a ``page`` the trials are then played back there. ``keep`` is a folder for their data set.
     """
     from evaluation.run_folder import seed_of_run
     from evaluation.transfer import Measured, cell_of, transfer_seeds
@@ -236,7 +231,12 @@ def run_stepped(
         named = [replace(one, name=f"trial-{number}") for number, one in enumerate(rollouts.trajectories, 1)]
         Dataset(machine.system, tuple(named)).save(keep)
         out.print(f"data set stored in {keep}", highlight=False, markup=False, soft_wrap=True)
-    return 0 if watching is None else play_back(champion, machine, seeds, rollouts, watching)
+    stopped = None if page is None else play_back(champion, machine, seeds, rollouts, page, announce=_watch_at)
+    return 0 if stopped is None else code_of_loop(stopped)
+
+
+def _watch_at(url: str) -> None:
+    out.print(f"Watch it at {url}", highlight=False, markup=False, soft_wrap=True)
 
 
 def column_of(robot: Robot) -> str:
@@ -311,11 +311,11 @@ def drive(
     The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
     says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
     """
-    from hardware.driving.controller_driving import Watching
-    from hardware.driving.hand_driving import drive_by_hand
+    from hardware.driving.server import PageAddress
     from sysid_evo.errors import InvalidArgument
 
     load_plugins(plugin)
+    page = PageAddress(host, port, open_page)
     if folder is not None:
         check_new_folder(folder)
     if controller is not None:
@@ -324,13 +324,13 @@ def drive(
                 "drive: --controller drives a robot and has a row, and one that was evolved a task; leave out "
                 "--model, --name and --task"
             )
-        shown = Watching(host, port, open_page) if watch or open_page else None
+        shown = page if watch or open_page else None
         code = _controlled(
             controller, robot or DEFAULT_ROBOT, task or DEFAULT_TASK, trials, run, seed, tracker_origin, folder, shown
         )
         raise typer.Exit(code)
     driven = _choose(robot, model, run, name, task or DEFAULT_TASK)
-    ended, code = drive_by_hand(driven, seed, trials, folder, tracker_origin, page=(host, port, open_page))
+    ended, code = _by_hand(driven, page, trials, folder, seed, tracker_origin)
     if folder is not None:
         _store(folder, driven.robot.system, [(trial.name, trial.limits) for trial in ended])
     if name is not None and driven.run is not None:
@@ -394,7 +394,7 @@ def _controlled(
     seed: int | None,
     tracker_origin: bool,
     folder: Path | None,
-    watching: Watching | None,
+    page: PageAddress | None,
 ) -> int:
     from hardware.recording.journal import recorder_of
     from hardware.robot import find_robot
@@ -411,7 +411,7 @@ def _controlled(
             seed=seed,
             tracker_origin=tracker_origin,
             listeners=() if recorder is None else (recorder,),
-            watching=watching,
+            page=page,
             keep=folder if machine.stepped else None,
         )
     finally:
@@ -433,11 +433,63 @@ class Driven:
     task: str = "point_to_point"
 
 
-def _seed(seed: int | None, run: Path | None) -> int:
-    """Return the seed of the trials: controllers and people meet the same."""
-    from evaluation.run_folder import seed_of_run
+def _by_hand(
+    driven: Driven, page: PageAddress, trials: int | None, folder: Path | None, seed: int | None, tracker_origin: bool
+) -> tuple[list[HandTrial], int]:
+    """Let somebody drive the seeds that controllers get, too; return the trials and the exit code."""
+    import numpy as np
 
-    return seed if seed is not None else seed_of_run(run)
+    from evaluation.run_folder import seed_of_run
+    from evaluation.transfer import transfer_seeds
+    from hardware.driving.hand_driving import check_driving_by_hand, driven_by_hand
+    from hardware.recording.journal import Recorder, recorder_of
+    from hardware.run_report import Reason, Stops
+    from sysid_evo.errors import LinkLost
+    from sysid_evo.tasks.task import make_task
+
+    robot, first = driven.robot, seed if seed is not None else seed_of_run(driven.run)
+    task = make_task(driven.task)
+    check_driving_by_hand(robot, task)
+    task = task.bind(robot.system)
+    recorders: list[Recorder] = []
+    ended: list[HandTrial] = []
+
+    def recorder(name: str, limits: GateLimits) -> Recorder:
+        assert folder is not None
+        recorders.append(recorder_of(folder, robot, name, limits))
+        return recorders[-1]
+
+    def announce(url: str) -> None:
+        out.print(f"Drive {robot.name} at {url}", highlight=False, markup=False, soft_wrap=True)
+
+    with (
+        Stops() as stops,
+        driven_by_hand(
+            robot,
+            task,
+            page,
+            seed_of=lambda index: int(transfer_seeds(first, index + 1)[index]),
+            stops=stops,
+            announce=announce,
+            recorder=None if folder is None else recorder,
+            origin=np.zeros(robot.system.n_pose) if tracker_origin else None,
+        ) as offered,
+    ):
+        try:
+            for trial in offered:
+                ended.append(trial)
+                _tell(trial, task.fitness_unit)
+                if sum(each.fitness is not None for each in ended) == trials:
+                    stops.request(Reason.SAMPLES)
+        except LinkLost as error:
+            err.print(f"{robot.name}: {error}", highlight=False, markup=False, soft_wrap=True)
+            stops.request(Reason.LINK_LOST)
+    for made in recorders:
+        if made.problem is not None:
+            err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
+    reason = stops.reason or Reason.PILOT
+    under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
+    return ended, 0 if reason is Reason.SIGINT and not under_way else code_of_loop(reason)
 
 
 def _tell(trial: HandTrial, unit: str) -> None:

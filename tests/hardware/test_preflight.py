@@ -140,7 +140,7 @@ def test_what_a_robot_itself_misses_is_refused_by_every_check(car: System) -> No
 def test_a_page_that_cannot_be_served_is_said_with_its_installation(
     car: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.driving.server.PREFLIGHT_PAGE", ("no_such_package",))
+    monkeypatch.setattr("hardware.driving.server.PACKAGES", ("no_such_package",))
     with pytest.raises(MissingExtra, match="driving by hand needs the package 'no_such_package'"):
         check_driving_by_hand(Parked(car), PointToPoint())
 

@@ -21,9 +21,9 @@ from websockets.sync.client import connect
 
 from evaluation.transfer import load_measured
 from hardware.connection import GateLimits
-from hardware.driving.controller_driving import page_server
 from hardware.driving.hand_driving import HandTrial
 from hardware.driving.keyboard import FORWARD, LEFT
+from hardware.driving.server import check_page
 from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.recording.journal import read_journal
 from hardware.run_report import LoopReport, Reason
@@ -163,7 +163,6 @@ def test_what_cannot_be_driven_is_told_in_a_sentence(tmp_path: Path, options: tu
 
 
 def test_a_page_that_cannot_be_served_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "hardware.driving.server", raising=False)
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     with pytest.raises(MissingExtra, match=r"driving by hand needs the package 'uvicorn'.*sysid-evo\[drive\]"):
-        page_server()
+        check_page()
