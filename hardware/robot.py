@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
+
+import numpy as np
 
 from hardware.connection import Connection
 from hardware.control_loop import check_loop
@@ -20,9 +22,6 @@ from sysid_evo.models import Dynamics
 from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 class Robot(ABC):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from binascii import crc_hqx
 
-from cobs import cobs
-
 DECODED_MAX = 32
 
 ENCODED_MAX = DECODED_MAX + 1
@@ -22,6 +20,8 @@ def checksum(data: bytes) -> int:
 
 def encode(body: bytes) -> bytes:
     """Return the frame of ``body``, a type and its payload of together at most 30 bytes."""
+    from cobs import cobs
+
     return cobs.encode(body + checksum(body).to_bytes(CRC_SIZE, "little")) + bytes([DELIMITER])
 
 
@@ -62,6 +62,8 @@ class FrameDecoder:
         self._partial += piece[: ENCODED_MAX - len(self._partial)]
 
     def _finish(self) -> bytes | None:
+        from cobs import cobs
+
         encoded, overlong = bytes(self._partial), self._overlong
         self._partial.clear()
         self._overlong = False

@@ -8,8 +8,6 @@ import select
 import termios
 from pathlib import Path
 
-import serial
-
 from sysid_evo.errors import InvalidArgument, LinkLost
 
 BAUD = 115200
@@ -45,12 +43,14 @@ class SerialPort:
     """
 
     def __init__(self, name: str) -> None:
+        import serial
+
         self.name = name
         self.dropped = 0
         self._torn = False
         try:
             self._serial = serial.Serial(name, BAUD, timeout=0, write_timeout=0, exclusive=True)
-        except (serial.SerialException, OSError) as error:
+        except OSError as error:  # a SerialException is one, too
             raise LinkLost(f"port {name}: {_reason(error)}") from error
         self._poll = select.poll()
         self._poll.register(self.fileno(), select.POLLIN)
@@ -94,7 +94,7 @@ class SerialPort:
         """Throw away what has been written and not sent."""
         try:
             self._serial.reset_output_buffer()
-        except (serial.SerialException, OSError, termios.error) as error:
+        except (OSError, termios.error) as error:
             raise LinkLost(f"port {self.name} is gone: {error}") from error
         self._torn = True
 

@@ -8,24 +8,21 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hardware.arguments import number, text
 from hardware.connection import Connection, GateLimits, Measurement, RobotStatus
 from hardware.link.messages import EXCLUSIVE, Buttons, HelloAcknowledgement
+from hardware.link.port import NO_DEVICE, SerialPort, only_port
+from hardware.link.session import HostSession
 from hardware.robot import Robot
 from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.registry import register_robot, trackers
 from sysid_evo.types import Array, check_shape
-
-if TYPE_CHECKING:
-    from hardware.link.port import SerialPort
-    from hardware.link.session import HostSession
-
 
 PATIENCE = 5.0  # s
 
@@ -63,8 +60,6 @@ class SerialRobot(Robot):
     def check(self) -> None:
         """Raise `LinkLost` or `InvalidArgument` if there is no such port, and what the tracker finds missing."""
         super().check()
-        from hardware.link.port import NO_DEVICE, only_port
-
         port = self.port or only_port()
         if not Path(port).exists():
             raise LinkLost(f"port {port}: {NO_DEVICE}")
@@ -74,8 +69,6 @@ class SerialRobot(Robot):
     def connect(self, *, seed: int | None = None) -> SerialConnection:
         """Open a session in neutral. Raises `LinkLost`, `IncompatibleRobot`, `InvalidArgument`, `MissingExtra`."""
         super().check()
-        from hardware.link.port import only_port
-
         stream = None if self.tracker is None else self.tracker.open()
         try:
             port, session = open_session(self.port or only_port(), self.patience)
@@ -99,35 +92,52 @@ def _tracker(given: Tracker | Mapping[str, Any] | None) -> Tracker | None:
     return trackers.make(driver, **arguments)
 
 
-DRIVE = {-1.0: Buttons.BACKWARD, 0.0: Buttons.NONE, 1.0: Buttons.FORWARD}
-
-STEER = {-1.0: Buttons.RIGHT, 0.0: Buttons.NONE, 1.0: Buttons.LEFT}
-
-
-def buttons_of(control: Array) -> Buttons:
-    """Return the buttons for ``control`` (2,): drive and steer, each -1, 0 or 1.
-
-    Buttons that exclude each other cannot come out. Raises `ShapeError`, `InvalidArgument`.
-    """
-    values = check_shape("control", control, (CAR.nu,)).tolist()
-    pressed = Buttons.NONE
-    for value, table, name in zip(values, (DRIVE, STEER), CAR.control_names, strict=True):
-        if value not in table:
-            raise InvalidArgument(f"control {name!r}: expected -1, 0 or 1, got {value}")
-        pressed |= table[value]
-    return pressed
-
-
-def control_of(buttons: Buttons) -> Array:
-    """Return the control (2,) that closes ``buttons``. Raises `InvalidArgument` for a pair that excludes itself."""
-    if any(buttons & pair == pair for pair in EXCLUSIVE):
-        raise InvalidArgument(f"buttons: expected at most one of each pair, got {buttons!r}")
-    drive = (Buttons.FORWARD in buttons) - (Buttons.BACKWARD in buttons)
-    steer = (Buttons.LEFT in buttons) - (Buttons.RIGHT in buttons)
-    return np.array([drive, steer], dtype=np.float64)
-
-
 BACKOFF, BACKOFF_MAX = 0.2, 2.0  # s between two attempts to reach a robot, doubled each time
+
+
+def open_session(port: str, patience: float) -> tuple[SerialPort, HostSession]:
+    """Return ``port`` with a new session on it, trying for ``patience`` s.
+
+    A robot that resets when its port is opened needs one or two of them. Raises `LinkLost`,
+    `IncompatibleRobot`.
+    """
+    deadline = time.monotonic() + patience
+    backoff = BACKOFF
+    while True:
+        try:
+            return _shake_hands(port, deadline)
+        except LinkLost as error:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise LinkLost(f"no robot within {patience:g} s: {error}") from error
+        time.sleep(min(backoff, left))
+        backoff = min(2.0 * backoff, BACKOFF_MAX)
+
+
+def _shake_hands(name: str, deadline: float) -> tuple[SerialPort, HostSession]:
+    """Open the port and repeat one HELLO on it until it is answered or the time is over."""
+    port = SerialPort(name)
+    try:
+        session = HostSession(nonce=secrets.randbits(32))
+        poll = select.poll()
+        poll.register(port.fileno(), select.POLLIN)
+        port.read()
+        backoff = BACKOFF
+        while time.monotonic() < deadline:
+            port.write(b"\0" + session.hello())
+            again = time.monotonic() + backoff
+            while (left := min(again, deadline) - time.monotonic()) > 0.0:
+                poll.poll(1000.0 * left)
+                session.receive(port.read(), time.monotonic())
+                session.check(time.monotonic())
+                if session.is_open:
+                    return port, session
+            backoff = min(2.0 * backoff, BACKOFF_MAX)
+        raise LinkLost(f"the device on {name} does not answer; is it the remote, flashed with hardware/firmware?")
+    except BaseException:
+        port.close()
+        raise
+
 
 LONGEST_WAIT = 0.1  # s after which a measurement looks at the robot again
 
@@ -241,48 +251,29 @@ class SerialConnection(Connection):
             raise
 
 
-def open_session(port: str, patience: float) -> tuple[SerialPort, HostSession]:
-    """Return ``port`` with a new session on it, trying for ``patience`` s.
+DRIVE = {-1.0: Buttons.BACKWARD, 0.0: Buttons.NONE, 1.0: Buttons.FORWARD}
 
-    A robot that resets when its port is opened needs one or two of them. Raises `LinkLost`,
-    `IncompatibleRobot`.
+STEER = {-1.0: Buttons.RIGHT, 0.0: Buttons.NONE, 1.0: Buttons.LEFT}
+
+
+def buttons_of(control: Array) -> Buttons:
+    """Return the buttons for ``control`` (2,): drive and steer, each -1, 0 or 1.
+
+    Buttons that exclude each other cannot come out. Raises `ShapeError`, `InvalidArgument`.
     """
-    deadline = time.monotonic() + patience
-    backoff = BACKOFF
-    while True:
-        try:
-            return _shake_hands(port, deadline)
-        except LinkLost as error:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                raise LinkLost(f"no robot within {patience:g} s: {error}") from error
-        time.sleep(min(backoff, left))
-        backoff = min(2.0 * backoff, BACKOFF_MAX)
+    values = check_shape("control", control, (CAR.nu,)).tolist()
+    pressed = Buttons.NONE
+    for value, table, name in zip(values, (DRIVE, STEER), CAR.control_names, strict=True):
+        if value not in table:
+            raise InvalidArgument(f"control {name!r}: expected -1, 0 or 1, got {value}")
+        pressed |= table[value]
+    return pressed
 
 
-def _shake_hands(name: str, deadline: float) -> tuple[SerialPort, HostSession]:
-    """Open the port and repeat one HELLO on it until it is answered or the time is over."""
-    from hardware.link.port import SerialPort
-    from hardware.link.session import HostSession
-
-    port = SerialPort(name)
-    try:
-        session = HostSession(nonce=secrets.randbits(32))
-        poll = select.poll()
-        poll.register(port.fileno(), select.POLLIN)
-        port.read()
-        backoff = BACKOFF
-        while time.monotonic() < deadline:
-            port.write(b"\0" + session.hello())
-            again = time.monotonic() + backoff
-            while (left := min(again, deadline) - time.monotonic()) > 0.0:
-                poll.poll(1000.0 * left)
-                session.receive(port.read(), time.monotonic())
-                session.check(time.monotonic())
-                if session.is_open:
-                    return port, session
-            backoff = min(2.0 * backoff, BACKOFF_MAX)
-        raise LinkLost(f"the device on {name} does not answer; is it the remote, flashed with hardware/firmware?")
-    except BaseException:
-        port.close()
-        raise
+def control_of(buttons: Buttons) -> Array:
+    """Return the control (2,) that closes ``buttons``. Raises `InvalidArgument` for a pair that excludes itself."""
+    if any(buttons & pair == pair for pair in EXCLUSIVE):
+        raise InvalidArgument(f"buttons: expected at most one of each pair, got {buttons!r}")
+    drive = (Buttons.FORWARD in buttons) - (Buttons.BACKWARD in buttons)
+    steer = (Buttons.LEFT in buttons) - (Buttons.RIGHT in buttons)
+    return np.array([drive, steer], dtype=np.float64)

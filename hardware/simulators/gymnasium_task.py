@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, cast
@@ -20,8 +20,6 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import gymnasium
 
 
