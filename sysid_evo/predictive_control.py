@@ -6,21 +6,18 @@ import copy
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View
+from sysid_evo.engine.imagined import Imagination
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.models.storage import load_model
 from sysid_evo.registry.registry import make_robot, register_controller
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, check_shape
-
-if TYPE_CHECKING:
-    from sysid_evo.engine.imagined import Imagination
-
 
 LEVELS = np.array([1.0, 0.0, -1.0])
 
@@ -72,8 +69,6 @@ class Predictive(Controller):
         self.temperature, self.spread, self.hold, self.seed = temperature, spread, hold, seed
 
     def bind_to(self, task: Task) -> Self:
-        from sysid_evo.engine.imagined import Imagination
-
         models = [self.model] if isinstance(self.model, (str, Dynamics)) else list(self.model)
         if not models:
             raise InvalidArgument("predictive: expected at least one model, got none")

@@ -136,7 +136,7 @@ class _Trials:
             view = View(observation.reshape(*self.grid, -1), self.state.reshape(*self.grid, -1), self.task_state, drawn)
             raw, memory = self.controller.act(self.parameters, memory, view)
             control = self.system.actuate(raw.reshape(len(self.state), self.system.nu))
-            if k % results.EVERY == 0:
+            if results.sampled(k):
                 self.counts += results.sides(self.state, control, centre) & going[:, None]
             after, ended = self._step(control, going)
             going = going & ~self.diverged
@@ -174,8 +174,7 @@ class _Trials:
 
     def fitness(self) -> Array:
         """Return the fitness of every trial, as `Rollouts` wants it."""
-        lost = self.task.worst - 1.0 + self.survived / self.task.horizon
-        return np.where(self.diverged, lost, self.task.fitness(self.task_state))
+        return results.scored(self.task, self.task.fitness(self.task_state), self.survived, self.diverged)
 
 
 def _joined(parts: list[_Trials], trials: int, record: bool) -> Rollouts:

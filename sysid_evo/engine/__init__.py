@@ -7,6 +7,17 @@ it. The *compiled* form runs dynamics, controller and task as kernels, where all
 How a kernel is written stands in `sysid_evo.kernels`.
 """
 
-import lazy_loader
+from sysid_evo.engine.compiled.open_loop import kernel_step
+from sysid_evo.engine.results import Rollouts, behaviour_names
+from sysid_evo.engine.rollout import DynamicsRunner, Engine, Runner, as_runners, rollout
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [
+    "DynamicsRunner",
+    "Engine",
+    "Rollouts",
+    "Runner",
+    "as_runners",
+    "behaviour_names",
+    "kernel_step",
+    "rollout",
+]

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property
-from typing import Any, Literal, TypeAlias
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from sysid_evo.carry import clip_state
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.compiler import compile_kernel, compiled
+from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, empty_lines, envelope_table
-from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, KernelSource, Precision, TaskKernel
+from sysid_evo.engine.rollout import Engine
+from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, Precision, TaskKernel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray
-
-Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
 
 
 class Imagination:
@@ -84,11 +83,6 @@ class Imagination:
         return here, carry[:, :nx], lost
 
 
-@cache
-def _loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.imagine), loops.IMAGINE, precision, pointer=False)
-
-
 class CompiledTrials:
     """The kernels of a dynamics and of a bound task, ready to run trials that are only imagined."""
 
@@ -129,7 +123,7 @@ class CompiledTrials:
         }  # fmt: skip
         lost = np.zeros(rollouts, np.int64)
         state, final = np.zeros(rollouts * nx, real), np.zeros(rollouts * n_task, real)
-        _loop(self.precision)(
+        compiled_loop(loops.imagine, loops.IMAGINE, self.precision)(
             *loops.IMAGINE.ordered(
                 sizes=sizes,
                 trials=np.zeros(LANES, np.int64),

@@ -1,22 +1,81 @@
-"""What a rollout starts from and returns: Trials, Rollouts, behaviour descriptors, trajectories.
-
-They are taken while a rollout runs, from every `EVERY`-th step, so that nothing has to be recorded.
-"""
+"""What rollouts return: fitness, descriptors of behaviour, trajectories."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.engine.compiled.loops import EVERY
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, IntArray
 
-EVERY = 5
-"""Steps from one sample to the next; odd, so that a control that changes at every other step is seen on both sides."""
+
+@dataclass(frozen=True)
+class Rollouts:
+    """What P candidates did in E trials.
+
+    ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
+    horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
+    steps whose state was clipped to the model's envelope. ``behaviour`` (P, E, d) says what the controller
+    did, see `behaviour_names`; d is 0 where nobody counted. ``doubt`` (P, E) is what the dynamics counted of it, in
+    steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
+    stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
+    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
+    """
+
+    fitness: Array
+    survived: IntArray
+    clipped: IntArray
+    task_state: TaskState
+    engine: str
+    behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
+    doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
+    trajectories: tuple[Trajectory, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+def finished(
+    task: Task,
+    grid: tuple[int, int],
+    *,
+    fitness: Array,
+    survived: IntArray,
+    clipped: IntArray,
+    diverged: BoolArray,
+    counts: Array,
+    doubt: Array,
+    task_state: TaskState,
+    engine: str,
+    trajectories: tuple[Trajectory, ...] = (),
+) -> Rollouts:
+    """Return what P E rollouts came to, of the ``grid`` (P, E), candidate first; ``counts`` (P E, d), the rest (P E,).
+
+    What one that ``diverged`` had reached until then does not count.
+    """
+    return Rollouts(
+        fitness=scored(task, fitness, survived, diverged).reshape(grid),
+        survived=survived.reshape(grid),
+        clipped=clipped.reshape(grid),
+        task_state=task_state,
+        engine=engine,
+        behaviour=shares(counts, survived, diverged).reshape(*grid, -1),
+        doubt=np.where(diverged, 0.0, doubt).reshape(grid),
+        trajectories=trajectories,
+    )
+
+
+def scored(task: Task, fitness: Array, survived: IntArray, diverged: BoolArray) -> Array:
+    """Return ``fitness`` (B,), where a trial that diverged is worth less than any that did not, but more the later."""
+    return np.where(diverged, task.worst - 1.0 + survived / task.horizon, fitness)
+
+
+def sampled(step: int) -> bool:
+    """Whether the behaviour is looked at in this step: while a rollout runs, so that nothing has to be recorded."""
+    return step % EVERY == 0
 
 
 def behaviour_names(system: System) -> tuple[str, ...]:
@@ -43,48 +102,26 @@ def shares(counts: Array, survived: IntArray, diverged: BoolArray) -> Array:
 
 
 def trajectories(
-    tape: list[Any], survived: Any, pose: Array, task: Task, system: System, trials: int
+    tape: Sequence[Array], survived: IntArray, pose: Array, task: Task, system: System
 ) -> tuple[Trajectory, ...]:
-    """Return what was recorded in ``tape`` (states, controls and poses, flat) of each rollout that took a step.
+    """Return what was recorded in ``tape`` (states, controls and poses, flat or not) of each rollout that took a step.
 
-    What comes after the last step, and the pose before the first, may be anything.
+    What comes after the last step, and the pose before the first, may be anything: ``pose`` (E, n) is where trials
+    begin.
     """
     states, controls, poses = tape
+    trials = len(pose)
     states = states.reshape(-1, task.horizon + 1, system.nx)
     controls = controls.reshape(-1, task.horizon, system.nu)
-    poses = poses.reshape(len(states), task.horizon + 1, -1) if pose.shape[1] else None
+    poses_of = poses.reshape(len(states), task.horizon + 1, -1) if pose.shape[1] else None
     found = []
     for i, steps in enumerate(survived):
         if steps == 0:
             continue
         where = None
-        if poses is not None:
-            where = np.concatenate([pose[i % trials][None], poses[i, 1 : steps + 1].astype(np.float64)])
+        if poses_of is not None:
+            where = np.concatenate([pose[i % trials][None], poses_of[i, 1 : steps + 1].astype(np.float64)])
         name = f"candidate-{i // trials}-trial-{i % trials}"
         state, control = states[i, : steps + 1].astype(np.float64), controls[i, :steps].astype(np.float64)
         found.append(Trajectory(state, control, system.dt, where, name))
     return tuple(found)
-
-
-@dataclass(frozen=True)
-class Rollouts:
-    """What P candidates did in E trials.
-
-    ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
-    horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
-    steps whose state was clipped to the model's envelope. ``behaviour`` (P, E, d) says what the controller
-    did, see `behaviour_names`; d is 0 where nobody counted. ``doubt`` (P, E) is what the dynamics counted of it, in
-    steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
-    stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
-    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
-    """
-
-    fitness: Array
-    survived: IntArray
-    clipped: IntArray
-    task_state: TaskState
-    engine: str
-    behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
-    doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
-    trajectories: tuple[Trajectory, ...] = ()
-    missing: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Runner, BoundRunner, bind_rollout: dynamics, controller and task bound once, run often."""
+"""Rollouts: controllers in a dynamics at a task, many candidates in many trials at once; the runners that make them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import numpy as np
 
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import reference
-from sysid_evo.engine.results import Rollouts
+from sysid_evo.engine.compiled.closed_loop import LoopInputs, RolloutKernels, spread
+from sysid_evo.engine.compiled.closed_loop import run as run_closed_loop
+from sysid_evo.engine.results import Rollouts, finished, trajectories
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import Precision
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.processors import available_processors
+from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds, check_shape
 
@@ -112,10 +116,8 @@ def rollout(
         of_dynamics, of_task = dynamics.kernel(), task.kernel()
         of_controller = None if controller.n_noise else controller.kernel()
         if of_dynamics is not None and of_controller is not None and of_task is not None:
-            from sysid_evo.engine.compiled import closed_loop as run
-
-            found = run.run(
-                run.Kernels(of_dynamics, of_controller, of_task),
+            return _compiled(
+                RolloutKernels(of_dynamics, of_controller, of_task),
                 dynamics,
                 controller,
                 parameters,
@@ -125,12 +127,63 @@ def rollout(
                 precision=of_dynamics.precision if engine == "auto" else engine,
                 threads=threads or available_processors(),
             )
-            return Rollouts(**found)
         if engine != "auto":
             roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
             missing = ", ".join(role for role, kernel in roles.items() if kernel is None)
             raise InvalidArgument(f"rollout: engine {engine!r} cannot run this: there is no kernel of the {missing}")
-    return Rollouts(**reference.run(dynamics, controller, parameters, task, seeds, record=record))
+    return reference.run(dynamics, controller, parameters, task, seeds, record=record)
+
+
+def _compiled(
+    kernels: RolloutKernels,
+    dynamics: Dynamics,
+    controller: Controller,
+    parameters: Array,
+    task: Task,
+    seeds: Seeds,
+    *,
+    record: bool,
+    precision: Precision,
+    threads: int,
+) -> Rollouts:
+    """Return what `reference.run` does, compiled."""
+    system, trials = dynamics.system, len(seeds)
+    began = task.begin(seeds)
+    states = np.repeat(began.state[:, None], dynamics.n_lags + 1, axis=1)
+    past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
+    noise = np.empty((trials, task.horizon, dynamics.n_noise))
+
+    def draw(first: int, last: int) -> None:
+        noise[first:last] = step_noise(seeds[first:last], task.horizon, dynamics.n_noise)
+
+    if dynamics.n_noise:
+        spread(lambda: draw, trials, threads)
+    inputs = LoopInputs(
+        theta=parameters,
+        carry=dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws)),
+        task=kernels.task.rows(began),
+        trial_data=kernels.task.trial_data(began),
+        noise=noise,
+        n_memory=controller.n_memory,
+        n_observations=len(task.observations),
+        seen=dynamics.observed_at,
+        doubt_at=dynamics.doubt_at,
+        envelope=dynamics.envelope,
+    )
+    found = run_closed_loop(kernels, system, inputs, record=record, precision=precision, threads=threads)
+    return finished(
+        task,
+        (len(parameters), trials),
+        fitness=found.fitness,
+        survived=found.survived,
+        clipped=found.clipped,
+        diverged=found.diverged,
+        counts=found.counts,
+        doubt=found.doubt,
+        task_state=kernels.task.state(began.tile(len(parameters)), found.task),
+        engine=f"compiled {precision}",
+        trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
+    )
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from sysid_evo.carry import clip_state
+from sysid_evo.engine.results import scored
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.models.dynamics import Dynamics
@@ -105,8 +106,7 @@ class Trials:
             carries[rows, :nx] = reached[rows]
         self._task_state = self._task_state.keep(advanced, ~diverged)
         self.survived += ~diverged
-        lost = self.task.worst - 1.0 + self.survived / self.task.horizon
-        fitness = np.where(diverged, lost, self.task.fitness(self._task_state))
+        fitness = scored(self.task, self.task.fitness(self._task_state), self.survived, diverged)
         growth, self.fitness = fitness - self.fitness, fitness
         return growth, diverged | ~self._task_state.alive, self.survived >= self.task.horizon
 

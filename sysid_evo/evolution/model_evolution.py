@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows
+from sysid_evo.engine.compiled.open_loop import final_errors
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution.champion import Finalist
 from sysid_evo.evolution.loop import Schedule
@@ -179,8 +180,6 @@ def kernel_error(
     weight: Array | None = None,
 ) -> Array:
     """Return what `final_error` does, compiled, on all processors; ``parameters`` are the kernel's, (P, m)."""
-    from sysid_evo.engine.compiled.open_loop import final_errors
-
     error = final_errors(
         kernel.source,
         kernel.n_scratch,

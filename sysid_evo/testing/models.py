@@ -17,6 +17,7 @@ from sklearn.base import clone
 
 from sysid_evo.carry import clip_state
 from sysid_evo.data.dataset import Dataset
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.dynamics import Dynamics
@@ -315,8 +316,6 @@ def expect_compiled_alike(dynamics: Dynamics, inputs: Inputs) -> None:
     kernel = dynamics.kernel()
     if kernel is None:
         return
-    from sysid_evo.engine.compiled.open_loop import kernel_step
-
     carry, control, noise = inputs.carry, inputs.control, inputs.noise
     stepped = step(dynamics, inputs)
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")

@@ -1,4 +1,8 @@
-"""The fast form of the rollout: prepares arrays, runs the compiled loop on threads, reads the results."""
+"""The closed loop compiled: arrays for the loop, threads, and what it wrote.
+
+This module knows kernels and numbers, no task and no controller: `sysid_evo.engine.rollout` begins the trials, and
+turns results into `Rollouts`.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine import results as results_module
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.compiler import compile_kernel, compiled
+from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import actuation_table, aligned, envelope_table, noise_table, together
-from sysid_evo.engine.results import trajectories
 from sysid_evo.kernels import (
     ADVANCE,
     CONTROLLER,
@@ -25,20 +26,17 @@ from sysid_evo.kernels import (
     OBSERVE,
     ControllerKernel,
     DynamicsKernel,
-    KernelSource,
     Precision,
     TaskKernel,
 )
-from sysid_evo.models.dynamics import Dynamics
-from sysid_evo.randomness import step_noise, trial_draws
-from sysid_evo.tasks.task import Task
-from sysid_evo.types import Array, Seeds
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray, IntArray
 
 SHARES = 2  # parts of the work for each thread
 
 
 @dataclass(frozen=True)
-class Kernels:
+class RolloutKernels:
     """The three kernels of a rollout."""
 
     dynamics: DynamicsKernel
@@ -46,10 +44,148 @@ class Kernels:
     task: TaskKernel[Any]
 
 
-@cache
-def closed_loop(precision: Precision) -> Any:
-    """Return the compiled loop."""
-    return compile_kernel(KernelSource(loops.closed_loop), loops.CLOSED_LOOP, precision, pointer=False)
+@dataclass(frozen=True)
+class LoopInputs:
+    """What P candidates begin with in E trials: ``theta`` (P, n) and ``carry`` (E, n_carry), and the rest of a trial.
+
+    ``task`` (rows, E) and ``trial_data`` (E, n) are those of its `TaskKernel`; ``noise`` is (E, horizon, n_noise).
+    Controllers remember ``n_memory`` numbers and are shown ``n_observations``. From ``seen`` on stands the state that
+    is observed in the carry, at ``doubt_at`` the steps in doubt, if somebody counts them; states are clipped to the
+    ``envelope`` (2, nx).
+    """
+
+    theta: Array
+    carry: Array
+    task: Array
+    trial_data: Array
+    noise: Array
+    n_memory: int
+    n_observations: int
+    seen: int = 0
+    doubt_at: int | None = None
+    envelope: Array | None = None
+
+
+@dataclass(frozen=True)
+class LoopResults:
+    """What the P E rollouts came to, candidate first, trial second; a rollout that ``diverged`` ended there.
+
+    ``task`` (rows, P E) is that of the last step; ``counts`` (P E, d) are samples of the behaviour; ``doubt`` is as
+    it was counted. The ``tape`` holds states, controls and poses, flat, if they were recorded.
+    """
+
+    fitness: Array
+    survived: IntArray
+    clipped: IntArray
+    diverged: BoolArray
+    task: Array
+    counts: Array
+    doubt: Array
+    tape: tuple[Array, Array, Array]
+
+
+def run(
+    kernels: RolloutKernels,
+    system: System,
+    inputs: LoopInputs,
+    *,
+    record: bool,
+    precision: Precision = "float32",
+    threads: int = 1,
+) -> LoopResults:
+    """Run all candidates in all trials on up to ``threads`` threads; their number changes no result."""
+    real, (trials, horizon, n_noise) = np.dtype(precision), inputs.noise.shape
+    (candidates, n_theta), n_carry, n_task = inputs.theta.shape, inputs.carry.shape[1], len(inputs.task)
+    nx, nu, n_pose, rollouts = system.nx, system.nu, kernels.task.n_pose, candidates * trials
+    sizes = loops.CLOSED.integers(
+        trials=trials,
+        horizon=horizon,
+        n_carry=n_carry,
+        nx=nx,
+        nu=nu,
+        n_memory=inputs.n_memory,
+        n_task=n_task,
+        n_noise=n_noise,
+        n_theta=n_theta,
+        rollouts=rollouts,
+        record=int(record),
+        pose_row=kernels.task.pose_row,
+        n_pose=n_pose,
+        seen=inputs.seen,
+        doubt_at=-1 if inputs.doubt_at is None else inputs.doubt_at,
+    )
+    functions = {
+        "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
+        "controller": compiled(kernels.controller.source, CONTROLLER, precision),
+        "observe": compiled(kernels.task.observe, OBSERVE, precision),
+        "advance": compiled(kernels.task.advance, ADVANCE, precision),
+    }
+    given = {
+        "dynamics_parameters": kernels.dynamics.parameters,
+        "controller_parameters": kernels.controller.parameters,
+        "task_parameters": kernels.task.parameters,
+        "theta_of": inputs.theta,
+        "start": inputs.carry,
+        "task_start": inputs.task.T,
+        "trial_data": inputs.trial_data,
+        "envelope": envelope_table(inputs.envelope, nx, precision),
+        "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
+        "centre": np.concatenate([system.neutral_state, system.neutral_control]),
+    }
+    shared = {
+        "noise_of": noise_table(inputs.noise, precision),
+        **{name: aligned(array, real) for name, array in given.items()},
+    }
+    kept = rollouts if record else 0
+    results = {
+        "fitness": np.zeros(rollouts, real),
+        **{name: np.zeros(rollouts, np.int64) for name in ("survived", "clipped", "diverged")},
+        "final_task": np.zeros(rollouts * n_task, real),
+        "counts": np.zeros(rollouts * 2 * (nx + nu), real),
+        "doubts": np.zeros(rollouts, real),
+        "states": np.zeros(max(1, kept * (horizon + 1) * nx), real),
+        "controls": np.zeros(max(1, kept * horizon * nu), real),
+        "poses": np.zeros(max(1, kept * (horizon + 1) * n_pose), real),
+    }
+    room = {
+        "carry": n_carry,
+        "control": nu,
+        "noise": n_noise,
+        "memory": inputs.n_memory,
+        "observation": max(1, inputs.n_observations),
+        "raw": nu,
+        "before": nx,
+        "task": n_task,
+        "theta": n_theta,
+        "kept": n_carry + n_task,
+        "tally": 2 * (nx + nu),
+        "turn": 1,
+        "scratch": kernels.dynamics.n_scratch,
+        "controller_scratch": kernels.controller.n_scratch,
+    }
+    loop = compiled_loop(loops.closed_loop, loops.CLOSED_LOOP, precision)
+
+    def prepare() -> Work:
+        arrays = together({name: n * LANES for name, n in room.items()}, real, copies=shared)
+        trials_of = np.zeros(LANES, np.int64)
+
+        def work(first: int, last: int) -> None:
+            arguments = {**functions, "sizes": sizes, "trials": trials_of, **arrays, **results}
+            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
+
+        return work
+
+    spread(prepare, -(-rollouts // LANES), threads)
+    return LoopResults(
+        fitness=results["fitness"].astype(np.float64),
+        survived=results["survived"],
+        clipped=results["clipped"],
+        diverged=results["diverged"] > 0,
+        task=results["final_task"].reshape(rollouts, n_task).T.astype(np.float64),
+        counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
+        doubt=results["doubts"].astype(np.float64),
+        tape=(results["states"], results["controls"], results["poses"]),
+    )
 
 
 @cache
@@ -87,129 +223,3 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
     take()
     for other in others:
         other.result()
-
-
-def run(
-    kernels: Kernels,
-    dynamics: Dynamics,
-    controller: Controller,
-    parameters: Array,
-    task: Task,
-    seeds: Seeds,
-    *,
-    record: bool,
-    precision: Precision = "float32",
-    threads: int = 1,
-) -> dict[str, Any]:
-    """Run bound ``controller`` and ``task`` compiled; return the fields of `Rollouts`."""
-    system, real = dynamics.system, np.dtype(precision)
-    candidates, trials = len(parameters), len(seeds)
-    rollouts = candidates * trials
-    began = task.begin(seeds)
-    states = np.repeat(began.state[:, None], dynamics.n_lags + 1, axis=1)
-    past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
-    carry = dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws))
-    rows = kernels.task.rows(began)
-    noise = np.empty((trials, task.horizon, dynamics.n_noise))
-
-    def draw(first: int, last: int) -> None:
-        noise[first:last] = step_noise(seeds[first:last], task.horizon, dynamics.n_noise)
-
-    if dynamics.n_noise:
-        spread(lambda: draw, trials, threads)
-    sizes = loops.CLOSED.integers(
-        trials=trials,
-        horizon=task.horizon,
-        n_carry=carry.shape[1],
-        nx=system.nx,
-        nu=system.nu,
-        n_memory=controller.n_memory,
-        n_task=len(rows),
-        n_noise=dynamics.n_noise,
-        n_theta=parameters.shape[1],
-        rollouts=rollouts,
-        record=int(record),
-        pose_row=kernels.task.pose_row,
-        n_pose=kernels.task.n_pose,
-        seen=dynamics.observed_at,
-        doubt_at=-1 if dynamics.doubt_at is None else dynamics.doubt_at,
-    )
-    functions = {
-        "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
-        "controller": compiled(kernels.controller.source, CONTROLLER, precision),
-        "observe": compiled(kernels.task.observe, OBSERVE, precision),
-        "advance": compiled(kernels.task.advance, ADVANCE, precision),
-    }
-    given = {
-        "dynamics_parameters": kernels.dynamics.parameters,
-        "controller_parameters": kernels.controller.parameters,
-        "task_parameters": kernels.task.parameters,
-        "theta_of": parameters,
-        "start": carry,
-        "task_start": rows.T,
-        "trial_data": kernels.task.trial_data(began),
-        "envelope": envelope_table(dynamics.envelope, system.nx, precision),
-        "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
-        "centre": results_module.neutral(system),
-    }
-    shared = {
-        "noise_of": noise_table(noise, precision),
-        **{name: aligned(array, real) for name, array in given.items()},
-    }
-    fitness, final = np.zeros(rollouts, real), np.zeros(rollouts * len(rows), real)
-    survived, clipped, diverged = (np.zeros(rollouts, np.int64) for _ in range(3))
-    counts, doubts = np.zeros(rollouts * 2 * (system.nx + system.nu), real), np.zeros(rollouts, real)
-    kept = rollouts if record else 0
-    tape = {
-        "states": np.zeros(max(1, kept * (task.horizon + 1) * system.nx), real),
-        "controls": np.zeros(max(1, kept * task.horizon * system.nu), real),
-        "poses": np.zeros(max(1, kept * (task.horizon + 1) * kernels.task.n_pose), real),
-    }
-    results = {
-        "fitness": fitness, "survived": survived, "clipped": clipped, "diverged": diverged, "final_task": final,
-        "counts": counts, "doubts": doubts, **tape,
-    }  # fmt: skip
-    room = {
-        "carry": carry.shape[1],
-        "control": system.nu,
-        "noise": dynamics.n_noise,
-        "memory": controller.n_memory,
-        "observation": max(1, len(task.observations)),
-        "raw": system.nu,
-        "before": system.nx,
-        "task": len(rows),
-        "theta": parameters.shape[1],
-        "kept": carry.shape[1] + len(rows),
-        "tally": 2 * (system.nx + system.nu),
-        "turn": 1,
-        "scratch": kernels.dynamics.n_scratch,
-        "controller_scratch": kernels.controller.n_scratch,
-    }
-    loop = closed_loop(precision)
-
-    def prepare() -> Work:
-        arrays = together({name: n * LANES for name, n in room.items()}, real, copies=shared)
-        trials_of = np.zeros(LANES, np.int64)
-
-        def work(first: int, last: int) -> None:
-            arguments = {**functions, "sizes": sizes, "trials": trials_of, **arrays, **results}
-            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
-
-        return work
-
-    spread(prepare, -(-rollouts // LANES), threads)
-    score = np.where(diverged > 0, task.worst - 1.0 + survived / task.horizon, fitness.astype(np.float64))
-    final_rows = final.reshape(rollouts, len(rows)).T.astype(np.float64)
-    grid = (candidates, trials)
-    return {
-        "fitness": score.reshape(grid),
-        "survived": survived.reshape(grid),
-        "clipped": clipped.reshape(grid),
-        "behaviour": results_module.shares(
-            counts.reshape(rollouts, -1).astype(np.float64), survived, diverged > 0
-        ).reshape(*grid, -1),
-        "doubt": np.where(diverged > 0, 0.0, doubts.astype(np.float64)).reshape(grid),
-        "task_state": kernels.task.state(began.tile(candidates), final_rows),
-        "engine": f"compiled {precision}",
-        "trajectories": trajectories(list(tape.values()), survived, began.pose, task, system, trials) if record else (),
-    }

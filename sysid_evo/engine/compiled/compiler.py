@@ -1,44 +1,71 @@
-"""From text to compiled code: one file a kernel, kept on disk, locks between processes."""
+"""From a kernel to compiled code: one generated file for each kernel, kept on disk, locked between processes.
+
+The name of a file says all that its compiled form depends on, so that nothing stale is ever found, and a second
+process finds everything compiled. This module imports no Numba: only the generated files do, when the first kernel is
+compiled. So what can compile is imported for nothing.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import inspect
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import llvmlite
-import numba
-
-from sysid_evo.engine.compiled import internals, vectors
-from sysid_evo.engine.compiled.language import _plain, generate
+from sysid_evo.engine.compiled.language import generate, plain_function
 from sysid_evo.files import cache_folder, write_atomically
 from sysid_evo.kernels import KernelSource, Precision, Signature, Source
 
-_IMPORTING = threading.RLock()
+FENCED = ("internals.py", "vectors.py")
+"""The modules that import Numba and LLVM: what the words of a kernel mean. Generated files import them."""
 
 PATIENCE = 60.0
 """Seconds to wait for another process that compiles the same file; most take two."""
 
+_IMPORTING = threading.RLock()
+
+
+def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
+    """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
+
+    With ``pointer`` the result can be passed to compiled code as a first-class function, whose arguments are the
+    addresses of arrays; without it, it is called from Python and releases the interpreter lock.
+    """
+    if isinstance(source, KernelSource):
+        signature.check(plain_function(source.function))
+    return imported(generate(source, signature, precision, pointer=pointer)).entry
+
 
 @cache
-def _fingerprint() -> str:
-    """Return a digest of everything outside a generated file that its compiled form depends on."""
-    rooms = [inspect.getsource(module) for module in (vectors, vectors, internals, vectors, internals)]
-    parts = [numba.__version__, llvmlite.__version__, sys.version, *rooms]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+def compiled(source: Source, signature: Signature, precision: Precision) -> Any:
+    """Return the kernel as a first-class function, compiled at most once a process."""
+    return compile_kernel(source, signature, precision)
+
+
+@cache
+def compiled_loop(function: Callable[..., None], signature: Signature, precision: Precision) -> Any:
+    """Return a loop over time that is called from Python, compiled at most once a process."""
+    return compile_kernel(KernelSource(function), signature, precision, pointer=False)
 
 
 def name_of(text: str) -> str:
     """Return the name of the module of a generated file, which says all it depends on."""
     digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
     return f"sysid_evo_kernel_{digest}"
+
+
+@cache
+def _fingerprint() -> str:
+    """Return a digest of everything outside a generated file that its compiled form depends on."""
+    sources = [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in FENCED]
+    parts = [version("numba"), version("llvmlite"), sys.version, *sources]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
 def imported(text: str) -> Any:
@@ -90,20 +117,3 @@ def _executed(name: str, path: Path) -> Any:
         del sys.modules[name]
         raise
     return module
-
-
-def compile_kernel(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> Any:
-    """Return ``source`` compiled for ``signature``. Raises `InvalidArgument` if it takes other arguments.
-
-    With ``pointer`` the result can be passed to compiled code as a first-class function, whose arguments are the
-    addresses of arrays; without it, it is called from Python and releases the interpreter lock.
-    """
-    if isinstance(source, KernelSource):
-        signature.check(_plain(source.function))
-    return imported(generate(source, signature, precision, pointer=pointer)).entry
-
-
-@cache
-def compiled(source: Source, signature: Signature, precision: Precision) -> Any:
-    """Return the kernel as a first-class function, compiled at most once a process."""
-    return compile_kernel(source, signature, precision)

@@ -1,4 +1,4 @@
-"""Private Numba: inlining pipeline, pointers, and the assumptions, each with a check that runs.
+"""Inside Numba: how functions of kernels are inlined, and how arrays pass between compiled functions.
 
 Numba takes every compiled function through all of LLVM: it inlines what the function calls, optimises, and makes
 machine code that Python could call. A kernel is a chain of functions, each inlined into the next, so the innermost

@@ -1,13 +1,13 @@
-"""The loops over time as kernel functions: closed, mixed, imagined, open; 64 lanes and one.
+"""The loops over time as kernel functions: closed loop, imagined trials, recorded windows, one step.
 
-They know nothing about cars: kernels come as first-class functions, sizes in an integer array.
+They know nothing of systems and tasks: kernels come as first-class functions, sizes in an integer array. Every loop
+goes through blocks of 64 rollouts, or windows, one for each lane.
 """
 
 from __future__ import annotations
 
 import math
 
-from sysid_evo.engine.results import EVERY
 from sysid_evo.kernels import (
     ADVANCE,
     CONTROLLER,
@@ -32,12 +32,15 @@ from sysid_evo.kernels import (
     where_less,
 )
 
+EVERY = 5
+"""Steps between two samples of the behaviour; odd, so that a control which changes at every other step is seen on both
+sides."""
+
+
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
     "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
-
-IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 
 
 def closed_loop(
@@ -142,98 +145,15 @@ def closed_loop(
                 survived[rollout] = horizon
 
 
-def draw(noise_of, first, n_noise, n_trials, in_order, turn, noise):
-    """Write the noise of a step for every lane, by the number of its trial in ``turn``; see `noise_table`."""
-    if n_trials <= QUARTER:
-        drawn = view(noise_of, first * QUARTER)
-        for lane in range(0, LANES, QUARTER):
-            trial, here = load_quarter(turn, lane), view(noise, lane)
-            for row in range(n_noise):
-                store(here, row * LANES, look_up(load_quarter(drawn, row * QUARTER), trial))
-    else:
-        drawn = view(noise_of, first * (n_trials + LANES) + in_order)
-        for row in range(n_noise):
-            store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
+CLOSED_LOOP = Signature.of(
+    closed_loop,
+    dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
+    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
+    survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
+)  # fmt: skip
 
 
-def count_sides(values, alive, centre, rows, tally):
-    """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
-    counted = load(alive, 0)
-    for row in range(rows):
-        value, middle, above = load(values, row * LANES), centre[row], 2 * row * LANES
-        store(tally, above, load(tally, above) + where_less(middle, value, counted, 0.0))
-        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
-
-
-def suspicious(carry, envelope, n_carry, nx):
-    """Return a bit for each lane that needs care: a state outside the envelope, or a number that is not finite."""
-    fine = -1
-    for row in range(nx):
-        value = load(carry, row * LANES)
-        fine &= lanes_at_most(splat(envelope[row]), value) & lanes_at_most(value, splat(envelope[nx + row]))
-    for row in range(nx, n_carry):
-        fine &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
-    return ~fine
-
-
-def not_finite(carry, envelope, n_carry, nx):
-    """Return a bit for each lane with a number that is not finite."""
-    finite = -1
-    for row in range(n_carry):
-        finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
-    return ~finite
-
-
-def clip(carry, envelope, nx):
-    """Clip every state to the envelope: low, then high of each state, then the largest number there is."""
-    for row in range(nx):
-        store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))
-
-
-def actuate(raw, control, actuation, nu):
-    """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
-    width = int(actuation[0])
-    for row in range(nu):
-        at, value = 1 + row * width, load(raw, row * LANES)
-        count = int(actuation[at])
-        if count <= 0:
-            low, value = actuation[at + 1], math.tanh(value) if count < 0 else value
-            share = (min(max(value, -1.0), 1.0) + 1.0) * 0.5
-            store(control, row * LANES, low + share * (actuation[at + 2] - low))
-        else:
-            chosen = splat(actuation[at + 3])
-            for i in range(1, count):
-                level, boundary = actuation[at + 2 + 2 * i], actuation[at + 3 + 2 * i]
-                chosen = where_less(boundary, value, level, chosen)
-            store(control, row * LANES, chosen)
-
-
-def forget(carry, kept, n_carry, task, n_task, fresh, lost):
-    """Put zeros into the carry of the lanes that are ``lost``; the ``fresh`` ones among them keep their task."""
-    for row in range(n_carry):
-        store(carry, row * LANES, where_bits(lost, splat(0.0), load(carry, row * LANES)))
-        store(kept, row * LANES, where_bits(lost, splat(0.0), load(kept, row * LANES)))
-    for row in range(n_carry, n_carry + n_task):
-        here = load(task, (row - n_carry) * LANES)
-        store(kept, row * LANES, where_bits(fresh, here, load(kept, row * LANES)))
-
-
-def clear(array, rows):
-    """Write zeros."""
-    for row in range(rows):
-        store(array, row * LANES, splat(0.0))
-
-
-def copy_rows(source, target, rows):
-    """Copy rows, one after the other: no test whether the arrays overlap."""
-    for row in range(rows):
-        store(target, row * LANES, load(source, row * LANES))
-
-
-def restore(array, kept, rows, over):
-    """Undo a step in the lanes whose trial is over."""
-    for row in range(rows):
-        store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))
+IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 
 
 def imagine(
@@ -290,21 +210,8 @@ def imagine(
                 final_task[rollout * n_task + row] = task[row * LANES + lane]
 
 
-def one_step(dynamics, carry, control, noise, parameters, scratch):
-    """Step one block."""
-    dynamics(carry, control, noise, parameters, scratch)
-
-
-CLOSED_LOOP = Signature.of(
-    closed_loop,
-    dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
-    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
-    survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
-)  # fmt: skip
-
 IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
 
-ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 
@@ -343,6 +250,9 @@ def open_loop(
         error[candidate] = total / float(windows * nx)
 
 
+OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+
+
 def free_runs(
     dynamics, sizes, parameters_of, start, controls, envelope, first, last,
     carry, control, noise, parameters, scratch, states,
@@ -375,6 +285,106 @@ def free_runs(
                         states[at + row] = carry[row * LANES + lane]
 
 
-OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
-
 FREE_RUNS = Signature.of(free_runs, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+
+
+def one_step(dynamics, carry, control, noise, parameters, scratch):
+    """Step one block."""
+    dynamics(carry, control, noise, parameters, scratch)
+
+
+ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)
+
+
+def actuate(raw, control, actuation, nu):
+    """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
+    width = int(actuation[0])
+    for row in range(nu):
+        at, value = 1 + row * width, load(raw, row * LANES)
+        count = int(actuation[at])
+        if count <= 0:
+            low, value = actuation[at + 1], math.tanh(value) if count < 0 else value
+            share = (min(max(value, -1.0), 1.0) + 1.0) * 0.5
+            store(control, row * LANES, low + share * (actuation[at + 2] - low))
+        else:
+            chosen = splat(actuation[at + 3])
+            for i in range(1, count):
+                level, boundary = actuation[at + 2 + 2 * i], actuation[at + 3 + 2 * i]
+                chosen = where_less(boundary, value, level, chosen)
+            store(control, row * LANES, chosen)
+
+
+def draw(noise_of, first, n_noise, n_trials, in_order, turn, noise):
+    """Write the noise of a step for every lane, by the number of its trial in ``turn``; see `noise_table`."""
+    if n_trials <= QUARTER:
+        drawn = view(noise_of, first * QUARTER)
+        for lane in range(0, LANES, QUARTER):
+            trial, here = load_quarter(turn, lane), view(noise, lane)
+            for row in range(n_noise):
+                store(here, row * LANES, look_up(load_quarter(drawn, row * QUARTER), trial))
+    else:
+        drawn = view(noise_of, first * (n_trials + LANES) + in_order)
+        for row in range(n_noise):
+            store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
+
+
+def count_sides(values, alive, centre, rows, tally):
+    """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
+    counted = load(alive, 0)
+    for row in range(rows):
+        value, middle, above = load(values, row * LANES), centre[row], 2 * row * LANES
+        store(tally, above, load(tally, above) + where_less(middle, value, counted, 0.0))
+        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
+
+
+def suspicious(carry, envelope, n_carry, nx):
+    """Return a bit for each lane that needs care: a state outside the envelope, or a number that is not finite."""
+    fine = -1
+    for row in range(nx):
+        value = load(carry, row * LANES)
+        fine &= lanes_at_most(splat(envelope[row]), value) & lanes_at_most(value, splat(envelope[nx + row]))
+    for row in range(nx, n_carry):
+        fine &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+    return ~fine
+
+
+def not_finite(carry, envelope, n_carry, nx):
+    """Return a bit for each lane with a number that is not finite."""
+    finite = -1
+    for row in range(n_carry):
+        finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+    return ~finite
+
+
+def clip(carry, envelope, nx):
+    """Clip every state to the envelope: low, then high of each state, then the largest number there is."""
+    for row in range(nx):
+        store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))
+
+
+def forget(carry, kept, n_carry, task, n_task, fresh, lost):
+    """Put zeros into the carry of the lanes that are ``lost``; the ``fresh`` ones among them keep their task."""
+    for row in range(n_carry):
+        store(carry, row * LANES, where_bits(lost, splat(0.0), load(carry, row * LANES)))
+        store(kept, row * LANES, where_bits(lost, splat(0.0), load(kept, row * LANES)))
+    for row in range(n_carry, n_carry + n_task):
+        here = load(task, (row - n_carry) * LANES)
+        store(kept, row * LANES, where_bits(fresh, here, load(kept, row * LANES)))
+
+
+def restore(array, kept, rows, over):
+    """Undo a step in the lanes whose trial is over."""
+    for row in range(rows):
+        store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))
+
+
+def clear(array, rows):
+    """Write zeros."""
+    for row in range(rows):
+        store(array, row * LANES, splat(0.0))
+
+
+def copy_rows(source, target, rows):
+    """Copy rows, one after the other: no test whether the arrays overlap."""
+    for row in range(rows):
+        store(target, row * LANES, load(source, row * LANES))

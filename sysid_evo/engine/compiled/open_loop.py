@@ -1,28 +1,15 @@
-"""Kernels without a controller: free runs, final errors, one step."""
+"""Kernels of dynamics without a controller: simulations of recorded windows, their error at the end, one step."""
 
 from __future__ import annotations
-
-from functools import cache
-from typing import Any
 
 import numpy as np
 
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.closed_loop import Work, spread
-from sysid_evo.engine.compiled.compiler import compile_kernel, compiled
+from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, empty_lines
-from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, KernelSource, Precision, Source
+from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Precision, Source
 from sysid_evo.types import Array, check_shape
-
-
-@cache
-def _loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.open_loop), loops.OPEN_LOOP, precision, pointer=False)
-
-
-@cache
-def _recording_loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.free_runs), loops.FREE_RUNS, precision, pointer=False)
 
 
 def free_runs(
@@ -49,7 +36,7 @@ def free_runs(
     states = np.zeros(len(parameters) * windows * steps * nx, real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
     room = {"carry": start.shape[2], "control": nu, "noise": 1, "scratch": n_scratch}
-    _recording_loop(precision)(
+    compiled_loop(loops.free_runs, loops.FREE_RUNS, precision)(
         *loops.FREE_RUNS.ordered(
             dynamics=compiled(source, DYNAMICS, precision),
             sizes=sizes,
@@ -99,7 +86,7 @@ def final_errors(
     error = np.zeros(len(parameters), real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth, "weight": weight}
     shared = {name: aligned(array, real) for name, array in given.items()}
-    kernel, loop = compiled(source, DYNAMICS, precision), _loop(precision)
+    kernel, loop = compiled(source, DYNAMICS, precision), compiled_loop(loops.open_loop, loops.OPEN_LOOP, precision)
     room = {"carry": start.shape[1], "control": nu, "noise": 1, "scratch": n_scratch}
 
     def prepare() -> Work:
@@ -123,7 +110,8 @@ def kernel_step(
     kernel: DynamicsKernel, carry: Array, control: Array, noise: Array | None = None, *, precision: Precision
 ) -> Array:
     """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise), compiled."""
-    function, loop = compiled(kernel.source, DYNAMICS, precision), _single_step_loop(precision)
+    function = compiled(kernel.source, DYNAMICS, precision)
+    loop = compiled_loop(loops.one_step, loops.ONE_STEP, precision)
     noise = np.zeros((len(carry), 1)) if noise is None else noise
     parameters = aligned(kernel.parameters, precision)
     after = np.empty_like(carry)
@@ -133,8 +121,3 @@ def kernel_step(
         loop(function, *blocks, parameters, empty_lines(kernel.n_scratch * LANES, precision))
         after[rows] = blocks[0].reshape(-1, LANES).T
     return after
-
-
-@cache
-def _single_step_loop(precision: Precision) -> Any:
-    return compile_kernel(KernelSource(loops.one_step), loops.ONE_STEP, precision, pointer=False)

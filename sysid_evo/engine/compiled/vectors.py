@@ -1,13 +1,11 @@
-"""Private LLVM: rows of lanes as values; what the words of kernels mean on a processor.
+"""What the words of the kernel language mean on a processor: rows of 64 lanes, or of sixteen, as values of LLVM.
 
-Here stands what the words of `sysid_evo.kernels` mean for 64 lanes, or for sixteen; `view` and `power_of_two`
-(`sysid_evo.engine.compiled.vectors`) are words too.
+A row is a value, so that a sum over many of them stays in registers. The words of `sysid_evo.kernels` stand here under
+the same names. In a kernel ``+ - * /``, ``-row``, ``abs``, ``min`` and ``max`` take rows, or a row and a number, which
+then stands in every lane. So do functions of `math`: a square root is one instruction, the others ask the library lane
+by lane. In float32 `sysid_evo.engine.compiled.elementary` takes their place, with arithmetic and `power_of_two`.
 
-Square roots are one instruction. What float32 kernels do instead of the mathematics library
-(`sysid_evo.engine.compiled.elementary`) is arithmetic and `power_of_two`; in float64 the library is asked lane by lane.
-
-In a kernel ``+ - * /``, ``-row``, ``abs``, ``min`` and ``max`` take rows, or a row and a number, which then stands in
-every lane. What makes rows, compares and stores them is in `sysid_evo.engine.compiled.vectors`.
+Only generated files import this module, see `sysid_evo.engine.compiled.compiler`.
 """
 
 from __future__ import annotations
@@ -27,31 +25,43 @@ from numba.extending import intrinsic, models, overload, register_model
 from sysid_evo.engine.compiled.internals import Inlined
 from sysid_evo.kernels import LANES, QUARTER
 
-
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: Any) -> Any:
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [offset]), ir.PointerType(vector))
+FASTMATH = ("contract", "arcp", "nsz")
+"""What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
 
 
-def _load(array: Any, count: int) -> Any:
-    lanes = LanesType(array.dtype, count)
+WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": Inlined}
+"""How what an operation becomes is compiled: only kernels call it."""
+
+
+class LanesType(types.Type):
+    """A vector of ``count`` numbers of one precision."""
+
+    def __init__(self, dtype: types.Type, count: int) -> None:
+        self.dtype, self.count = dtype, count
+        super().__init__(name=f"Lanes({dtype}, {count})")
+
+
+@register_model(LanesType)
+class LanesModel(models.PrimitiveModel):
+    """Represents the lanes as one LLVM vector."""
+
+    def __init__(self, manager: Any, lanes: LanesType) -> None:
+        scalar = ir.FloatType() if lanes.dtype == types.float32 else ir.DoubleType()
+        super().__init__(manager, lanes, ir.VectorType(scalar, lanes.count))
+
+
+@intrinsic
+def view(typing_context, array, first):
+    """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector = context.get_value_type(lanes)
-        row = builder.load(_pointer(context, builder, signature.args[0], *arguments, vector))
-        row.align = array.dtype.bitwidth // 8
-        return row
+        moved = context.make_array(signature.args[0])(context, builder, arguments[0])
+        moved.data = builder.gep(moved.data, [arguments[1]])
+        moved.meminfo = ir.Constant(moved.meminfo.type, None)
+        moved.parent = ir.Constant(moved.parent.type, None)
+        return moved._getvalue()
 
-    return lanes(array, types.int64), generate
-
-
-def _splat(number: Any, count: int) -> Any:
-    lanes = LanesType(number, count)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return broadcast(builder, arguments[0], context.get_value_type(lanes))
-
-    return lanes(number), generate
+    return array(array, types.int64), generate
 
 
 @intrinsic
@@ -66,6 +76,18 @@ def load_quarter(typing_context, array, offset):
     return _load(array, QUARTER)
 
 
+def _load(array: Any, count: int) -> Any:
+    lanes = LanesType(array.dtype, count)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(lanes)
+        row = builder.load(_pointer(context, builder, signature.args[0], *arguments, vector))
+        row.align = array.dtype.bitwidth // 8
+        return row
+
+    return lanes(array, types.int64), generate
+
+
 @intrinsic
 def splat(typing_context, number):
     """Return a row with ``number`` in every lane."""
@@ -76,6 +98,15 @@ def splat(typing_context, number):
 def splat_quarter(typing_context, number):
     """Return a quarter of a row with ``number`` in every lane."""
     return _splat(number, QUARTER)
+
+
+def _splat(number: Any, count: int) -> Any:
+    lanes = LanesType(number, count)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return broadcast(builder, arguments[0], context.get_value_type(lanes))
+
+    return lanes(number), generate
 
 
 @intrinsic
@@ -89,6 +120,21 @@ def store(typing_context, array, offset, row):
         return context.get_dummy_value()
 
     return types.void(array, types.int64, row), generate
+
+
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any, vector: Any) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [offset]), ir.PointerType(vector))
+
+
+@intrinsic
+def pick(typing_context, row, lane):
+    """Return the number in one lane of a row."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.extract_element(*arguments)
+
+    return row.dtype(row, types.int64), generate
 
 
 def _choice(comparison: str) -> Any:
@@ -113,24 +159,9 @@ def _choice(comparison: str) -> Any:
     return choice
 
 
-class LanesType(types.Type):
-    """A vector of ``count`` numbers of one precision."""
-
-    def __init__(self, dtype: types.Type, count: int) -> None:
-        self.dtype, self.count = dtype, count
-        super().__init__(name=f"Lanes({dtype}, {count})")
-
-
-def broadcast(builder: Any, number: Any, vector: Any) -> Any:
-    """Return ``number`` in every lane of a ``vector``."""
-    empty = ir.Constant(vector, ir.Undefined)
-    first = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
-    return builder.shuffle_vector(first, empty, zeros)
-
-
 where_less = _choice("<")
 """Return x in the lanes where a < b, else y."""
+
 
 where_at_most = _choice("<=")
 """Return x in the lanes where a <= b, else y."""
@@ -146,56 +177,6 @@ def where_bits(typing_context, bits, x, y):
         return builder.select(chosen, *arguments[1:])
 
     return x(types.int64, x, y), generate
-
-
-@intrinsic
-def lanes_differ(typing_context, a, b):
-    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
-
-    return types.int64(a, b), generate
-
-
-def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    row = signature.args[0]
-    vector = context.get_value_type(row)
-    kind = "f32" if row.dtype == types.float32 else "f64"
-    name = f"llvm.vector.reduce.fmin.v{row.count}{kind}"
-    reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector.element, [vector]), name)
-    return builder.call(reduce, arguments, fastmath=("nnan",))
-
-
-@intrinsic
-def lowest(typing_context, row):
-    """Return the smallest number of a row (or of a quarter); none may be nan."""
-    return row.dtype(row), _lowest
-
-
-def _bits(builder: Any, chosen: Any, count: int) -> Any:
-    """Return ``count`` truth values as the lowest bits of an int64."""
-    return builder.zext(builder.bitcast(chosen, ir.IntType(count)), ir.IntType(64))
-
-
-def _first_bit(builder: Any, bits: Any) -> Any:
-    name = "llvm.cttz.i64"
-    number = ir.IntType(64)
-    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(number, [number, ir.IntType(1)]), name)
-    return builder.call(count, [bits, ir.Constant(ir.IntType(1), 1)])
-
-
-@intrinsic
-def lane_of_lowest(typing_context, row):
-    """Return the first lane of a quarter that holds its smallest number; the last lane if none compares."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        least = _lowest(context, builder, signature, arguments)
-        everywhere = broadcast(builder, least, context.get_value_type(row))
-        bits = _bits(builder, builder.fcmp_ordered("==", arguments[0], everywhere), row.count)
-        return _first_bit(builder, builder.or_(bits, ir.Constant(bits.type, 1 << (row.count - 1))))
-
-    return types.int64(row), generate
 
 
 def _marks(comparison: str) -> Any:
@@ -214,8 +195,19 @@ def _marks(comparison: str) -> Any:
 lanes_less = _marks("<")
 """Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
 
+
 lanes_at_most = _marks("<=")
 """Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
+
+
+@intrinsic
+def lanes_differ(typing_context, a, b):
+    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
+
+    return types.int64(a, b), generate
 
 
 @intrinsic
@@ -228,14 +220,44 @@ def first_lane(typing_context, bits):
     return types.int64(types.int64), generate
 
 
+def _first_bit(builder: Any, bits: Any) -> Any:
+    name = "llvm.cttz.i64"
+    number = ir.IntType(64)
+    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(number, [number, ir.IntType(1)]), name)
+    return builder.call(count, [bits, ir.Constant(ir.IntType(1), 1)])
+
+
+def _bits(builder: Any, chosen: Any, count: int) -> Any:
+    """Return ``count`` truth values as the lowest bits of an int64."""
+    return builder.zext(builder.bitcast(chosen, ir.IntType(count)), ir.IntType(64))
+
+
 @intrinsic
-def pick(typing_context, row, lane):
-    """Return the number in one lane of a row."""
+def lowest(typing_context, row):
+    """Return the smallest number of a row (or of a quarter); none may be nan."""
+    return row.dtype(row), _lowest
+
+
+@intrinsic
+def lane_of_lowest(typing_context, row):
+    """Return the first lane of a quarter that holds its smallest number; the last lane if none compares."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.extract_element(*arguments)
+        least = _lowest(context, builder, signature, arguments)
+        everywhere = broadcast(builder, least, context.get_value_type(row))
+        bits = _bits(builder, builder.fcmp_ordered("==", arguments[0], everywhere), row.count)
+        return _first_bit(builder, builder.or_(bits, ir.Constant(bits.type, 1 << (row.count - 1))))
 
-    return row.dtype(row, types.int64), generate
+    return types.int64(row), generate
+
+
+def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    row = signature.args[0]
+    vector = context.get_value_type(row)
+    kind = "f32" if row.dtype == types.float32 else "f64"
+    name = f"llvm.vector.reduce.fmin.v{row.count}{kind}"
+    reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector.element, [vector]), name)
+    return builder.call(reduce, arguments, fastmath=("nnan",))
 
 
 @intrinsic
@@ -282,20 +304,6 @@ def _host_has(feature: str) -> bool:
 
 
 @intrinsic
-def view(typing_context, array, first):
-    """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        moved = context.make_array(signature.args[0])(context, builder, arguments[0])
-        moved.data = builder.gep(moved.data, [arguments[1]])
-        moved.meminfo = ir.Constant(moved.meminfo.type, None)
-        moved.parent = ir.Constant(moved.parent.type, None)
-        return moved._getvalue()
-
-    return array(array, types.int64), generate
-
-
-@intrinsic
 def power_of_two(typing_context, exponent):
     """Return 2 to the power of whole numbers, one or a row, given as real ones, by writing the bits of exponents."""
     number = exponent.dtype if isinstance(exponent, LanesType) else exponent
@@ -315,13 +323,107 @@ def power_of_two(typing_context, exponent):
     return exponent(exponent), generate
 
 
-@intrinsic
-def _put(typing_context, row, lane, number):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector, place, value = arguments
-        return builder.insert_element(vector, value, place)
+def _overload_with_numbers(function: Any, operation: Any) -> None:
+    """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
 
-    return row(row, types.int64, row.dtype), generate
+    @overload(function, jit_options=WITHIN)
+    def with_lanes(a, b):
+        if isinstance(a, LanesType) and isinstance(b, LanesType):
+            return lambda a, b: operation(a, b)
+        if isinstance(a, LanesType) and isinstance(b, types.Number):
+            return lambda a, b: operation(a, _like(a, b))
+        if isinstance(a, types.Number) and isinstance(b, LanesType):
+            return lambda a, b: operation(_like(b, a), b)
+        return None
+
+
+@intrinsic
+def _like(typing_context, row, number):
+    """Return a row like ``row`` with ``number`` in every lane."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return broadcast(builder, arguments[1], context.get_value_type(signature.args[0]))
+
+    return row(row, row.dtype), generate
+
+
+def _operation(name: str) -> Any:
+    """Return a function of two rows that is one LLVM instruction, lane by lane."""
+
+    @intrinsic
+    def operation(typing_context, a, b):
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return getattr(builder, name)(*arguments, flags=FASTMATH)
+
+        return a(a, b), generate
+
+    return operation
+
+
+for _symbol, _instruction in (
+    (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"),
+):  # fmt: skip
+    _overload_with_numbers(_symbol, _operation(_instruction))
+
+
+@intrinsic
+def _least(typing_context, a, b):
+    """The second where they do not compare, as the built-in function of two numbers."""
+    return a(a, b), _smaller("<")
+
+
+@intrinsic
+def _most(typing_context, a, b):
+    return a(a, b), _smaller(">")
+
+
+def _smaller(comparison: str) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        first, second = arguments
+        return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
+
+    return generate
+
+
+_overload_with_numbers(min, _least)
+
+
+_overload_with_numbers(max, _most)
+
+
+@overload(operator.neg, jit_options=WITHIN)
+def _lanes_neg(a):
+    if isinstance(a, LanesType):
+        return lambda a: _negative(a)
+    return None
+
+
+@intrinsic
+def _negative(typing_context, a):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fneg(arguments[0])
+
+    return a(a), generate
+
+
+@overload(abs, jit_options=WITHIN)
+def _lanes_abs(a):
+    if isinstance(a, LanesType):
+        return lambda a: _magnitude(a)
+    return None
+
+
+@intrinsic
+def _magnitude(typing_context, a):
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return call_elementwise(builder, "fabs", context.get_value_type(signature.args[0]), arguments)
+
+    return a(a), generate
+
+
+@overload(math.sqrt)
+def _lanes_sqrt(x):
+    return (lambda x: _root(x)) if isinstance(x, LanesType) else None
 
 
 @intrinsic
@@ -330,11 +432,6 @@ def _root(typing_context, row):
         return call_elementwise(builder, "sqrt", context.get_value_type(row), arguments)
 
     return row(row), generate
-
-
-@overload(math.sqrt)
-def _lanes_sqrt(x):
-    return (lambda x: _root(x)) if isinstance(x, LanesType) else None
 
 
 def _lane_by_lane(function: Any) -> None:
@@ -370,100 +467,21 @@ def _lanes_atan2(y, x):
     return applied
 
 
-FASTMATH = ("contract", "arcp", "nsz")
-"""What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
-
-WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": Inlined}
-"""How what an operation becomes is compiled: only kernels call it."""
-
-
-@register_model(LanesType)
-class LanesModel(models.PrimitiveModel):
-    """Represents the lanes as one LLVM vector."""
-
-    def __init__(self, manager: Any, lanes: LanesType) -> None:
-        scalar = ir.FloatType() if lanes.dtype == types.float32 else ir.DoubleType()
-        super().__init__(manager, lanes, ir.VectorType(scalar, lanes.count))
-
-
-def _operation(name: str) -> Any:
-    """Return a function of two rows that is one LLVM instruction, lane by lane."""
-
-    @intrinsic
-    def operation(typing_context, a, b):
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, name)(*arguments, flags=FASTMATH)
-
-        return a(a, b), generate
-
-    return operation
-
-
-_add, _sub, _mul, _div = _operation("fadd"), _operation("fsub"), _operation("fmul"), _operation("fdiv")
-
-
-def _are_lanes(a: Any, b: Any) -> bool:
-    return isinstance(a, LanesType) and isinstance(b, LanesType)
-
-
 @intrinsic
-def _like(typing_context, row, number):
-    """Return a row like ``row`` with ``number`` in every lane."""
-
+def _put(typing_context, row, lane, number):
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return broadcast(builder, arguments[1], context.get_value_type(signature.args[0]))
+        vector, place, value = arguments
+        return builder.insert_element(vector, value, place)
 
-    return row(row, row.dtype), generate
-
-
-def _overload_with_numbers(function: Any, operation: Any) -> None:
-    """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
-
-    @overload(function, jit_options=WITHIN)
-    def with_lanes(a, b):
-        if _are_lanes(a, b):
-            return lambda a, b: operation(a, b)
-        if isinstance(a, LanesType) and isinstance(b, types.Number):
-            return lambda a, b: operation(a, _like(a, b))
-        if isinstance(a, types.Number) and isinstance(b, LanesType):
-            return lambda a, b: operation(_like(b, a), b)
-        return None
+    return row(row, types.int64, row.dtype), generate
 
 
-for _rows_function, _instruction in (
-    (operator.add, _add), (operator.sub, _sub), (operator.mul, _mul), (operator.truediv, _div),
-):  # fmt: skip
-    _overload_with_numbers(_rows_function, _instruction)
-
-
-@overload(operator.neg, jit_options=WITHIN)
-def _lanes_neg(a):
-    if isinstance(a, LanesType):
-        return lambda a: _negative(a)
-    return None
-
-
-@intrinsic
-def _negative(typing_context, a):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fneg(arguments[0])
-
-    return a(a), generate
-
-
-@overload(abs, jit_options=WITHIN)
-def _lanes_abs(a):
-    if isinstance(a, LanesType):
-        return lambda a: _magnitude(a)
-    return None
-
-
-@intrinsic
-def _magnitude(typing_context, a):
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return call_elementwise(builder, "fabs", context.get_value_type(signature.args[0]), arguments)
-
-    return a(a), generate
+def broadcast(builder: Any, number: Any, vector: Any) -> Any:
+    """Return ``number`` in every lane of a ``vector``."""
+    empty = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(empty, number, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
+    return builder.shuffle_vector(first, empty, zeros)
 
 
 def call_elementwise(builder: Any, name: str, vector: Any, arguments: Any) -> Any:
@@ -476,27 +494,3 @@ def call_named(builder: Any, name: str, result: Any, arguments: Any) -> Any:
     """Call the function that LLVM knows by ``name``."""
     kind = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
-
-
-@intrinsic
-def _least(typing_context, a, b):
-    """The second where they do not compare, as the built-in function of two numbers."""
-    return a(a, b), _smaller("<")
-
-
-@intrinsic
-def _most(typing_context, a, b):
-    return a(a, b), _smaller(">")
-
-
-def _smaller(comparison: str) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first, second = arguments
-        return builder.select(builder.fcmp_ordered(comparison, second, first), second, first)
-
-    return generate
-
-
-_overload_with_numbers(min, _least)
-
-_overload_with_numbers(max, _most)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers.controller import make_controller
-from sysid_evo.engine import behaviour_names, results, rollout
+from sysid_evo.engine import behaviour_names, rollout
+from sysid_evo.engine.compiled import loops
 from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
@@ -28,7 +29,7 @@ def test_samples_are_counted_by_hand(ladder: System) -> None:
     """Heights begin at 0, which is neutral, and at 3; samples are those of steps 0 and 5; 0.25 is no command."""
     candidates = np.array([[1.0], [0.25], [-1.0]])
     found = rollout(Climber(ladder), Constant(), candidates, Ladder(), np.array([0, 3], dtype=np.uint64))
-    assert results.EVERY == 5
+    assert loops.EVERY == 5
     climbs, stays, descends = found.behaviour
     np.testing.assert_array_equal(climbs, [[0.5, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
     np.testing.assert_array_equal(stays[:, 2:], 0.0)

@@ -80,7 +80,7 @@ def test_what_stands_in_memory_after_the_last_step_does_not_matter(climb: System
     states, controls, poses = (np.full(shape, none, np.float32) for shape in ((2, 4, 1), (2, 3, 1), (2, 4, 2)))
     states[0, :3, 0], controls[0, :2, 0], poses[0, 1:3] = [0.0, 1.0, 2.0], [1.0, 1.0], [[3.0, 4.0], [5.0, 6.0]]
     tape = [array.reshape(-1) for array in (states, controls, poses)]
-    (found,) = trajectories(tape, np.array([2, 0]), np.array([[1.0, 2.0]]), task, climb, 1)
+    (found,) = trajectories(tape, np.array([2, 0]), np.array([[1.0, 2.0]]), task, climb)
     np.testing.assert_array_equal(found.states[:, 0], [0.0, 1.0, 2.0])
     np.testing.assert_array_equal(found.controls[:, 0], [1.0, 1.0])
     np.testing.assert_array_equal(found.pose, [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
