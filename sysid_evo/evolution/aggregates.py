@@ -8,7 +8,6 @@ of its spec.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -57,7 +56,5 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
 
 def make_aggregate(spec: str | Spec, /, **parameters: Any) -> Aggregate:
     """Return the aggregate that ``spec`` names, with its parameters. Raises what it does with their values."""
-    found = aggregates.check(spec, **parameters)
-    aggregate = partial(aggregates.get(found.name), **found.parameters)
-    aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
-    return aggregate
+    made: Aggregate = aggregates.make(spec, **parameters)
+    return made

@@ -9,7 +9,7 @@ import math
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -257,6 +257,19 @@ def _distribution(point: EntryPoint) -> str | Distribution:
     return DISTRIBUTION if point.dist is None else point.dist
 
 
+class AggregateRegistry(Registry[Any]):
+    """Functions of the fitness (models, candidates, trials); their further arguments are the parameters of a spec."""
+
+    def make(self, spec: str | Spec, /, **parameters: Any) -> Callable[..., Any]:
+        """Return the function that ``spec`` names, with its parameters. Raises what it does with their values."""
+        import numpy as np
+
+        found = self.check(spec, **parameters)
+        aggregate = partial(self.get(found.name), **found.parameters)
+        aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
+        return aggregate
+
+
 # A contract imports the registry to register what keeps it, so that the registry knows no classes: functions that make
 # a thing of its own type, `sysid_evo.models.base.make_model` and the like, stand with the contracts.
 
@@ -264,7 +277,7 @@ models: Registry[Any] = Registry("model", "sysid_evo.models")
 tasks: Registry[Any] = Registry("task", "sysid_evo.tasks")
 controllers: Registry[Any] = Registry("controller", "sysid_evo.controllers")
 strategies: Registry[Any] = Registry("strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"}))
-aggregates: Registry[Any] = Registry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
+aggregates = AggregateRegistry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
 trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
