@@ -15,7 +15,7 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 
-class Session(ABC):
+class Closeable(ABC):
     """Something open; the ``with`` statement closes it on every way out."""
 
     @abstractmethod
@@ -31,7 +31,7 @@ class Session(ABC):
         self.close()
 
 
-class Connection(Session):
+class Connection(Closeable):
     """A session with a robot; use it in a ``with`` statement.
 
     The robot is neutral before the first command, after a command outlives its ``valid_for``, and

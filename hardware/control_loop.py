@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hardware.connection import TIME_TO_LIVE, Command, Connection, Listener, Measurement, RobotStatus
-from hardware.estimator import Estimate, Estimator, PoseEstimator
+from hardware.estimator import PoseEstimator, StateEstimate, StateEstimator
 from hardware.gate import PoseGate
 from hardware.run_report import LoopReport, Reason, Stops
 from sysid_evo.errors import IncompatibleSystem, LinkLost
@@ -54,7 +54,7 @@ class ControlLoop:
         system: System,
         *,
         listeners: Sequence[Listener] = (),
-        estimator: Estimator | None = None,
+        estimator: StateEstimator | None = None,
         gate: PoseGate | None = None,
         stops: Stops | None = None,
     ) -> None:
@@ -63,7 +63,7 @@ class ControlLoop:
         self.system = system
         self.stops = Stops() if stops is None else stops
         self._listeners = tuple(listeners)
-        self._estimator: Estimator = PoseEstimator(system) if estimator is None else estimator
+        self._estimator: StateEstimator = PoseEstimator(system) if estimator is None else estimator
         self._gate = gate
         self._driving = False
         self._status: RobotStatus | None = None
@@ -244,5 +244,5 @@ class Pilot(ABC):
     """Decides on the control of every sample."""
 
     @abstractmethod
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         """Return the control (nu,) for sample ``tick``, or None to end the run in neutral."""

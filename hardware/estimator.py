@@ -84,7 +84,7 @@ class PoseEstimator:
         """The source time of the newest pose in s; None without one."""
         return self._times[-1] if self._times else None
 
-    def estimate(self, time: float) -> Estimate | None:
+    def estimate(self, time: float) -> StateEstimate | None:
         """Return what is known at ``time`` (s, the connection's clock), or None while the window is too empty."""
         if not self._covers(0):
             return None
@@ -97,7 +97,7 @@ class PoseEstimator:
         there = coefficients[0] + at * coefficients[1] + at * at * coefficients[2]
         told = self._motion.velocities(there, rates)
         state = np.array([told[name] for name in self._names], dtype=np.float64)
-        return Estimate(time, self._poses[-1].copy(), state, time - newest)
+        return StateEstimate(time, self._poses[-1].copy(), state, time - newest)
 
     def _covers(self, first: int) -> bool:
         """Whether the poses from the ``first`` on are enough for an estimate."""
@@ -212,16 +212,16 @@ def _rms(difference: Array) -> float:
     return float(np.sqrt(np.mean(difference**2)))
 
 
-class Estimator(Protocol):
+class StateEstimator(Protocol):
     """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
 
     def restart(self) -> None: ...
     def add(self, measurement: Measurement) -> None: ...
-    def estimate(self, time: float) -> Estimate | None: ...
+    def estimate(self, time: float) -> StateEstimate | None: ...
 
 
 @dataclass(frozen=True)
-class Estimate:
+class StateEstimate:
     """What is known of the robot at ``time`` (s, the connection's clock).
 
     ``pose`` (n_pose,) is the newest that was accepted, ``age`` s old; ``state`` (nx,) is made of
@@ -249,7 +249,7 @@ class NewestPose:
         """Take in an accepted pose."""
         self._newest = measurement
 
-    def estimate(self, time: float) -> Estimate | None:
+    def estimate(self, time: float) -> StateEstimate | None:
         """Return the newest pose, None before the first."""
         newest = self._newest
-        return None if newest is None else Estimate(time, newest.pose, self._state, time - newest.source_time)
+        return None if newest is None else StateEstimate(time, newest.pose, self._state, time - newest.source_time)

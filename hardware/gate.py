@@ -23,7 +23,7 @@ LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GateVerdict:
     """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``broke``: a new track begins with it."""
 
     accepted: bool
@@ -50,7 +50,7 @@ class PoseGate:
         self._thawed = False
         self._counts: Counter[str] = Counter()
         self._before: Measurement | None = None
-        self._excess = Excess({name: getattr(self.limits, name) for name in WORDS})
+        self._excess = LimitExcess({name: getattr(self.limits, name) for name in WORDS})
 
     @property
     def excess(self) -> str:
@@ -62,7 +62,7 @@ class PoseGate:
         """Frames by the reason of the verdict; "accepted" for those that have none, "tracks" that began."""
         return dict(self._counts)
 
-    def accept(self, measurement: Measurement, *, driving: bool) -> Verdict:
+    def accept(self, measurement: Measurement, *, driving: bool) -> GateVerdict:
         """Return the verdict on the next frame; ``driving``: a command other than neutral is in force."""
         verdict = self._judge(measurement, driving)
         if verdict.accepted:
@@ -76,36 +76,36 @@ class PoseGate:
             self._counts["tracks"] += 1
         return verdict
 
-    def _judge(self, frame: Measurement, driving: bool) -> Verdict:
+    def _judge(self, frame: Measurement, driving: bool) -> GateVerdict:
         if self.body is None and frame.valid:
             self.body = frame.body
         if not frame.valid:
-            return Verdict(False, "not valid")
+            return GateVerdict(False, "not valid")
         if frame.body != self.body:
-            return Verdict(False, "of another body")
+            return GateVerdict(False, "of another body")
         if frame.pose.shape != (3,) or not _sound(*frame.pose, frame.source_time, frame.arrival_time):
-            return Verdict(False, "not a number")
+            return GateVerdict(False, "not a number")
         if self._is_frozen(frame.pose, driving):
             self._thawed = True
-            return Verdict(False, "frozen")
+            return GateVerdict(False, "frozen")
         if self._last is None:
             return self._begin(frame)
         if frame.source_time <= self._last.source_time:
-            return Verdict(False, "not newer")
+            return GateVerdict(False, "not newer")
         reason = self._rivals_reason if self._follows_rival(frame) else self._contradiction(self._last, frame)
         if reason == ACCEPTED:
             if self._thawed:
                 return self._begin(frame)
             self._last = frame
             self._rival.clear()
-            return Verdict(True)
+            return GateVerdict(True)
         self._rivals_reason = reason
-        return self._begin(frame) if self._confirmed(frame) else Verdict(False, reason)
+        return self._begin(frame) if self._confirmed(frame) else GateVerdict(False, reason)
 
-    def _begin(self, frame: Measurement) -> Verdict:
+    def _begin(self, frame: Measurement) -> GateVerdict:
         self._last, self._thawed = frame, False
         self._rival.clear()
-        return Verdict(True, broke=True)
+        return GateVerdict(True, broke=True)
 
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
         """Count equal poses under a drive command; say whether there are too many.
@@ -189,7 +189,7 @@ WORDS = {
 """What is said of a value beyond each limit, and the limit's unit; the first that holds explains the others."""
 
 
-class Excess:
+class LimitExcess:
     """Remembers how the body moved while its frames were not believed; ``limits`` are the four of `WORDS`.
 
     One frame far away is a mistake of the tracker; a robot that is faster than its limits is fast from

@@ -14,7 +14,7 @@ from hardware.control_loop import check_loop
 from hardware.recording.manoeuvres import Manoeuvre, excitation
 from hardware.recording.record import Recorded, record_dataset, record_manoeuvres
 from hardware.run_report import Stops
-from hardware.self_test import Finding, self_test
+from hardware.self_test import SelfTestFinding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
@@ -61,7 +61,9 @@ class Robot(ABC):
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
 
-    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+    def look_at(
+        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    ) -> tuple[SelfTestFinding, ...]:
         """Say whether it is ready to be driven, after ``seconds`` in which nothing moves; see `self_test`."""
         return self_test(self, seconds=seconds, seed=seed, stops=stops)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.connection import Connectable, Connection, Listener, Measurement, RobotStatus
 from hardware.control_loop import LATEST, STALE, ControlLoop, Pilot, check_loop
-from hardware.estimator import Estimate, estimator_delays
+from hardware.estimator import StateEstimate, estimator_delays
 from hardware.run_report import LoopReport, Stops
 from sysid_evo.carry import clip_state
 from sysid_evo.errors import LinkLost
@@ -27,7 +27,7 @@ STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 def self_test(
     robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
-) -> tuple[Finding, ...]:
+) -> tuple[SelfTestFinding, ...]:
     """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
 
     Raises `IncompatibleSystem` if the control loop cannot drive its system.
@@ -37,13 +37,13 @@ def self_test(
     try:
         connection = robot.connect(seed=seed)
     except LinkLost as error:
-        return (Finding("handshake", False, f"Nothing answers: {error}"),)
+        return (SelfTestFinding("handshake", False, f"Nothing answers: {error}"),)
     with connection:
         took = time.perf_counter() - began
         sitter = Sitter(connection, robot.system)
         loop = ControlLoop(connection, robot.system, listeners=[sitter], stops=stops)
         report = loop.run(sitter.pilot, samples=round(seconds / robot.system.dt))
-        handshake = Finding("handshake", True, f"{robot.name} answered within {took:.2f} s.", {"seconds": took})
+        handshake = SelfTestFinding("handshake", True, f"{robot.name} answered within {took:.2f} s.", {"seconds": took})
         return (handshake, sitter.link(), sitter.tracker(), _loop(report), *sitter.estimate())
 
 
@@ -66,10 +66,10 @@ class Sitter(Listener):
         if self._connection.round_trip is not None:
             self._round_trips.append(self._connection.round_trip)
 
-    def link(self) -> Finding:
+    def link(self) -> SelfTestFinding:
         """What the robot said of itself."""
         if not self._statuses:
-            return Finding("link", True, "The robot says nothing of itself.")
+            return SelfTestFinding("link", True, "The robot says nothing of itself.")
         first, last = self._statuses[0], self._statuses[-1]
         risen = {
             name: count - first.counters.get(name, 0)
@@ -85,13 +85,13 @@ class Sitter(Listener):
             figures |= {"round_trip": median, "longest_round_trip": longest}
         if risen:
             parts.append("it counted " + ", ".join(f"{count} {name}" for name, count in risen.items()))
-        return Finding("link", not risen and not driven, "; ".join(parts) + ".", figures)
+        return SelfTestFinding("link", not risen and not driven, "; ".join(parts) + ".", figures)
 
-    def tracker(self) -> Finding:
+    def tracker(self) -> SelfTestFinding:
         """How often, how late and how reliably the body is seen, and whether it stays where it is."""
         seen = [frame for frame in self._frames if frame.valid]
         if len(seen) < 2:
-            return Finding("tracker", False, f"Of {len(self._frames)} frames {len(seen)} show the body.")
+            return SelfTestFinding("tracker", False, f"Of {len(self._frames)} frames {len(seen)} show the body.")
         times = np.array([frame.source_time for frame in seen])
         latency = np.array([frame.arrival_time - frame.source_time for frame in seen])
         poses = np.array([frame.pose for frame in seen])
@@ -115,9 +115,9 @@ class Sitter(Listener):
             f"it {'stays within' if still else 'moves by'} {ms['moved']:.1f} mm and "
             f"{np.degrees(figures['turned']):.1f} degrees."
         )
-        return Finding("tracker", still and figures["longest_gap"] <= STALE, sentence, figures)
+        return SelfTestFinding("tracker", still and figures["longest_gap"] <= STALE, sentence, figures)
 
-    def estimate(self) -> tuple[Finding, ...]:
+    def estimate(self) -> tuple[SelfTestFinding, ...]:
         """How late the state is known: the age of the pose when a control is decided, and the estimator's delay."""
         ages, times = self.pilot.ages, [frame.source_time for frame in self._frames]
         if not ages or len(times) < 2:
@@ -129,7 +129,9 @@ class Sitter(Listener):
             f"Poses are {1e3 * age:.1f} ms old when a control is decided and the estimator adds "
             f"{1e3 * estimator:.1f} ms: evolve with --estimator-delay {1e3 * (age + estimator):.0f}."
         )
-        return (Finding("estimate", True, sentence, {"age": age, "estimator": estimator, "delay": age + estimator}),)
+        return (
+            SelfTestFinding("estimate", True, sentence, {"age": age, "estimator": estimator, "delay": age + estimator}),
+        )
 
 
 class Idle(Pilot):
@@ -139,15 +141,15 @@ class Idle(Pilot):
         self.ages: list[float] = []
         self._neutral = system.neutral_control
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         self.ages.append(estimate.age)
         return self._neutral
 
 
-def _loop(report: LoopReport) -> Finding:
+def _loop(report: LoopReport) -> SelfTestFinding:
     """Say whether the loop ran to its end, and how punctual it was."""
     if report.reason.is_fault or not report.ticks:
-        return Finding("loop", False, f"It was cut short: {report.sentence}.")
+        return SelfTestFinding("loop", False, f"It was cut short: {report.sentence}.")
     figures = {
         "ticks": float(report.ticks),
         "lateness_p99": float(np.percentile(report.lateness, 99)),
@@ -158,7 +160,7 @@ def _loop(report: LoopReport) -> Finding:
         f"{report.ticks} commands, 99 % of them within {1e3 * figures['lateness_p99']:.1f} ms of when they were due "
         f"(all within {1e3 * figures['longest_lateness']:.1f}), {report.skipped} left out."
     )
-    return Finding("loop", figures["longest_lateness"] <= LATEST and report.skipped == 0, sentence, figures)
+    return SelfTestFinding("loop", figures["longest_lateness"] <= LATEST and report.skipped == 0, sentence, figures)
 
 
 STEPS = 300
@@ -168,7 +170,7 @@ BATCH = 64
 """Trials whose step is timed."""
 
 
-def examine(dynamics: Dynamics, sensors: Finding, *, stops: Stops | None = None) -> tuple[Finding, ...]:
+def examine(dynamics: Dynamics, sensors: SelfTestFinding, *, stops: Stops | None = None) -> tuple[SelfTestFinding, ...]:
     """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
     findings = [system_finding(dynamics.system), sensors, _rest(dynamics)]
     for place in range(dynamics.system.nu):
@@ -178,11 +180,11 @@ def examine(dynamics: Dynamics, sensors: Finding, *, stops: Stops | None = None)
     return (*findings, _speed(dynamics))
 
 
-def system_finding(system: System) -> Finding:
+def system_finding(system: System) -> SelfTestFinding:
     """Return states, controls and sampling time in a sentence."""
     states, controls = (", ".join(map(described, channels)) or "none" for channels in (system.states, system.controls))
     sentence = f"States: {states}. Controls: {controls}. One sample every {system.dt:g} s; no pose, so no tracker."
-    return Finding("system", True, sentence, {"dt": system.dt})
+    return SelfTestFinding("system", True, sentence, {"dt": system.dt})
 
 
 def described(channel: Channel) -> str:
@@ -199,7 +201,7 @@ def described(channel: Channel) -> str:
 
 def sensors_finding(
     system: System, names: Sequence[str], readings: Array, rates: Mapping[str, str], period: float
-) -> Finding:
+) -> SelfTestFinding:
     """Say what was read in neutral: ``readings`` (n, names) every ``period`` s; ``rates`` says what is estimated."""
     mean, spread = np.mean(readings, axis=0), np.std(readings, axis=0)
     units = {channel.name: channel.unit for channel in system.states}
@@ -211,14 +213,14 @@ def sensors_finding(
     more = f"; estimated: {estimated}" if estimated else ""
     seconds = len(readings) * period
     sentence = f"Read every {period:g} s in neutral for {seconds:g} s: {', '.join(parts)}{more}."
-    return Finding("sensors", bool(np.isfinite(readings).all()), sentence)
+    return SelfTestFinding("sensors", bool(np.isfinite(readings).all()), sentence)
 
 
 def _spread(value: float) -> str:
     return f" ± {value:.2g}" if value > 0.0 else ""
 
 
-def _rest(dynamics: Dynamics) -> Finding:
+def _rest(dynamics: Dynamics) -> SelfTestFinding:
     """Say where the equations go when nothing is commanded."""
     path = tried(dynamics, dynamics.system.neutral_control)
     finite = bool(np.isfinite(path).all())
@@ -226,23 +228,25 @@ def _rest(dynamics: Dynamics) -> Finding:
     sentence = (
         f"Without a command for {_duration(dynamics):g} s it {moved if finite else _lost(dynamics.system, path)}."
     )
-    return Finding("rest", finite, sentence)
+    return SelfTestFinding("rest", finite, sentence)
 
 
-def _answer(dynamics: Dynamics, place: int) -> Finding:
+def _answer(dynamics: Dynamics, place: int) -> SelfTestFinding:
     """Say what one control does at its two ends: the others neutral, or full if it changes nothing then."""
     system, channel = dynamics.system, dynamics.system.controls[place]
     if not all(control.bounded for control in system.controls):
-        return Finding(channel.name, channel.bounded, "Controls must have finite limits: give low and high, or levels.")
+        return SelfTestFinding(
+            channel.name, channel.bounded, "Controls must have finite limits: give low and high, or levels."
+        )
     for others, how in ((system.neutral_control, ""), (full(system), " with the other controls full")):
         paths = {end: tried(dynamics, _with(others, place, end)) for end in (channel.low, channel.high)}
         low, high = paths.values()
         if low.shape != high.shape or not np.array_equal(low, high):
             ok = all(np.isfinite(path).all() for path in paths.values())
             said = "; ".join(_told(dynamics, channel, end, path) for end, path in paths.items())
-            return Finding(channel.name, ok, f"For {_duration(dynamics):g} s from rest{how}, {said}.")
+            return SelfTestFinding(channel.name, ok, f"For {_duration(dynamics):g} s from rest{how}, {said}.")
     sentence = f"It changes nothing in {_duration(dynamics):g} s from rest: is it in the equations?"
-    return Finding(channel.name, False, sentence)
+    return SelfTestFinding(channel.name, False, sentence)
 
 
 def full(system: System) -> Array:
@@ -322,7 +326,7 @@ def _lost(system: System, path: Array) -> str:
     )
 
 
-def _speed(dynamics: Dynamics) -> Finding:
+def _speed(dynamics: Dynamics) -> SelfTestFinding:
     """Say how fast rollouts step it."""
     system = dynamics.system
     carry = dynamics.start(
@@ -337,11 +341,11 @@ def _speed(dynamics: Dynamics) -> Finding:
     seconds = time.perf_counter() - began
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"
     sentence = f"Rollouts are {form}; in NumPy {BATCH} trials of {STEPS} steps take {seconds:.2f} s."
-    return Finding("speed", True, sentence, {"seconds": seconds})
+    return SelfTestFinding("speed", True, sentence, {"seconds": seconds})
 
 
 @dataclass(frozen=True)
-class Finding:
+class SelfTestFinding:
     """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
 
     what: str

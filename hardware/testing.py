@@ -50,7 +50,7 @@ ROWS = 8
 
 
 @dataclass(frozen=True)
-class Given:
+class RobotExample:
     """A robot, and the spec that it was made from."""
 
     spec: Spec
@@ -77,14 +77,14 @@ def check_robot(name: str, **parameters: Any) -> None:
 def run_robot_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
     """Yield the result of every check of the registered robot ``name``; a physical one is not connected."""
 
-    def make() -> Given:
+    def make() -> RobotExample:
         spec = robots.check(name, **parameters)
-        return Given(spec, robots.make(spec))
+        return RobotExample(spec, robots.make(spec))
 
     return verdicts(make, CHECKS)
 
 
-def it_says_what_it_is(given: Given) -> None:
+def it_says_what_it_is(given: RobotExample) -> None:
     """It has a name, and a system whose controls can be told legal from illegal"""
     robot = given.robot
     expect(isinstance(robot, Robot), f"expected a hardware.robot.Robot, got a {type(robot).__name__}")
@@ -95,48 +95,48 @@ def it_says_what_it_is(given: Given) -> None:
         expect(channel.bounded, f"control {channel.name!r} has no finite limits: give low and high, or levels")
 
 
-def another_is_the_same(given: Given) -> None:
+def another_is_the_same(given: RobotExample) -> None:
     """The same name and parameters make the same robot"""
     other = robots.make(given.spec)
     expect(other.system == given.robot.system and other.name == given.robot.name, "a second one has another system")
 
 
-def its_dynamics_are_of_its_system(given: Given) -> None:
+def its_dynamics_are_of_its_system(given: RobotExample) -> None:
     """Its dynamics step by one sampling time of its own system"""
     system = given.dynamics.system
     expect(system == given.robot.system, f"the dynamics are those of {system.name or 'another system'}")
 
 
-def the_carry_begins_with_the_state(given: Given) -> None:
+def the_carry_begins_with_the_state(given: RobotExample) -> None:
     """The carry begins with the state"""
     inputs = _some_inputs(given.dynamics, steps=0)
     neutral = np.tile(given.robot.system.neutral_state, (ROWS, 1))
     expect(same(inputs.carry[:, : neutral.shape[1]], neutral), "carry[:, :nx] after start is not the last state")
 
 
-def a_step_has_the_right_shape_and_type(given: Given) -> None:
+def a_step_has_the_right_shape_and_type(given: RobotExample) -> None:
     """A step turns a carry (B, n_carry) into a carry of the same shape, finite and in float64"""
     expect_shape_and_type(given.dynamics, _some_inputs(given.dynamics))
 
 
-def rows_are_independent(given: Given) -> None:
+def rows_are_independent(given: RobotExample) -> None:
     """Every row of a batch is computed for itself"""
     expect_independent_rows(given.dynamics, _some_inputs(given.dynamics))
 
 
-def a_step_is_pure(given: Given) -> None:
+def a_step_is_pure(given: RobotExample) -> None:
     """A step changes neither its arguments nor its own later results"""
     expect_pure(given.dynamics, _some_inputs(given.dynamics))
 
 
-def the_compiled_form_steps_as_step_does(given: Given) -> None:
+def the_compiled_form_steps_as_step_does(given: RobotExample) -> None:
     """The compiled form steps as step does"""
     if given.dynamics.kernel() is None:
         raise DoesNotApply
     expect_compiled_alike(given.dynamics, _some_inputs(given.dynamics))
 
 
-def a_session_shows_frames(given: Given) -> None:
+def a_session_shows_frames(given: RobotExample) -> None:
     """A session shows frame after frame, with rising numbers and times and a pose (n_pose,)"""
     with given.connect() as connection:
         frames = [_next(connection, given.robot.system.dt) for _ in range(FRAMES)]
@@ -148,14 +148,14 @@ def a_session_shows_frames(given: Given) -> None:
             expect_numbers("pose", after.pose, (given.robot.system.n_pose,))
 
 
-def the_seed_decides(given: Given) -> None:
+def the_seed_decides(given: RobotExample) -> None:
     """The same seed and the same commands give the same session"""
     command = _extremes(given.robot.system)[0]
     first, again = (_driven(given, command, valid_for=SECONDS) for _ in range(2))
     expect(same(first, again), "the same seed gives other poses")
 
 
-def a_command_moves_it(given: Given) -> None:
+def a_command_moves_it(given: RobotExample) -> None:
     """A command moves it, and only as long as it is valid"""
     system = given.robot.system
     if system.n_pose == 0:
@@ -169,7 +169,7 @@ def a_command_moves_it(given: Given) -> None:
             expect(not same(short, moved), "a command goes on after the time it is valid for")
 
 
-def a_command_that_is_not_legal_is_refused(given: Given) -> None:
+def a_command_that_is_not_legal_is_refused(given: RobotExample) -> None:
     """A command of the wrong shape, beyond its limits or valid for no time is refused"""
     system = given.robot.system
     neutral, beyond = system.neutral_control, np.array([channel.high + 1.0 for channel in system.controls])
@@ -187,7 +187,7 @@ def a_command_that_is_not_legal_is_refused(given: Given) -> None:
             raise ContractViolation(f"expected {error.__name__} for {control} valid for {valid_for:g} s, got no error")
 
 
-def a_closed_session_is_over(given: Given) -> None:
+def a_closed_session_is_over(given: RobotExample) -> None:
     """A session can be closed twice, and is over then: commands raise LinkLost"""
     connection = given.connect()
     connection.close()
@@ -199,7 +199,7 @@ def a_closed_session_is_over(given: Given) -> None:
     raise ContractViolation("expected LinkLost after close, got no error")
 
 
-CHECKS: tuple[Check[Given], ...] = (
+CHECKS: tuple[Check[RobotExample], ...] = (
     it_says_what_it_is,
     another_is_the_same,
     its_dynamics_are_of_its_system,
@@ -244,7 +244,7 @@ def _extremes(system: System) -> list[Array]:
     return [high, *single]
 
 
-def _driven(given: Given, command: Array, *, valid_for: float) -> Array:
+def _driven(given: RobotExample, command: Array, *, valid_for: float) -> Array:
     """Return the poses (K, n_pose) of a session of some seconds that begins with one command."""
     poses = []
     dt = given.robot.system.dt

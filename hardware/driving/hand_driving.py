@@ -21,7 +21,7 @@ from hardware.driving.keyboard import ALL_KEYS, Keyboard, control_of, key_life
 from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
 from hardware.driving.server import PageAddress, check_page, served
 from hardware.driving.trials import RestWatch, Tape
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.preflight import check_driving
 from hardware.robot import Robot
 from hardware.run_report import LoopReport, Stops
@@ -214,7 +214,7 @@ class HumanPilot(Pilot):
         """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
         return np.zeros_like(pose) if self.origin is None else self._task.system.seen_from(self.origin, pose)
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         phase, keys = self.progress.phase, self._keyboard.keys
         self.newest_state = estimate.state
         if phase in (Phase.FINISHED, Phase.ENDED) or self._keyboard.new_trial_wanted:
@@ -239,13 +239,13 @@ class HumanPilot(Pilot):
         """Return what was driven, as seen from the task's origin; None without a step."""
         return self._tape.trajectory(self._task.system.dt, name) if len(self._tape.ticks) > 1 else None
 
-    def _begin(self, tick: int, estimate: Estimate) -> None:
+    def _begin(self, tick: int, estimate: StateEstimate) -> None:
         self._began = tick
         if self.origin is None:
             self.origin = estimate.pose
         self._state = replace(self._state, pose=self.in_arena(estimate.pose)[None])
 
-    def _drive(self, step: int, estimate: Estimate, keys: int) -> Array | None:
+    def _drive(self, step: int, estimate: StateEstimate, keys: int) -> Array | None:
         """Return the control for ``step`` of the trial, or None if it is over."""
         pose, tape = self.in_arena(estimate.pose), self._tape
         if tape.states:

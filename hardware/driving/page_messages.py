@@ -18,7 +18,7 @@ MOST_TRACES = 4
 MOST_CONTROLS = 2
 
 
-class Panel(Protocol):
+class DrivePanel(Protocol):
     """What the server asks for; another thread may change it meanwhile. All of it is strict JSON."""
 
     def setting(self) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from hardware.connection import Session
+from hardware.connection import Closeable
 from hardware.driving.keyboard import InvalidWord, Keyboard, Seat, Seats
-from hardware.driving.page_messages import Panel
+from hardware.driving.page_messages import DrivePanel
 from hardware.run_report import Reason, Stops
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.extras import check_installed
@@ -82,7 +82,7 @@ def check_page() -> None:
 
 @contextmanager
 def served(
-    panel: Panel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+    panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
     """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
 
@@ -96,7 +96,7 @@ def served(
         yield page
 
 
-def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
+def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starlette:
     """Return the page, its files and its web socket, all behind ``/token/``."""
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
@@ -123,7 +123,7 @@ def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
     return Starlette(routes=routes, middleware=[Middleware(Guard, token=token, host=host)])
 
 
-class PageServer(Session):
+class PageServer(Closeable):
     """The page at ``url`` while it is open; it serves from a thread of its own.
 
     ``port`` 0 takes a free one. ``died`` is called with a sentence, in that thread, if the server
@@ -134,7 +134,7 @@ class PageServer(Session):
 
     def __init__(
         self,
-        panel: Panel,
+        panel: DrivePanel,
         keyboard: Keyboard,
         *,
         host: str,
@@ -213,7 +213,7 @@ async def _listen(page: WebSocket, seat: Seat) -> None:
         seat.hear(json.loads(message["text"]), time.monotonic())
 
 
-async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: Panel) -> None:
+async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: DrivePanel) -> None:
     """Send the page the setting once, what is drawn of each trial, and the newest reading again and again."""
     await page.send_json({"setting": panel.setting()})
     trial = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.connection import Listener
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.robot import Robot
 from hardware.run_report import LoopReport, Reason, Stops
 from sysid_evo.controllers import Controller, View
@@ -40,7 +40,7 @@ class RestWatch:
     def __init__(self) -> None:
         self._seen: deque[tuple[float, Array]] = deque()
 
-    def at_rest(self, estimate: Estimate) -> bool:
+    def at_rest(self, estimate: StateEstimate) -> bool:
         """Take in where the robot is; return whether it has stayed there for half a second."""
         self._seen.append((estimate.time, estimate.pose))
         while len(self._seen) > 1 and self._seen[1][0] <= estimate.time - REST_TIME:
@@ -124,13 +124,13 @@ class TrialSeries(Pilot):
     def trials(self) -> int:
         return len(self.parameters) * len(self.seeds)
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         control = self._decide(tick, estimate)
         if self._told is not None:
             self._told(self)
         return control
 
-    def _decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def _decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         if self._began is None:
             if not self._rest.at_rest(estimate):
                 if (tick - self._waiting_since) * self.system.dt > REST_LIMIT:
@@ -152,7 +152,7 @@ class TrialSeries(Pilot):
         self._began, self._waiting_since, self._rest = None, tick, RestWatch()
         return self.system.neutral_control
 
-    def _drive(self, step: int, estimate: Estimate) -> Array | None:
+    def _drive(self, step: int, estimate: StateEstimate) -> Array | None:
         """Return the control for ``step`` of the trial under way, or None if it is over."""
         trial, candidate = divmod(self.finished, len(self.parameters))
         task, tape = self.task, self.tapes[-1]

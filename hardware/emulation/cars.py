@@ -27,7 +27,7 @@ from sysid_evo.types import Array
 REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 
 
-class CarPhysics(PlainDynamics):
+class ToyCarDynamics(PlainDynamics):
     """The toy car at 5 ms, the rate of the tracker: what its 20 Hz form repeats.
 
     The carry is forward speed, lateral speed, yaw rate; the ten commands under way; motor (lagged
@@ -99,8 +99,8 @@ def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
     """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
     nominal, seed = CarParameters(), checked_seed("robot emulated_car", seed)
     if seed is None:
-        return EmulatedRobot("emulated_car", CarPhysics(nominal), repeats=REPEATS)
-    return EmulatedRobot(f"emulated_car:{seed}", CarPhysics(nominal.perturbed(seed)), repeats=REPEATS)
+        return EmulatedRobot("emulated_car", ToyCarDynamics(nominal), repeats=REPEATS)
+    return EmulatedRobot(f"emulated_car:{seed}", ToyCarDynamics(nominal.perturbed(seed)), repeats=REPEATS)
 
 
 AWKWARD = replace(CarParameters(), thrust_backward=0.0, start_speed=0.35, start_lag=0.5, start_level=0.5)
@@ -127,7 +127,7 @@ class AwkwardCar(EmulatedRobot):
             raise InvalidArgument(f"robot awkward_car: expected stuck as a share up to 1, got {stuck}")
         usual = replace(AWKWARD, start_lag=number("robot awkward_car: start_lag", start_lag, above=0.0))
         name = "awkward_car" if seed is None else f"awkward_car:{seed}"
-        physics = CarPhysics(usual if seed is None else usual.perturbed(seed))
+        physics = ToyCarDynamics(usual if seed is None else usual.perturbed(seed))
         super().__init__(name, physics, repeats=REPEATS)
 
     def record(

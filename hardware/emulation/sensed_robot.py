@@ -16,7 +16,7 @@ from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRob
 from hardware.recording.manoeuvres import Manoeuvre, excitation
 from hardware.recording.record import Recorded, prepared
 from hardware.run_report import LoopReport, Reason, Stops
-from hardware.self_test import Finding, examine, sensors_finding
+from hardware.self_test import SelfTestFinding, examine, sensors_finding
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem
@@ -75,7 +75,9 @@ class SensedRobot(SimulatedRobot):
     def connect(self, *, seed: int | None = None) -> SensedConnection:
         return SensedConnection(self.name, self.physics, seed=seed)
 
-    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+    def look_at(
+        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    ) -> tuple[SelfTestFinding, ...]:
         """Say what the sensors read at rest, and what the equations do under each control."""
         period, readings = self.frame_period, []
         with self.connect(seed=seed) as connection:

@@ -25,7 +25,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hardware.connection import Command, Connectable, GateLimits, Listener, Measurement, RobotStatus, Session
+from hardware.connection import Closeable, Command, Connectable, GateLimits, Listener, Measurement, RobotStatus
 from sysid_evo.errors import InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -49,7 +49,7 @@ _COMMAND = struct.Struct("<qddd")
 _STATUS = struct.Struct("<ddBH")
 
 
-class Kind(IntEnum):
+class RecordKind(IntEnum):
     """What a record is about; the first of a journal is its header, the last of a finished one its end."""
 
     HEADER = 1
@@ -70,7 +70,7 @@ class TimedCommand:
 Event: TypeAlias = Measurement | TimedCommand | RobotStatus
 
 
-def seal(kind: Kind, payload: bytes) -> bytes:
+def seal(kind: RecordKind, payload: bytes) -> bytes:
     """Return a whole record. Raises `InvalidData` if the payload is too long."""
     if len(payload) > LONGEST:
         raise InvalidData(f"journal: expected a record of at most {LONGEST} bytes, got {len(payload)}")
@@ -114,14 +114,14 @@ def unpack_header(payload: bytes) -> dict[str, Any]:
     return header
 
 
-def unpack(kind: Kind, payload: bytes, system: System) -> Event:
+def unpack(kind: RecordKind, payload: bytes, system: System) -> Event:
     """Return the event of a record. Raises `InvalidData` if it is not one of ``system``."""
     try:
-        if kind is Kind.FRAME:
+        if kind is RecordKind.FRAME:
             source, arrival, number, valid, length = _FRAME.unpack_from(payload)
             body, pose = _split(payload, _FRAME.size, (length,), system.n_pose)
             return Measurement(source, arrival, number, body[0].decode(), bool(valid), pose)
-        if kind is Kind.COMMAND:
+        if kind is RecordKind.COMMAND:
             tick, due, time, robot_time = _COMMAND.unpack_from(payload)
             _, control = _split(payload, _COMMAND.size, (), system.nu)
             return TimedCommand(Command(tick, due, time, control), robot_time)
@@ -177,7 +177,7 @@ def check_journals(folder: Path, names: Iterable[str]) -> None:
         raise InvalidArgument(f"{folder}: expected a folder that can be written, but {place} does not permit it")
 
 
-class JournalWriter(Session):
+class JournalWriter(Closeable):
     """Appends records to a new file; nothing is kept back in this process."""
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
@@ -188,7 +188,7 @@ class JournalWriter(Session):
             raise InvalidArgument(TAKEN.format(path)) from None
         self._size = 0
         self._folder = path.parent
-        self.append(MAGIC + seal(Kind.HEADER, pack_header({"schema": SCHEMA, **header})))
+        self.append(MAGIC + seal(RecordKind.HEADER, pack_header({"schema": SCHEMA, **header})))
 
     def append(self, record: bytes) -> None:
         """Write a sealed record, all of it or nothing. Raises `OSError`."""
@@ -204,7 +204,7 @@ class JournalWriter(Session):
             return
         file, self._file = self._file, -1
         try:
-            os.write(file, seal(Kind.END, b""))
+            os.write(file, seal(RecordKind.END, b""))
             os.fsync(file)
         finally:
             os.close(file)
@@ -219,7 +219,7 @@ class JournalWriter(Session):
 VERSIONS = {name: version(name) for name in ("sysid-evo", "numpy")} | {"python": platform.python_version()}
 
 
-class Recorder(Session, Listener):
+class Recorder(Closeable, Listener):
     """Writes every frame, command and status of a session with ``robot`` to a new journal at ``path``.
 
     ``body`` (default: the first seen) and ``limits`` tell what reads it which frames to believe.
@@ -248,16 +248,16 @@ class Recorder(Session, Listener):
         )
 
     def measured(self, measurement: Measurement) -> None:
-        self._write(Kind.FRAME, pack_frame, measurement)
+        self._write(RecordKind.FRAME, pack_frame, measurement)
 
     def commanded(self, command: Command) -> None:
         status = self._status
         robot_time = math.nan if status is None else status.robot_time + command.time - status.time
-        self._write(Kind.COMMAND, pack_command, TimedCommand(command, robot_time))
+        self._write(RecordKind.COMMAND, pack_command, TimedCommand(command, robot_time))
 
     def reported(self, status: RobotStatus) -> None:
         self._status = status
-        self._write(Kind.STATUS, pack_status, status)
+        self._write(RecordKind.STATUS, pack_status, status)
 
     def close(self) -> None:
         try:
@@ -265,7 +265,7 @@ class Recorder(Session, Listener):
         except OSError as error:
             self.problem = f"{self.path}: {error}"
 
-    def _write(self, kind: Kind, pack: Callable[[Any], bytes], event: object) -> None:
+    def _write(self, kind: RecordKind, pack: Callable[[Any], bytes], event: object) -> None:
         try:
             self._journal.append(seal(kind, pack(event)))
         except (OSError, struct.error, InvalidData) as error:
@@ -338,12 +338,12 @@ def read_journal(path: str | Path) -> Journal:
     for kind, payload, after in _records(data, path.name):
         if closed:
             raise InvalidData(f"{path.name}, byte {end}: a record after the end of the journal")
-        if (system is None) != (kind is Kind.HEADER):
+        if (system is None) != (kind is RecordKind.HEADER):
             raise InvalidData(f"{path.name}, byte {end}: expected one header, and first")
         if system is None:
             header = unpack_header(payload)
             system = _system(header, path.name)
-        elif kind is Kind.END:
+        elif kind is RecordKind.END:
             closed = True
         else:
             try:
@@ -356,7 +356,7 @@ def read_journal(path: str | Path) -> Journal:
     return Journal(path.stem, header, system, _limits(header, path.name), tuple(events), closed, len(data) - end)
 
 
-def _records(data: bytes, name: str) -> Iterator[tuple[Kind, bytes, int]]:
+def _records(data: bytes, name: str) -> Iterator[tuple[RecordKind, bytes, int]]:
     """Yield kind, payload and end of each whole record, up to an unfinished one at the end of ``data``."""
     place = len(MAGIC)
     while place < len(data):
@@ -374,7 +374,7 @@ def _records(data: bytes, name: str) -> Iterator[tuple[Kind, bytes, int]]:
                 return  # the last write of a machine that lost power
             raise InvalidData(f"{name}, byte {place}: the record is damaged (its checksum is wrong)")
         try:
-            yield Kind(kind), data[place + FRONT.size : check], after
+            yield RecordKind(kind), data[place + FRONT.size : check], after
         except ValueError:
             raise InvalidData(f"{name}, byte {place}: no kind of record has the number {kind}") from None
         place = after

@@ -12,7 +12,7 @@ import numpy as np
 
 from hardware.connection import Connectable, Connection, GateLimits
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.estimator import Estimate, NewestPose
+from hardware.estimator import NewestPose, StateEstimate
 from hardware.recording.journal import SUFFIX, Recorder, check_journals, read_journal
 from hardware.recording.journal_reader import column_names, raw_log
 from hardware.recording.manoeuvres import Manoeuvre, excitation
@@ -35,7 +35,7 @@ class ManoeuvrePilot(Pilot):
         self._controls = manoeuvre.controls
         self._told = told
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         if self._told is not None:
             self._told(min(tick, len(self._controls)))
         return self._controls[tick] if tick < len(self._controls) else None

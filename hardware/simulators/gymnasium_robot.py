@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hardware.arguments import number, text
-from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorSession
+from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from hardware.simulators.simulator_robot import SimulatorRobot
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
@@ -58,7 +58,7 @@ class GymnasiumRobot(SimulatorRobot):
 
 
 @dataclass(frozen=True)
-class Environment(Simulator):
+class Environment(ExternalSimulator):
     """The environment called ``name``, made with ``settings``, and what its numbers are.
 
     One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.

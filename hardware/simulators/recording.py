@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.recording.record import Recorded
 from hardware.run_report import LoopReport, Reason, Stops
-from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorSession
+from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.progress import Progress
@@ -31,7 +31,7 @@ SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" fo
 
 
 def record_simulator(
-    simulator: Simulator,
+    simulator: ExternalSimulator,
     *,
     seed: int,
     duration: float,
@@ -49,7 +49,7 @@ def record_simulator(
     each = samples_each(simulator, duration)
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
-    tried: list[Tried] = []
+    tried: list[TriedFeedback] = []
     reason = Reason.SAMPLES
     with simulator.open() as session:
         for number, name in enumerate(SCRIPTS):
@@ -71,7 +71,7 @@ def record_simulator(
     return Recorded((), Dataset(system, tuple(episodes)), report)
 
 
-def samples_each(simulator: Simulator, duration: float) -> int:
+def samples_each(simulator: ExternalSimulator, duration: float) -> int:
     """Return the samples of each script in a recording of ``duration`` s. Raises `InvalidArgument` for too few."""
     dt, count = simulator.system.dt, len(SCRIPTS)
     each = round(duration / dt / count)
@@ -84,21 +84,25 @@ def samples_each(simulator: Simulator, duration: float) -> int:
 
 
 def _script(
-    name: str, simulator: Simulator, episodes: list[Trajectory], tried: list[Tried], rng: np.random.Generator
+    name: str,
+    simulator: ExternalSimulator,
+    episodes: list[Trajectory],
+    tried: list[TriedFeedback],
+    rng: np.random.Generator,
 ) -> Script:
     system = simulator.system
     kind, _, which = name.partition("-")
     if kind == "steps":
-        return Steps(system, float(which), rng)
+        return RandomSteps(system, float(which), rng)
     if kind == "sweep":
-        return Sweep(system, rng)
+        return SineSweep(system, rng)
     seen = [episode.states for episode in episodes]
     return RandomFeedback(system, np.concatenate(seen) if seen else system.neutral_state[None], tried, rng)
 
 
 def _episodes(
     session: SimulatorSession,
-    simulator: Simulator,
+    simulator: ExternalSimulator,
     script: Script,
     steps: int,
     rng: np.random.Generator,
@@ -122,7 +126,7 @@ def _episodes(
         yield states, controls
 
 
-def _trajectory(episode: tuple[list[Array], list[Array]], simulator: Simulator, name: str) -> Trajectory:
+def _trajectory(episode: tuple[list[Array], list[Array]], simulator: ExternalSimulator, name: str) -> Trajectory:
     states, controls = episode
     return Trajectory(np.array(states), np.array(controls), simulator.system.dt, name=name)
 
@@ -156,7 +160,7 @@ class Script(ABC):
         """Return the next control (nu,), in ``state`` (nx,)."""
 
 
-class Steps(Script):
+class RandomSteps(Script):
     """Every control jumps to a value at random times, each for itself; one time in three to one of its limits."""
 
     def __init__(self, system: System, mean: float, rng: np.random.Generator) -> None:
@@ -176,7 +180,7 @@ class Steps(Script):
         return np.where(self._rng.random(count) < 1.0 / 3.0, np.sign(inner), inner)
 
 
-class Sweep(Script):
+class SineSweep(Script):
     """Sines that grow faster, from one period in 100 samples to one in 4, each control at its own phase and height."""
 
     def __init__(self, system: System, rng: np.random.Generator) -> None:
@@ -200,7 +204,7 @@ class Sweep(Script):
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedFeedback:
     """The ``weights`` (nu, n) of a feedback, and how many steps its episode ``lasted``."""
 
     lasted: int
@@ -216,18 +220,18 @@ class RandomFeedback(Script):
     ``tried`` what was tried before, to which this one adds.
     """
 
-    def __init__(self, system: System, seen: Array, tried: list[Tried], rng: np.random.Generator) -> None:
+    def __init__(self, system: System, seen: Array, tried: list[TriedFeedback], rng: np.random.Generator) -> None:
         self._system, self._rng, self._tried = system, rng, tried
         self._seen = system.regressors(seen)
         spread = self._seen.std(axis=0)
         self._scale = 1.0 / np.where(spread > 0.0, spread, 1.0)
-        self._steps = Steps(system, 3.0, rng)
+        self._steps = RandomSteps(system, 3.0, rng)
         self._weights = np.zeros((system.nu, len(self._scale)))
         self.begin(0)
 
     def begin(self, lasted: int) -> None:
         if lasted > 0:
-            self._tried.append(Tried(lasted, self._weights * self._scale))
+            self._tried.append(TriedFeedback(lasted, self._weights * self._scale))
         self._weights = self._drawn()
         self._aim = self._seen[self._rng.integers(len(self._seen))]
         self._dither = self._rng.uniform(0.0, 2.0 * FEEDBACK)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hardware.connection import Session
+from hardware.connection import Closeable
 from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import View
 from sysid_evo.data import Trajectory
@@ -27,7 +27,7 @@ LONGEST_SEED = 2**31
 """Seeds of episodes lie below it."""
 
 
-class SimulatorSession(Session):
+class SimulatorSession(Closeable):
     """Episodes of one simulator, one after the other."""
 
     @abstractmethod
@@ -39,7 +39,7 @@ class SimulatorSession(Session):
         """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
 
 
-class Simulator(ABC):
+class ExternalSimulator(ABC):
     """What steps when it is told to; ``name`` is what people call it.
 
     One that is ``settable`` can be put into any state of its ``system``.
@@ -68,7 +68,7 @@ class SimulatorRunner:
     own reset with the trial's seed puts it. It is over when the simulator or the task ends it.
     """
 
-    simulator: Simulator
+    simulator: ExternalSimulator
 
     def run(
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
@@ -97,7 +97,7 @@ class _Trials:
 
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: ExternalSimulator,
         sessions: list[SimulatorSession],
         controller: Controller,
         parameters: Array,

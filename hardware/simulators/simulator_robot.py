@@ -14,9 +14,9 @@ from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import Recorded
 from hardware.robot import Robot
 from hardware.run_report import Stops
-from hardware.self_test import Finding, described
+from hardware.self_test import SelfTestFinding, described
 from hardware.simulators.recording import record_simulator, samples_each
-from hardware.simulators.simulator import LONGEST_SEED, Simulator, SimulatorRunner
+from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorRunner
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.progress import Progress
 
@@ -26,9 +26,9 @@ class SimulatorRobot(Robot):
 
     stepped: ClassVar[bool] = True
     dynamics = None
-    simulator: Simulator
+    simulator: ExternalSimulator
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: ExternalSimulator) -> None:
         self.name, self.system, self.simulator = simulator.name, simulator.system, simulator
 
     def connect(self, *, seed: int | None = None) -> Connection:
@@ -41,7 +41,9 @@ class SimulatorRobot(Robot):
     def runner(self) -> SimulatorRunner:
         return SimulatorRunner(self.simulator)
 
-    def look_at(self, *, seconds: float, seed: int | None = None, stops: Stops | None = None) -> tuple[Finding, ...]:
+    def look_at(
+        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    ) -> tuple[SelfTestFinding, ...]:
         """Say what its channels are, and how its episodes go under random controls for ``seconds`` of its own time."""
         return examine(self.simulator, seconds=seconds, seed=seed or 0, stops=stops)
 
@@ -79,7 +81,9 @@ FEWEST = 200
 """Steps that are tried at least."""
 
 
-def examine(simulator: Simulator, *, seconds: float, seed: int, stops: Stops | None = None) -> tuple[Finding, ...]:
+def examine(
+    simulator: ExternalSimulator, *, seconds: float, seed: int, stops: Stops | None = None
+) -> tuple[SelfTestFinding, ...]:
     """Step the simulator under random controls for ``seconds`` of its time; a stop from outside ends it."""
     system = simulator.system
     states, controls = (", ".join(map(described, channels)) for channels in (system.states, system.controls))
@@ -106,8 +110,8 @@ def examine(simulator: Simulator, *, seconds: float, seed: int, stops: Stops | N
     episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
     worth = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"
     return (
-        Finding("system", True, sentence, {"dt": system.dt}),
-        Finding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
-        Finding("episodes", True, f"{episodes}, in {len(rewards)} steps; {worth}."),
-        Finding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
+        SelfTestFinding("system", True, sentence, {"dt": system.dt}),
+        SelfTestFinding("states", bool(np.isfinite(seen).all()), f"Under random controls: {', '.join(ranges)}."),
+        SelfTestFinding("episodes", True, f"{episodes}, in {len(rewards)} steps; {worth}."),
+        SelfTestFinding("speed", True, f"{len(rewards) / took:.0f} steps a second.", {"seconds": took}),
     )

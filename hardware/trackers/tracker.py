@@ -11,12 +11,12 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from hardware.arguments import choice, number
-from hardware.connection import Measurement, Session
+from hardware.connection import Closeable, Measurement
 from sysid_evo.extras import check_installed
 from sysid_evo.types import Array
 
 
-class TrackerStream(Session):
+class TrackerStream(Closeable):
     """An open tracker; use it in a ``with`` statement. One thread reads it."""
 
     @abstractmethod

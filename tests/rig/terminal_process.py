@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, cast
 
-from hardware.connection import Session
+from hardware.connection import Closeable
 from sysid_evo.errors import LinkLost
 from tests.rig.faults import Fault
 
@@ -22,7 +22,7 @@ START = 30.0  # s for an interpreter and its libraries on a busy machine, and a 
 PATIENCE = 2.0  # s for the process to end by itself
 
 
-class TerminalProcess(Session):
+class TerminalProcess(Closeable):
     """A running ``python -m tests.rig``; use it in a ``with`` statement.
 
     ``port`` is the path to open, the same after every unplugging; ``pid`` the process. Frames go to

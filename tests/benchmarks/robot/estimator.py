@@ -15,7 +15,15 @@ from rich.table import Table
 from hardware.connection import Listener, Measurement
 from hardware.control_loop import ControlLoop, Pilot
 from hardware.emulation.tracked_robots import EmulatedConnection
-from hardware.estimator import LAG, WINDOW, Estimate, EstimateDelay, PoseEstimator, estimator_delays, measure_delays
+from hardware.estimator import (
+    LAG,
+    WINDOW,
+    EstimateDelay,
+    PoseEstimator,
+    StateEstimate,
+    estimator_delays,
+    measure_delays,
+)
 from hardware.recording.manoeuvres import Manoeuvre, excitation
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
@@ -42,7 +50,7 @@ class Script(Pilot):
         self.times: list[float] = []
         self.states: list[Array] = []
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         self.times.append(estimate.time)
         self.states.append(estimate.state)
         return self.controls[tick]

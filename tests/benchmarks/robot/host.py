@@ -16,7 +16,7 @@ import numpy as np
 
 from hardware.connection import Command, Listener, Measurement
 from hardware.control_loop import ControlLoop, Pilot
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.link.serial_robot import SerialRobot
 from hardware.recording.journal import Recorder
 from hardware.run_report import LoopReport, Stops
@@ -37,7 +37,7 @@ class Circles(Pilot):
         self._log = log
         self._exception_at = exception_at
 
-    def decide(self, tick: int, estimate: Estimate) -> Array:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array:
         seen = {"tick": tick, "age": estimate.age, "pose": estimate.pose.tolist(), "state": estimate.state.tolist()}
         self._log.note(time.monotonic(), "decide", seen)
         if tick == self._exception_at:

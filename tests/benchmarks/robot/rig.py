@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from hardware.connection import Session
+from hardware.connection import Closeable
 from hardware.link.framing import FrameDecoder
 from hardware.link.messages import Message, unpack
 from hardware.recording.journal import SUFFIX
@@ -23,7 +23,7 @@ PATIENCE = 20.0  # s for a process to come up on a busy machine
 LOOK = 0.005  # s
 
 
-class Rig(Session):
+class Rig(Closeable):
     """One car with its journals in ``folder``; hosts come and go.
 
     Frames go to a port that is free when the rig is made; each host listens on it in turn.

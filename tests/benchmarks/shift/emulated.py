@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hardware.emulation.car_physics import CarParameters
-from hardware.emulation.cars import REPEATS, CarPhysics
+from hardware.emulation.cars import REPEATS, ToyCarDynamics
 from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.data import Dataset
 from sysid_evo.models import Dynamics
@@ -30,7 +30,7 @@ def cars() -> dict[str, EmulatedRobot]:
         ),
         "another car": nominal.perturbed(1),
     }
-    return {name: EmulatedRobot(name, CarPhysics(one), repeats=REPEATS) for name, one in conditions.items()}
+    return {name: EmulatedRobot(name, ToyCarDynamics(one), repeats=REPEATS) for name, one in conditions.items()}
 
 
 def recorded(dynamics: Dynamics, *, seconds: float, seed: int) -> Dataset:

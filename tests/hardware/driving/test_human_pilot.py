@@ -9,7 +9,7 @@ from hardware.control_loop import ControlLoop
 from hardware.driving.hand_driving import LEAD, HumanPilot, Phase, WhileDriving
 from hardware.driving.keyboard import FORWARD, LEFT
 from hardware.emulation.tracked_robots import EmulatedRobot, ModelledRobot
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.run_report import Reason
 from sysid_evo.tasks import PointToPoint
 from tests.hardware.driving.conftest import Hands
@@ -105,7 +105,7 @@ def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated: Emulated
     for tick in range(20):
         hands.time = 0.05 * tick
         hands.keyboard.press(FORWARD if tick == 19 else 0)
-        pilot.decide(tick, Estimate(hands.time, stood, np.zeros(3), 0.004))
+        pilot.decide(tick, StateEstimate(hands.time, stood, np.zeros(3), 0.004))
     assert pilot.progress.phase is Phase.DRIVING
     np.testing.assert_allclose(pilot.in_arena(np.array([2.0, 3.0, np.pi])), [2.0, 0.0, np.pi / 2], atol=1e-12)
 

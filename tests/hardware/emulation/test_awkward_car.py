@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_physics import CarParameters
-from hardware.emulation.cars import AWKWARD, AwkwardCar, CarPhysics
+from hardware.emulation.cars import AWKWARD, AwkwardCar, ToyCarDynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
@@ -16,7 +16,7 @@ SECOND = 200  # fine steps
 
 def speeds(drive: Array, parameters: CarParameters = AWKWARD) -> Array:
     """Return the forward speed after each fine step from rest under ``drive`` (T,)."""
-    car = CarPhysics(parameters)
+    car = ToyCarDynamics(parameters)
     carry = car.start(np.zeros((1, 11, 3)), np.zeros((1, 10, 2)))
     found = np.empty(len(drive))
     for k, value in enumerate(drive):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_physics import BODY, BUFFER, CarParameters
-from hardware.emulation.cars import AWKWARD, CarPhysics
+from hardware.emulation.cars import AWKWARD, ToyCarDynamics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.engine.compiled.compiler import compile_kernel
@@ -41,7 +41,7 @@ def compiled_step(dynamics: Dynamics, precision: Precision) -> Step:
 
 def any_carry(rng: np.random.Generator) -> Array:
     """Return 64 carries (64, n_carry): any speed, commands under way, battery; some at rest or close to it."""
-    carry = np.zeros((LANES, CarPhysics.n_carry))
+    carry = np.zeros((LANES, ToyCarDynamics.n_carry))
     carry[:, :3] = rng.uniform(-1.0, 1.0, (LANES, 3)) * [2.0, 0.7, 6.0] * rng.choice([1.0, 1e-2, 0.0], (LANES, 1))
     carry[:, BUFFER] = rng.integers(-1, 2, (LANES, BODY - 3))
     motor, slack = rng.uniform(-1.0, 1.0, LANES), rng.choice([-1.0, -0.4, 1.0], LANES)
@@ -60,7 +60,7 @@ def test_one_fine_step_is_that_of_numpy_from_any_carry(
     rng: np.random.Generator, precision: Precision, tolerance: float
 ) -> None:
     for car in (CarParameters(), CarParameters().perturbed(3), AWKWARD):
-        physics = CarPhysics(car)
+        physics = ToyCarDynamics(car)
         step = compiled_step(physics, precision)
         for _ in range(30):
             carry, control, noise = any_carry(rng), any_control(rng), rng.standard_normal((LANES, 2))
@@ -69,7 +69,7 @@ def test_one_fine_step_is_that_of_numpy_from_any_carry(
 
 @pytest.mark.parametrize("repeats", [3, 10, 13])
 def test_commands_arrive_when_they_are_due_however_long_they_are_held(rng: np.random.Generator, repeats: int) -> None:
-    held = HeldControl(CarPhysics(), repeats)
+    held = HeldControl(ToyCarDynamics(), repeats)
     step = compiled_step(held, "float64")
     carry = other = any_carry(rng)
     for _ in range(12):
@@ -80,7 +80,7 @@ def test_commands_arrive_when_they_are_due_however_long_they_are_held(rng: np.ra
 
 
 def test_rounding_does_not_add_up_in_float32(rng: np.random.Generator) -> None:
-    held = HeldControl(CarPhysics(), 10)
+    held = HeldControl(ToyCarDynamics(), 10)
     step = compiled_step(held, "float32")
     carry = other = held.start(np.zeros((LANES, 2, 3)), np.zeros((LANES, 1, 2)), rng.standard_normal((LANES, 3)))
     full_speed = np.tile([1.0, 0.0], (LANES, 1))
@@ -115,7 +115,7 @@ def test_a_fine_dynamics_without_a_kernel_has_none_when_held() -> None:
 
 
 def test_scores_of_an_evolved_population_are_those_of_numpy() -> None:
-    car = HeldControl(CarPhysics(), 10)
+    car = HeldControl(ToyCarDynamics(), 10)
     settings = ControllerEvolution(generations=40, trials=5)
     champion = evolve_controller("car", {"car": DynamicsRunner(car)}, car.system, settings, seed=3)
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_physics import BODY, FINE_DT, LATENCY, CarParameters
-from hardware.emulation.cars import CarPhysics
+from hardware.emulation.cars import ToyCarDynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.types import Array
 
@@ -16,17 +16,19 @@ MOTOR, SAG, BATTERY, SLACK, STEERING, FORCE_NOISE = range(BODY, BODY + 6)
 
 
 @pytest.fixture(scope="module")
-def car() -> CarPhysics:
-    return CarPhysics()
+def car() -> ToyCarDynamics:
+    return ToyCarDynamics()
 
 
-def started(car: CarPhysics, state: tuple[float, float, float] = (0.0, 0.0, 0.0), past: tuple[float, float] = (0, 0)):
+def started(
+    car: ToyCarDynamics, state: tuple[float, float, float] = (0.0, 0.0, 0.0), past: tuple[float, float] = (0, 0)
+):
     states = np.tile(np.array(state), (1, LATENCY + 1, 1))
     return car.start(states, np.tile(np.array(past, dtype=float), (1, LATENCY, 1)))
 
 
 def held(
-    car: CarPhysics, carry: Array, drive: float, steer: float, seconds: float, noise: Array | None = None
+    car: ToyCarDynamics, carry: Array, drive: float, steer: float, seconds: float, noise: Array | None = None
 ) -> Array:
     """Return the carries (T + 1, n_carry) of the first row under one command."""
     control = np.tile([drive, steer], (len(carry), 1))
@@ -43,7 +45,7 @@ def test_car_at_rest_without_thrust_stays_exactly_at_rest(car, steer):
 
 
 def test_noise_however_strong_does_not_move_a_standing_car(rng):
-    car = CarPhysics(CarParameters(force_noise=50.0, yaw_noise=500.0))
+    car = ToyCarDynamics(CarParameters(force_noise=50.0, yaw_noise=500.0))
     noise = rng.standard_normal((1000, 1, 2))
     path = held(car, car.start(np.zeros((1, 11, 3)), np.zeros((1, 10, 2)), np.full((1, 3), 3.0)), 0.0, 1.0, 5.0, noise)
     assert np.all(path[:, :3] == 0.0)
@@ -52,13 +54,13 @@ def test_noise_however_strong_does_not_move_a_standing_car(rng):
 
 def test_thrust_below_static_friction_does_not_move_the_car():
     weak = CarParameters(thrust_forward=0.89, static_friction=0.9)
-    assert np.all(held(CarPhysics(weak), started(CarPhysics(weak)), 1.0, 0.0, 5.0)[:, :3] == 0.0)
+    assert np.all(held(ToyCarDynamics(weak), started(ToyCarDynamics(weak)), 1.0, 0.0, 5.0)[:, :3] == 0.0)
     able = replace(weak, thrust_forward=1.1)
-    assert held(CarPhysics(able), started(CarPhysics(able)), 1.0, 0.0, 5.0)[-1, 0] > 0.1
+    assert held(ToyCarDynamics(able), started(ToyCarDynamics(able)), 1.0, 0.0, 5.0)[-1, 0] > 0.1
 
 
 def test_coasting_stops_when_linear_drag_and_friction_say_so():
-    car = CarPhysics(CarParameters(static_friction=0.5, steer_offset=1e-9, linkage_play=1e-9))
+    car = ToyCarDynamics(CarParameters(static_friction=0.5, steer_offset=1e-9, linkage_play=1e-9))
     speed, drag, resistance = 1.5, 0.6 + 0.15, 0.5
     path = held(car, started(car, (speed, 0.0, 0.0)), 0.0, 0.0, 4.0)[:, :3]
     expected = np.log1p(drag * speed / resistance) / drag
@@ -73,7 +75,7 @@ def test_top_speed_balances_thrust_against_back_emf_and_rolling(car):
     p = car.parameters
     for drive, thrust in ((1.0, p.thrust_forward), (-1.0, p.thrust_backward)):
         expected = (thrust * (1.0 - p.sag) - p.rolling_resistance) / (p.back_emf + p.rolling_drag)
-        straight = CarPhysics(replace(p, steer_offset=1e-9, linkage_play=1e-9))
+        straight = ToyCarDynamics(replace(p, steer_offset=1e-9, linkage_play=1e-9))
         assert held(straight, started(straight), drive, 0.0, 10.0)[-1, 0] == pytest.approx(drive * expected, rel=1e-3)
 
 
@@ -92,7 +94,7 @@ def test_turning_radius_is_that_of_the_calibration(car, drive, steer, radius):
 def test_slow_car_turns_as_its_wheels_point():
     smooth = dict.fromkeys(("static_friction", "rolling_resistance", "rolling_drag", "coasting_drag"), 1e-3)
     p = CarParameters(linkage_play=1e-9, **smooth)
-    car = CarPhysics(p)
+    car = ToyCarDynamics(p)
     path = held(car, started(car, (0.25, 0.0, 0.0), (0.0, 1.0)), 0.0, 1.0, 0.5)[40:]
     angle = path[:, STEERING]
     assert angle == pytest.approx(p.steer_left + p.steer_offset, rel=1e-6)
@@ -161,7 +163,7 @@ def test_thrust_after_a_reversal_waits_for_the_slack_to_close(car):
 
 
 def test_thrust_takes_grip_from_the_rear_tyres(car):
-    sure = CarPhysics(replace(car.parameters, thrust_grip_loss=1e-6))
+    sure = ToyCarDynamics(replace(car.parameters, thrust_grip_loss=1e-6))
     loose = held(car, started(car), 1.0, 1.0, 10.0)[-1]
     firm = held(sure, started(sure), 1.0, 1.0, 10.0)[-1]
     assert loose[2] / loose[0] > 1.05 * firm[2] / firm[0]

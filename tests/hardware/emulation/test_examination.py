@@ -8,7 +8,7 @@ import pytest
 from hardware.emulation.sensed_robot import Equations, SensedRobot
 from hardware.robot import find_robot
 from hardware.run_report import Reason, Stops
-from hardware.self_test import Finding
+from hardware.self_test import SelfTestFinding
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
@@ -27,7 +27,7 @@ class Tank(Equations):
         return self.flow * controls[:, :1] - self.leak * (0.1 + controls[:, 1:]) * states
 
 
-def findings(physics: Equations) -> dict[str, Finding]:
+def findings(physics: Equations) -> dict[str, SelfTestFinding]:
     return {finding.what: finding for finding in SensedRobot("tank", physics).look_at(seconds=2.0, seed=1)}
 
 

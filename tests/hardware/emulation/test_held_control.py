@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.emulation.cars import CarPhysics
+from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
@@ -13,7 +13,7 @@ from tests.hardware.emulation.delayed import Delayed
 
 
 def test_coarse_step_equals_ten_fine_ones_exactly(rng):
-    fine = CarPhysics()
+    fine = ToyCarDynamics()
     coarse = HeldControl(fine, 10)
     draws = rng.standard_normal((20, 3))
     carry = coarse.start(np.zeros((20, 2, 3)), np.zeros((20, 1, 2)), draws)
@@ -62,4 +62,4 @@ def test_latency_is_exactly_one_sample():
 
 def test_held_control_refuses_no_steps():
     with pytest.raises(InvalidArgument, match="at least one fine step"):
-        HeldControl(CarPhysics(), 0)
+        HeldControl(ToyCarDynamics(), 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.estimator import LAG, WINDOW, Estimate, PoseEstimator, estimator_delays, known_drive, measure_delays
+from hardware.estimator import LAG, WINDOW, PoseEstimator, StateEstimate, estimator_delays, known_drive, measure_delays
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
@@ -29,7 +29,7 @@ def seen(times: Array, poses: Array, system: System = CAR) -> PoseEstimator:
     return estimator
 
 
-def estimated(times: Array, poses: Array, system: System = CAR) -> Estimate:
+def estimated(times: Array, poses: Array, system: System = CAR) -> StateEstimate:
     found = seen(times, poses, system).estimate(times[-1])
     assert found is not None
     return found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hardware.driving.trials import RestWatch, RobotRunner, Tape
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.robot import Robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.controllers import Controller, View
@@ -203,10 +203,11 @@ def test_robot_that_never_stands_is_a_fault_with_a_reason(robot: Robot) -> None:
 def test_rest_is_half_a_second_within_a_centimetre() -> None:
     watch = RestWatch()
     asked = [
-        watch.at_rest(Estimate(0.05 * k, np.array([0.001 * (k % 2), 0.0, 3.2]), np.zeros(3), 0.0)) for k in range(15)
+        watch.at_rest(StateEstimate(0.05 * k, np.array([0.001 * (k % 2), 0.0, 3.2]), np.zeros(3), 0.0))
+        for k in range(15)
     ]
     assert asked.index(True) == 10
-    assert not watch.at_rest(Estimate(0.75, np.array([0.02, 0.0, 3.2]), np.zeros(3), 0.0))
+    assert not watch.at_rest(StateEstimate(0.75, np.array([0.02, 0.0, 3.2]), np.zeros(3), 0.0))
 
 
 def test_samples_that_are_missing_lie_on_the_line_between_their_neighbours() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware.connection import Command, Connection, Listener, Measurement, RobotStatus
 from hardware.control_loop import Pilot
-from hardware.estimator import Estimate
+from hardware.estimator import StateEstimate
 from hardware.robot import Robot
 from sysid_evo.angles import rotate
 from sysid_evo.errors import LinkLost
@@ -100,9 +100,9 @@ class Script(Pilot):
     def __init__(self, control: Callable[[int], Array | None]) -> None:
         self.control = control
         self.ticks: list[int] = []
-        self.estimates: list[Estimate] = []
+        self.estimates: list[StateEstimate] = []
 
-    def decide(self, tick: int, estimate: Estimate) -> Array | None:
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         self.ticks.append(tick)
         self.estimates.append(estimate)
         return self.control(tick)

@@ -9,7 +9,7 @@ import pytest
 
 from hardware.connection import Connection, Measurement
 from hardware.emulation.car_physics import CarParameters
-from hardware.emulation.cars import CarPhysics
+from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal_reader import JournalReader
 from hardware.recording.manoeuvres import Manoeuvre, excitation
@@ -93,7 +93,7 @@ def test_rows_are_frames_with_the_command_in_force_from_them_on(robot, rng, reco
 
 def test_recording_of_a_car_without_noise_is_its_20_hz_form(rng, recorded):
     quiet = CarParameters(force_noise=1e-12, yaw_noise=1e-12, battery_spread=1e-12)
-    robot = WatchedRobot(EmulatedRobot("quiet", CarPhysics(quiet), repeats=10))
+    robot = WatchedRobot(EmulatedRobot("quiet", ToyCarDynamics(quiet), repeats=10))
     manoeuvre = short(rng, 100)
     recorded(robot, [manoeuvre])
     car = robot.dynamics
