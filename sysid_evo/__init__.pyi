@@ -13,7 +13,7 @@ from .evolution.controller_evolution import ControllerEvolution, evolve_controll
 from .evolution.loop import Schedule, Stage, evolve
 from .evolution.strategies.mu_plus_lambda import MuPlusLambda
 from .evolution.strategies.strategy import EvolutionStrategy, make_strategy
-from .interoperation.python_control import to_control
+from .interoperation import to_control
 from .models.base import DynamicsModel, make_model
 from .models.dynamics import Dynamics, PlainDynamics
 from .models.storage import load_model, save_model
