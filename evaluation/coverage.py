@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.formatting import percent
-from evaluation.prediction.regions import LEVELS
-from evaluation.prediction.regions import Region as RegionsRegion
+from evaluation.prediction.regions import LEVELS, Region
 from evaluation.steps import Steps
 from sysid_evo.data import Trajectory
 from sysid_evo.data.support import Support
@@ -29,7 +28,7 @@ ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 
 
 @dataclass(frozen=True)
-class Region:
+class UncoveredBox:
     """A box: the lowest and highest value of each state and control in their units, ``low`` and ``high`` (nx + nu,).
 
     ``share`` of all steps that were driven lie in it, outside the data. A switch has one value.
@@ -56,7 +55,9 @@ class Region:
         return ", ".join(parts)
 
 
-def what_to_record(support: Support, trajectories: Iterable[Trajectory], *, most: int = MOST) -> tuple[Region, ...]:
+def what_to_record(
+    support: Support, trajectories: Iterable[Trajectory], *, most: int = MOST
+) -> tuple[UncoveredBox, ...]:
     """Return the boxes of states and controls in which ``trajectories`` are most often outside the data.
 
     States are cut into boxes about one standard deviation of the data wide, at round numbers; a switch has a box for
@@ -81,7 +82,7 @@ def what_to_record(support: Support, trajectories: Iterable[Trajectory], *, most
         if count / len(steps) < LEAST_SHARE:
             break
         low = np.where(width > 0.0, begin + np.array(box) * width, box)
-        found.append(Region(channels, low.round(12) + 0.0, (low + width).round(12) + 0.0, count / len(steps)))
+        found.append(UncoveredBox(channels, low.round(12) + 0.0, (low + width).round(12) + 0.0, count / len(steps)))
     return tuple(found)
 
 
@@ -125,14 +126,14 @@ RARELY = 0.1
 EDGES = (1.0, 20.0, 50.0, 80.0, 99.0)
 """Percentiles of the data at which a continuous channel is cut."""
 
-FEWEST, MOST_STEPS = 200, 20_000
+FEWEST_STEPS, MOST_STEPS = 200, 20_000
 
 
 @dataclass(frozen=True)
 class Gap:
     """A place, of one or two channels, where the share ``asked`` of steps lies and the share ``seen`` of the data."""
 
-    place: tuple[RegionsRegion, ...]
+    place: tuple[Region, ...]
     asked: float
     seen: float
 
@@ -148,7 +149,7 @@ class Gap:
 def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
     """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
     system, seen, asked = seen.system, seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
-    if len(seen) < FEWEST or len(asked) < FEWEST:
+    if len(seen) < FEWEST_STEPS or len(asked) < FEWEST_STEPS:
         return None
     regions = _regions(system, _columns(seen))
     shares = []
@@ -172,29 +173,54 @@ def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
     return Gap(place, float(wanted[first, second]), float(there[first, second]))
 
 
+UNTRIED = 0.03
+"""An untried pair matters from this share on: of the time of a state times that of a command."""
+
+
+def untried_pair(seen: Steps) -> Gap | None:
+    """Return the command and the state that each occur in ``seen``, and hardly together; None without one.
+
+    Its share ``asked`` is what it would be if every command were tried everywhere.
+    """
+    system = seen.system
+    if len(seen) < FEWEST_STEPS or not system.nu:
+        return None
+    regions = _regions(system, _columns(seen))
+    inside = _inside(regions, system, seen)
+    alone, together = inside.mean(axis=0), inside.T @ inside / len(inside)
+    expected = np.outer(alone, alone)
+    states = np.array([region.channel in system.state_names for region in regions])
+    pairs = states[:, None] & ~states[None, :] & (expected >= UNTRIED) & (together <= RARELY * expected)
+    if not pairs.any():
+        return None
+    size = np.where(pairs, expected, 0.0)
+    state, command = np.unravel_index(int(size.argmax()), size.shape)
+    return Gap((regions[command], regions[state]), float(expected[state, command]), float(together[state, command]))
+
+
 def _columns(steps: Steps) -> Array:
     return np.concatenate([steps.system.wrapped(steps.before), steps.control], axis=1)
 
 
-def _inside(regions: Sequence[RegionsRegion], system: System, steps: Steps) -> Array:
+def _inside(regions: Sequence[Region], system: System, steps: Steps) -> Array:
     """Return which steps lie in which region, (N, regions), as 0 and 1."""
     columns = dict(zip((*system.state_names, *system.control_names), _columns(steps).T, strict=True))
     inside: list[BoolArray] = [region.holds(columns[region.channel]) for region in regions]
     return np.stack(inside, axis=1).astype(np.float64)
 
 
-def _regions(system: System, columns: Array) -> list[RegionsRegion]:
+def _regions(system: System, columns: Array) -> list[Region]:
     found = []
     for channel, values in zip((*system.states, *system.controls), columns.T, strict=True):
         found += _cuts(channel, values)
     return found
 
 
-def _cuts(channel: Channel, values: Array) -> list[RegionsRegion]:
+def _cuts(channel: Channel, values: Array) -> list[Region]:
     if channel.levels is not None or len(np.unique(values)) <= LEVELS:
         levels = np.unique(values) if channel.levels is None else channel.levels
-        return [RegionsRegion(channel.name, channel.unit, "at", float(level)) for level in levels]
+        return [Region(channel.name, channel.unit, "at", float(level)) for level in levels]
     cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
-    below = [RegionsRegion(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
-    above = [RegionsRegion(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
+    below = [Region(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
+    above = [Region(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
     return [region.within(channel.low, channel.high) for region in below + above]

@@ -1,6 +1,4 @@
-"""From an experiment to its cells: default families and ensembles, every check that needs no computing; the same
-plan again from a run folder.
-"""
+"""From an experiment to its cells, with every check that needs no computing; the same plan again from a run folder."""
 
 from __future__ import annotations
 
@@ -174,6 +172,50 @@ def plan_comparison(
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
 
 
+def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
+    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
+
+    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
+    """
+    comparison, damaged = comparison_again(Experiment.of(Experiment.read(run)), run)
+    return comparison, (*comparison.plan.remarks, *damaged)
+
+
+def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
+    """Return the comparison whose data stand in the folder ``run``, and remarks on what is damaged there.
+
+    Raises `ArtefactError` if the data are missing or damaged.
+    """
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
+    store = Store(run)
+    record = store.find(experiment.data_digest or "")
+    data = None if record is None else StoredCell(record, GivenData)
+    if data is None or not store.done(data):
+        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
+    measured, damaged = load_measured(run)
+    system = store.load(data).training.system
+    return plan_comparison(experiment, stored=(data, system), measured=measured), tuple(damaged)
+
+
+def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
+    """Return the plan of the comparison with these settings."""
+    return comparison_again(Experiment.of(settings), run)[0].plan
+
+
+def check_experiment(experiment: Experiment) -> None:
+    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
+    _constructible(evolution_settings(experiment))
+    robot = _robot(experiment, has_data=experiment.data is not None)
+    if robot is not None:
+        make_robot(robot)
+    asked = asked_models(experiment)
+    if asked is not None:
+        for spec in asked:
+            made_model(spec, experiment.preset)
+        ensembles_of(experiment, tuple(spec.label for spec in asked))
+
+
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return stored settings without what their preset brought, so that another preset brings its own.
 
@@ -250,19 +292,6 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
         runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
     return None
-
-
-def check_experiment(experiment: Experiment) -> None:
-    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
-    _constructible(evolution_settings(experiment))
-    robot = _robot(experiment, has_data=experiment.data is not None)
-    if robot is not None:
-        make_robot(robot)
-    asked = asked_models(experiment)
-    if asked is not None:
-        for spec in asked:
-            made_model(spec, experiment.preset)
-        ensembles_of(experiment, tuple(spec.label for spec in asked))
 
 
 def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
@@ -396,27 +425,7 @@ def _matrix(
     return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
 
 
-def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
-    """Return the comparison whose data stand in the folder ``run``, and remarks on what is damaged there.
-
-    Raises `ArtefactError` if the data are missing or damaged.
-    """
-    for plugin in experiment.plugins:
-        load_plugin(plugin)
-    store = Store(run)
-    record = store.find(experiment.data_digest or "")
-    data = None if record is None else StoredCell(record, GivenData)
-    if data is None or not store.done(data):
-        raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
-    measured, damaged = load_measured(run)
-    system = store.load(data).training.system
-    return plan_comparison(experiment, stored=(data, system), measured=measured), tuple(damaged)
-
-
-def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
-    """Return the plan of the comparison with these settings."""
-    return comparison_again(Experiment.of(settings), run)[0].plan
-
+ALL = "all"
 
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
 
@@ -428,8 +437,6 @@ TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ens
 
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
-
-ALL = "all"
 
 
 def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
@@ -533,12 +540,3 @@ def files_beside(experiment: Experiment) -> dict[str, tuple[str, ...]]:
     """Return the texts of an experiment that name plugins and robots in files, with their files."""
     found = (*experiment.plugins, *((experiment.robot,) if experiment.robot else ()))
     return {text: (text,) for text in found if Path(text).is_file()}
-
-
-def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
-    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
-
-    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
-    """
-    comparison, damaged = comparison_again(Experiment.of(Experiment.read(run)), run)
-    return comparison, (*comparison.plan.remarks, *damaged)

@@ -11,7 +11,7 @@ from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, c
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import files_of
 from evaluation.cells.plants import Column
-from evaluation.coverage import Region, what_to_record
+from evaluation.coverage import UncoveredBox, what_to_record
 from evaluation.experiment import Experiment
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
@@ -38,7 +38,7 @@ TRIALS = 10
 
 def regions_of(
     champion: Champion, models: Mapping[str, Dynamics], support: Support | None = None
-) -> tuple[Region, ...]:
+) -> tuple[UncoveredBox, ...]:
     """Return where ``champion`` drives outside the data, in all of ``models`` that were fitted to some.
 
     Without ``support`` the data are those of the first model.
@@ -61,7 +61,7 @@ def regions_of(
     return what_to_record(support, driven)
 
 
-def inspected(controller: Path, support: Support) -> tuple[str, tuple[Region, ...]]:
+def inspected(controller: Path, support: Support) -> tuple[str, tuple[UncoveredBox, ...]]:
     """Return the name of the controller in a file of a run, and where it drives outside the data in its models.
 
     Raises `InvalidArgument` if the models that it was evolved in are not in its run.

@@ -64,7 +64,7 @@ def compare(
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
         settings = {**settings, "data": tuple(str(Path(path).resolve()) for path in listed)}
-    experiment = Experiment.of({name: _plain(value) for name, value in settings.items()})
+    experiment = Experiment.of({name: _storable(value) for name, value in settings.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
     check_experiment(experiment)
@@ -78,10 +78,10 @@ def compare(
     return finished(comparison, store)
 
 
-def _plain(value: Any) -> Any:
+def _storable(value: Any) -> Any:
     """Return lists as tuples and paths as text, so that the experiment can be stored."""
     if isinstance(value, (list, tuple)):
-        return tuple(_plain(item) for item in value)
+        return tuple(_storable(item) for item in value)
     return str(value) if isinstance(value, Path) else value
 
 

@@ -9,34 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.support import Support as PairSupport
+from sysid_evo.data.support import Support
 from sysid_evo.errors import InvalidData
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
-
-
-@dataclass(frozen=True)
-class PlanarSteps:
-    """N steps of a planar body by role, (N,) each, at their start; speeds in m/s and rad/s.
-
-    A system without lateral speed has zeros. Accelerations (m/s^2, rad/s^2) have the rotation of
-    the body frame taken out. ``held`` and ``idle`` are those of `Steps`.
-    """
-
-    forward_speed: Array
-    lateral_speed: Array
-    yaw_rate: Array
-    forward_acceleration: Array
-    lateral_acceleration: Array
-    yaw_acceleration: Array
-    held: IntArray
-    idle: BoolArray
-
-    @property
-    def all(self) -> BoolArray:
-        """A mask of every step."""
-        return np.ones(len(self.forward_speed), dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -121,6 +98,11 @@ class Steps:
         return np.asarray((self.control == self.system.neutral_control).all(axis=1))
 
     @cached_property
+    def off_neutral(self) -> Array:
+        """How far each state is from neutral, (N, nx), the shortest way round where it is periodic."""
+        return self.system.difference(self.before, np.broadcast_to(self.system.neutral_state, self.before.shape))
+
+    @cached_property
     def acceleration(self) -> Array:
         """The change of each state per second, (N, nx), without the rotation of the frame."""
         return self.system.acceleration(self.before, self.after)
@@ -129,6 +111,14 @@ class Steps:
     def pairs(self) -> Array:
         """State and control of each step, (N, n + nu); sine and cosine stand for a periodic state."""
         return np.concatenate([self.system.regressors(self.before), self.control], axis=1)
+
+    def distances(self, support: Support) -> Array:
+        """Return the distance (N,) of each step to the nearest one of the training data, in standard deviations."""
+        return support.distances(self.before, self.control)
+
+    def share_outside(self, support: Support) -> float | None:
+        """Return the share of steps outside the training data, None without any."""
+        return float((self.distances(support) > support.limit).mean()) if len(self) else None
 
     @cached_property
     def planar(self) -> PlanarSteps:
@@ -170,38 +160,35 @@ def _jumps(accelerations: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Support:
-    """All ``pairs`` of state and control of the training data, see `sysid_evo.data.support.Support`.
+class PlanarSteps:
+    """N steps of a planar body by role, (N,) each, at their start; speeds in m/s and rad/s.
 
-    The scale and the limit are those of its moving steps: by definition 1 % of them are outside, each
-    left out in turn; neighbours in time make the limit a tight one, so compare with the share of
-    held-out driving.
+    A system without lateral speed has zeros. Accelerations (m/s^2, rad/s^2) have the rotation of
+    the body frame taken out. ``held`` and ``idle`` are those of `Steps`.
     """
 
-    pairs: PairSupport
-
-    @classmethod
-    def of(cls, training: Dataset) -> Support:
-        """Build from all steps of ``training``. Raises `InvalidData` with fewer than two, or if none moves."""
-        steps = Steps.of(training.system, training.episodes)
-        if len(steps) < 2:
-            raise InvalidData(f"support: expected two or more training pairs, got {len(steps)}")
-        return cls(PairSupport.of(training.system, steps.before, steps.control, moving=Steps.rows_moving(training)))
-
-    @property
-    def scale(self) -> Array:
-        """The standard deviation of each channel."""
-        return self.pairs.scale
+    forward_speed: Array
+    lateral_speed: Array
+    yaw_rate: Array
+    forward_acceleration: Array
+    lateral_acceleration: Array
+    yaw_acceleration: Array
+    held: IntArray
+    idle: BoolArray
 
     @property
-    def limit(self) -> float:
-        """The distance beyond which a step is outside, in standard deviations."""
-        return self.pairs.limit
+    def all(self) -> BoolArray:
+        """A mask of every step."""
+        return np.ones(len(self.forward_speed), dtype=bool)
 
-    def distances(self, steps: Steps) -> Array:
-        """Return the distance (N,) of each step to the nearest one of the training data, in standard deviations."""
-        return self.pairs.distances(steps.before, steps.control)
 
-    def share_outside(self, steps: Steps) -> float | None:
-        """Return the share of steps outside the data, None without any."""
-        return float((self.distances(steps) > self.limit).mean()) if len(steps) else None
+def training_support(training: Dataset) -> Support:
+    """Return where the steps of ``training`` lie; scale and limit are those of its moving ones.
+
+    By definition 1 % of them are outside, each left out in turn; neighbours in time make the limit a tight one, so
+    compare with the share of held-out driving. Raises `InvalidData` with fewer than two steps, or if none moves.
+    """
+    steps = Steps.of(training.system, training.episodes)
+    if len(steps) < 2:
+        raise InvalidData(f"support: expected two or more training pairs, got {len(steps)}")
+    return Support.of(training.system, steps.before, steps.control, moving=Steps.rows_moving(training))

@@ -1,7 +1,7 @@
 """Advice after a fit: what limits a model, in sentences with numbers, and what to record next."""
 
-from evaluation.advice.advise import advise_model
-from evaluation.advice.evidence import MOST, Evidence, ModelAdvice, Remark, advice_from_json, advice_to_json
+from evaluation.advice.advise import MOST, advise_model
+from evaluation.advice.evidence import Evidence, ModelAdvice, Remark, advice_from_json, advice_to_json
 
 __all__ = [
     "MOST",

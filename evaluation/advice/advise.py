@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluation.advice.evidence import MOST, Evidence, ModelAdvice, Remark
+from evaluation.advice.evidence import Evidence, ModelAdvice, Remark
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import hidden_state, late_controls, noise_floor
 from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
@@ -15,6 +15,9 @@ from evaluation.steps import Steps
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
+
+MOST = 5
+"""Remarks that are made at most: a list that is longer is not read."""
 
 FEWEST = 20
 """Windows of the part held back below which there is nothing to judge on."""

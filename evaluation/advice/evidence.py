@@ -20,36 +20,6 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.bootstrap import BlockErrors
 
-MOST_WINDOWS = 1200
-"""Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
-
-STRIDE, FIRST = 4, 5
-
-BLOCK_WINDOWS = 15
-
-
-@dataclass(frozen=True)
-class WindowErrors:
-    """Errors (N, nx), predicted minus measured, at the end of windows that start in ``states`` (N, nx).
-
-    ``pushes`` (N, m) are the mean acting controls of each window, ``recordings`` (N,) the name of the recording that it
-    comes from, ``blocks`` (N,) number bootstrap blocks of consecutive windows.
-    """
-
-    errors: Array
-    states: Array
-    pushes: Array
-    recordings: np.ndarray
-    blocks: IntArray
-
-    def n(self, std: Array) -> float:
-        """Return N, the mean over channels of RMSE in units of ``std`` (nx,)."""
-        return float(np.mean(np.sqrt(np.mean(self.errors**2, axis=0)) / std))
-
-    def drawn_n(self, std: Array, resamples: int = 500, seed: int = 0) -> Array:
-        """Return N of each draw of blocks, (resamples,); the same draws for the same windows."""
-        return BlockErrors.of(self.errors, self.blocks).resampled_n(std, resamples, seed)
-
 
 @dataclass(frozen=True)
 class Evidence:
@@ -106,6 +76,37 @@ class Evidence:
         return self.test_windows if self.test is None else window_errors(self.model, self.training, self.horizon)
 
 
+@dataclass(frozen=True)
+class WindowErrors:
+    """Errors (N, nx), predicted minus measured, at the end of windows that start in ``states`` (N, nx).
+
+    ``pushes`` (N, m) are the mean acting controls of each window, ``recordings`` (N,) the name of the recording that it
+    comes from, ``blocks`` (N,) number bootstrap blocks of consecutive windows.
+    """
+
+    errors: Array
+    states: Array
+    pushes: Array
+    recordings: np.ndarray
+    blocks: IntArray
+
+    def n(self, std: Array) -> float:
+        """Return N, the mean over channels of RMSE in units of ``std`` (nx,)."""
+        return float(np.mean(np.sqrt(np.mean(self.errors**2, axis=0)) / std))
+
+    def drawn_n(self, std: Array, resamples: int = 500, seed: int = 0) -> Array:
+        """Return N of each draw of blocks, (resamples,); the same draws for the same windows."""
+        return BlockErrors.of(self.errors, self.blocks).resampled_n(std, resamples, seed)
+
+
+MOST_WINDOWS = 1200
+"""Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
+
+STRIDE, FIRST = 4, 5
+
+BLOCK_WINDOWS = 15
+
+
 def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> WindowErrors:
     """Simulate up to `MOST_WINDOWS` windows, evenly spread, and return the errors at their end."""
     system = dataset.system
@@ -132,10 +133,6 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
         names[windows.episode][usable],
         blocks[usable],
     )
-
-
-MOST = 5
-"""Remarks that are made at most: a list that is longer is not read."""
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ LUCK = 0.05
 
 
 @dataclass(frozen=True)
-class Windows:
+class RecordingErrors:
     """Windows of all recordings: ``inputs`` (N, m) in standard deviations, ``errors`` (N, nx) likewise."""
 
     inputs: Array
@@ -116,7 +116,7 @@ class Windows:
     first: BoolArray
 
     @classmethod
-    def of(cls, evidence: Evidence) -> Windows:
+    def of(cls, evidence: Evidence) -> RecordingErrors:
         """Take those of training and test part; ``first`` are those in the first half of each recording."""
         parts = [evidence.training_windows]
         if evidence.test is not None:
@@ -153,7 +153,7 @@ def shift(evidence: Evidence) -> Remark | None:
     recording and judged on its second half; beside none, one learned on the others, and the mean error of the others'
     nearest windows. Only windows count that the others have the like of: other states are no other condition.
     """
-    windows = Windows.of(evidence)
+    windows = RecordingErrors.of(evidence)
     gains = {}
     names = list(dict.fromkeys(windows.recordings))
     for name in names:
@@ -175,7 +175,7 @@ def shift(evidence: Evidence) -> Remark | None:
     )
 
 
-def _gain(windows: Windows, own: BoolArray, confidence: float) -> float | None:
+def _gain(windows: RecordingErrors, own: BoolArray, confidence: float) -> float | None:
     """Return the share of the error that only an own correction takes off, 0 if that is luck; None if none can tell."""
     others, learned, judged = ~own & windows.first, own & windows.first, own & ~windows.first
     if min(others.sum(), learned.sum(), judged.sum()) < FEWEST:

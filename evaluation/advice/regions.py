@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.advice.evidence import Evidence, Remark
-from evaluation.coverage import FEWEST as COVERAGE_FEWEST
-from evaluation.coverage import MOST_STEPS as COVERAGE_MOST_STEPS
-from evaluation.coverage import RARELY, Gap, _columns, _inside, _regions, largest_gap
+from evaluation.coverage import FEWEST_STEPS, MOST_STEPS, largest_gap, untried_pair
 from evaluation.formatting import percent
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, candidate_regions, region_errors, worst_region
@@ -19,13 +17,80 @@ from sysid_evo.data.response import Delay, find_delays
 from sysid_evo.motion import PlanarBody
 from sysid_evo.types import Array, BoolArray
 
+
+def missing_excitation(evidence: Evidence) -> Remark | None:
+    """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
+    seen = Steps.moving(evidence.training).thinned(MOST_STEPS)
+    if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
+        return _untried(seen)
+    gap = largest_gap(seen, evidence.visited)
+    if gap is None:
+        return None
+    return Remark(
+        "excitation",
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
+        "models guess there. Record just that.",
+        gap.asked,
+        gap.figures,
+    )
+
+
+def _untried(seen: Steps) -> Remark | None:
+    """Return which command was hardly tried with which state."""
+    gap = untried_pair(seen)
+    if gap is None:
+        return None
+    return Remark(
+        "excitation",
+        f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
+        f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the "
+        "data: record it.",
+        0.5 * gap.asked,
+        gap.figures,
+    )
+
+
+def other_states(evidence: Evidence) -> Remark | None:
+    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
+    if evidence.test is None:
+        return None
+    held_out = Steps.moving(evidence.test)
+    gap = largest_gap(Steps.moving(evidence.training), held_out)
+    if gap is not None:
+        return Remark(
+            "test part",
+            f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
+            "errors tell how models extrapolate. Hold out other recordings (--test), or record more there.",
+            gap.asked,
+            gap.figures,
+        )
+    if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
+        return None
+    gap = largest_gap(held_out, evidence.visited)
+    if gap is None or missing_excitation(evidence) is not None:
+        return None
+    return Remark(
+        "test part",
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
+        "errors say nothing of what models do there. Hold out driving that comes there.",
+        0.5 * gap.asked,
+        gap.figures,
+    )
+
+
+def _share(share: float) -> str:
+    """Return a small share with a decimal."""
+    return "none" if share == 0.0 else percent(share)
+
+
 DEAD = 0.25
 """An effect that is surely below a quarter of that elsewhere: lag and noise alone do not shrink it so far."""
 
 SURE = 3.0
 """Standard errors of an effect; those of a regression on neighbouring samples are too small by about a half."""
 
-FEWEST, MOST_STEPS = 60, 20_000
+FEWEST_ROWS = 60
+"""Steps in a region, and outside it, that are enough to tell an effect."""
 
 TRIED = 0.3
 """Share of the spread that a command has elsewhere, below which nothing can be said of its effect."""
@@ -96,7 +161,7 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
 
 def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> Effect | None:
     """Regress the change on control and states; None with too few rows."""
-    if rows.sum() < FEWEST:
+    if rows.sum() < FEWEST_ROWS:
         return None
     x = np.concatenate([control[rows, None], others[rows], np.ones((int(rows.sum()), 1))], axis=1)
     weights, _, rank, _ = np.linalg.lstsq(x, change[rows], rcond=None)
@@ -111,85 +176,6 @@ def _forward(dataset: Dataset) -> int:
     motion = dataset.system.motion
     assert isinstance(motion, PlanarBody)
     return motion.indices(dataset.system.state_names)[0]
-
-
-UNTRIED = 0.03
-"""And of the time of a state times that of a command, where no controllers are known."""
-
-
-def missing_excitation(evidence: Evidence) -> Remark | None:
-    """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
-    seen = Steps.moving(evidence.training).thinned(COVERAGE_MOST_STEPS)
-    if evidence.visited is None or len(evidence.visited) < COVERAGE_FEWEST:
-        return _untried(evidence, seen)
-    gap = largest_gap(seen, evidence.visited)
-    if gap is None:
-        return None
-    return Remark(
-        "excitation",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
-        "models guess there. Record just that.",
-        gap.asked,
-        gap.figures,
-    )
-
-
-def other_states(evidence: Evidence) -> Remark | None:
-    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
-    if evidence.test is None:
-        return None
-    held_out = Steps.moving(evidence.test)
-    gap = largest_gap(Steps.moving(evidence.training), held_out)
-    if gap is not None:
-        return Remark(
-            "test part",
-            f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
-            "errors tell how models extrapolate. Hold out other recordings (--test), or record more there.",
-            gap.asked,
-            gap.figures,
-        )
-    if evidence.visited is None or len(evidence.visited) < COVERAGE_FEWEST:
-        return None
-    gap = largest_gap(held_out, evidence.visited)
-    if gap is None or missing_excitation(evidence) is not None:
-        return None
-    return Remark(
-        "test part",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
-        "errors say nothing of what models do there. Hold out driving that comes there.",
-        0.5 * gap.asked,
-        gap.figures,
-    )
-
-
-def _untried(evidence: Evidence, seen: Steps) -> Remark | None:
-    """Return the state and command that each occur, and hardly together."""
-    if len(seen) < COVERAGE_FEWEST or not evidence.system.nu:
-        return None
-    regions = _regions(seen.system, _columns(seen))
-    inside = _inside(regions, seen.system, seen)
-    alone, together = inside.mean(axis=0), inside.T @ inside / len(inside)
-    expected = np.outer(alone, alone)
-    states = np.array([region.channel in evidence.system.state_names for region in regions])
-    pairs = states[:, None] & ~states[None, :] & (expected >= UNTRIED) & (together <= RARELY * expected)
-    if not pairs.any():
-        return None
-    size = np.where(pairs, expected, 0.0)
-    state, command = np.unravel_index(int(size.argmax()), size.shape)
-    gap = Gap((regions[command], regions[state]), float(expected[state, command]), float(together[state, command]))
-    return Remark(
-        "excitation",
-        f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
-        f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the "
-        "data: record it.",
-        0.5 * gap.asked,
-        gap.figures,
-    )
-
-
-def _share(share: float) -> str:
-    """Return a small share with a decimal."""
-    return "none" if share == 0.0 else percent(share)
 
 
 RESAMPLES = 300

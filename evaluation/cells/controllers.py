@@ -1,6 +1,4 @@
-"""Cells whose result is a controller: evolve, select, polish, baseline; evolution settings, and the cells of a
-search procedure.
-"""
+"""Cells whose result is a controller: evolved, chosen, polished or written by hand, and which a recipe takes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What controllers are evolved in and run on: a model, or a robot that is a program; which models are accurate
-enough.
-"""
+"""What controllers are evolved in and run on, a model or a robot that is a program; which models predict well."""
 
 from __future__ import annotations
 

@@ -10,23 +10,73 @@ from sysid_evo.data import Dataset, Trajectory, Windows
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
-
-SECOND = 1.0
-
-MOST_LISTED = 6
-"""Names in a note; how many more there are is said in a number."""
+from sysid_evo.validation.measures import mean_over_channels
 
 
 @dataclass(frozen=True)
-class FreeRun:
-    """One episode from sample ``first`` on: H steps to its end, and which targets move (H,)."""
+class PredictionProtocol:
+    """Which windows are simulated, which errors count, and how the intervals are drawn.
 
-    episode: str
-    past_states: Array
-    past_controls: Array
-    controls: Array
-    states: Array
-    moving: BoolArray
+    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is
+    simulated freely for the longest of ``horizons`` (steps) under the recorded controls. A model is given
+    as many earlier samples as it wants, if the record has them, but ``history`` at most. The error counts *at*
+    each horizon, not averaged over the way to it, and only where the target moves. A free run starts at sample
+    ``first`` of each episode and goes on to its end.
+
+    Windows overlap, so intervals come from a bootstrap over blocks: ``block_windows`` consecutive
+    windows, or ``block_samples`` consecutive samples of a free run, drawn ``resamples`` times.
+
+    Predictions are clipped to ``guard_multiple`` times the largest absolute training value.
+    """
+
+    horizons: tuple[int, ...] = (1, 10, 20, 60)
+    stride: int = 4
+    history: int | None = None
+    first: int = 5
+    block_windows: int = 15
+    block_samples: int = 100
+    resamples: int = 1000
+    confidence: float = 0.95
+    guard_multiple: float = 2.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "horizons", tuple(sorted({int(horizon) for horizon in self.horizons})))
+        if not self.horizons or self.horizons[0] < 1:
+            raise InvalidArgument(f"protocol: expected horizons of one step or more, got {self.horizons}")
+        for name in ("stride", "block_windows", "block_samples", "resamples"):
+            if getattr(self, name) < 1:
+                raise InvalidArgument(f"protocol: expected {name} >= 1, got {getattr(self, name)}")
+        if not 0 <= self.given <= self.first:
+            raise InvalidArgument(
+                f"protocol: expected 0 <= history <= first, got history {self.history}, first {self.first}"
+            )
+        if not 0.0 < self.confidence < 1.0 or self.guard_multiple <= 0.0:
+            raise InvalidArgument(
+                "protocol: expected a confidence between 0 and 1 and a guard_multiple > 0, "
+                f"got {self.confidence} and {self.guard_multiple}"
+            )
+
+    @property
+    def given(self) -> int:
+        """Earlier samples that every window has."""
+        return self.first if self.history is None else self.history
+
+    @property
+    def history_in_words(self) -> str:
+        """How much history models are given."""
+        return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
+
+    def describe(self, dt: float) -> str:
+        """Return the rules in one sentence; ``dt`` is in seconds."""
+        return (
+            f"Free run under recorded controls from measured states with {self.history_in_words}; "
+            f"starts every {self.stride} samples where the body moves; error at the horizon; dt {dt:g} s; "
+            f"{100 * self.confidence:g} % intervals by bootstrap over blocks of {self.block_windows} windows."
+        )
+
+
+SECOND = 1.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +114,18 @@ class MeasuredCases:
         """A quarter of the main horizon, in steps: so soon after its start that a window is still where it began."""
         return None if self.main_horizon is None else max(1, round(self.main_horizon / 4))
 
+    @property
+    def scale(self) -> Array:
+        """What errors are divided by, (nx,): ``std``, nan for a state that is constant in the test set."""
+        return np.where(self.std > 0, self.std, np.nan)
+
+    def n_of_sums(self, sums: Array) -> Array:
+        """Return N (R, K) from sums of squared errors and their number, (R, K * (nx + 1)); nan of no errors."""
+        parts = sums.reshape(len(sums), -1, self.system.nx + 1)
+        squares, counts = parts[..., :-1], parts[..., -1:]
+        mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
+        return mean_over_channels(np.sqrt(mean) / self.scale)
+
     def history(self, lags: int) -> tuple[Array, Array]:
         """Return states (N, lags + 1, nx) and controls (N, lags, nu) before the windows, see `before`."""
         states = np.empty((len(self.windows), lags + 1, self.system.nx))
@@ -89,6 +151,18 @@ class MeasuredCases:
         controls = episode.controls[np.maximum(places[:, :-1], 0)]
         made_up = (places[:, :-1] < oldest)[:, :, None]
         return episode.states[np.maximum(places, oldest)], np.where(made_up, self.system.neutral_control, controls)
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """One episode from sample ``first`` on: H steps to its end, and which targets move (H,)."""
+
+    episode: str
+    past_states: Array
+    past_controls: Array
+    controls: Array
+    states: Array
+    moving: BoolArray
 
 
 def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtocol) -> MeasuredCases:
@@ -187,70 +261,11 @@ def _guard(training: Dataset, multiple: float) -> Array:
     return np.stack([-limit, limit])
 
 
+MOST_LISTED = 6
+"""Names in a note; how many more there are is said in a number."""
+
+
 def _listed(items: list[int] | list[str]) -> str:
     if len(items) <= MOST_LISTED:
         return ", ".join(map(str, items))
     return f"{', '.join(map(str, items[:MOST_LISTED]))} and {len(items) - MOST_LISTED} others"
-
-
-@dataclass(frozen=True)
-class PredictionProtocol:
-    """Which windows are simulated, which errors count, and how the intervals are drawn.
-
-    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is
-    simulated freely for the longest of ``horizons`` (steps) under the recorded controls. A model is given
-    as many earlier samples as it wants, if the record has them, but ``history`` at most. The error counts *at*
-    each horizon, not averaged over the way to it, and only where the target moves. A free run starts at sample
-    ``first`` of each episode and goes on to its end.
-
-    Windows overlap, so intervals come from a bootstrap over blocks: ``block_windows`` consecutive
-    windows, or ``block_samples`` consecutive samples of a free run, drawn ``resamples`` times.
-
-    Predictions are clipped to ``guard_multiple`` times the largest absolute training value.
-    """
-
-    horizons: tuple[int, ...] = (1, 10, 20, 60)
-    stride: int = 4
-    history: int | None = None
-    first: int = 5
-    block_windows: int = 15
-    block_samples: int = 100
-    resamples: int = 1000
-    confidence: float = 0.95
-    guard_multiple: float = 2.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "horizons", tuple(sorted({int(horizon) for horizon in self.horizons})))
-        if not self.horizons or self.horizons[0] < 1:
-            raise InvalidArgument(f"protocol: expected horizons of one step or more, got {self.horizons}")
-        for name in ("stride", "block_windows", "block_samples", "resamples"):
-            if getattr(self, name) < 1:
-                raise InvalidArgument(f"protocol: expected {name} >= 1, got {getattr(self, name)}")
-        if not 0 <= self.given <= self.first:
-            raise InvalidArgument(
-                f"protocol: expected 0 <= history <= first, got history {self.history}, first {self.first}"
-            )
-        if not 0.0 < self.confidence < 1.0 or self.guard_multiple <= 0.0:
-            raise InvalidArgument(
-                "protocol: expected a confidence between 0 and 1 and a guard_multiple > 0, "
-                f"got {self.confidence} and {self.guard_multiple}"
-            )
-
-    @property
-    def given(self) -> int:
-        """Earlier samples that every window has."""
-        return self.first if self.history is None else self.history
-
-    @property
-    def history_in_words(self) -> str:
-        """How much history models are given."""
-        return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
-
-    def describe(self, dt: float) -> str:
-        """Return the rules in one sentence; ``dt`` is in seconds."""
-        return (
-            f"Free run under recorded controls from measured states with {self.history_in_words}; "
-            f"starts every {self.stride} samples where the body moves; error at the horizon; dt {dt:g} s; "
-            f"{100 * self.confidence:g} % intervals by bootstrap over blocks of {self.block_windows} windows."
-        )

@@ -11,7 +11,6 @@ from evaluation.prediction.cases import MeasuredCases
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
-from sysid_evo.validation.measures import mean_over_channels
 
 LOW, HIGH = 20.0, 80.0
 """Percentiles that bound the regions of a continuous channel."""
@@ -109,8 +108,8 @@ def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple
         return ()
     sums = block_sums(np.concatenate(columns, axis=1), blocks)
     picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
-    whole, *each = _n(sums.sum(axis=0)[None], cases)[0]
-    drawn = _n(resampled_sums(sums, picks), cases)
+    whole, *each = cases.n_of_sums(sums.sum(axis=0)[None])[0]
+    drawn = cases.n_of_sums(resampled_sums(sums, picks))
     confidence = 1.0 - (1.0 - cases.protocol.confidence) / len(places)
     found = [
         RegionError(region, share, n, n / whole, interval(_ratio(drawn[:, number], drawn[:, 0]), confidence))
@@ -155,14 +154,6 @@ def _regions(channel: Channel, values: Array) -> Iterator[Region]:
 
 def _written(value: float) -> str:
     return f"{value:.2g}"
-
-
-def _n(sums: Array, cases: MeasuredCases) -> Array:
-    """Return N (R, regions) from sums of squares and counts, (R, regions * (nx + 1))."""
-    parts = sums.reshape(len(sums), -1, cases.system.nx + 1)
-    squares, counts = parts[..., :-1], parts[..., -1:]
-    mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
-    return mean_over_channels(np.sqrt(mean) / np.where(cases.std > 0, cases.std, np.nan))
 
 
 def _ratio(top: Array, bottom: Array) -> Array:

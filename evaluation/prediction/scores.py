@@ -17,73 +17,7 @@ from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import Interval, interval
 from sysid_evo.validation.measures import mean_over_channels
 
-HONEST = 0.05
-"""By how much a coverage may miss its aim."""
-
-
-@dataclass(frozen=True)
-class ErrorScore:
-    """Errors ``horizon`` steps after a measured start, or over a free run (``horizon`` None).
-
-    Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE
-    of the signal's RMS), ``nrmse`` (RMSE of the truth's standard deviation). ``samples`` were scored.
-    ``resampled_n`` (R,) is N for every draw of the block bootstrap.
-    """
-
-    horizon: int | None
-    samples: int
-    rmse: Array
-    error_std: Array
-    relative_percent: Array
-    nrmse: Array
-    interval: Interval
-    resampled_n: Array = field(repr=False)
-
-    @property
-    def n(self) -> float:
-        """N: the mean NRMSE over channels; channels that are constant in the truth are left out."""
-        return float(mean_over_channels(self.nrmse))
-
-    @property
-    def fit_percent(self) -> Array:
-        """100 (1 - NRMSE), per channel (nx,)."""
-        return 100.0 * (1.0 - self.nrmse)
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How many measured states lay in a model's intervals ``horizon`` steps after a measured start.
-
-    ``inside`` (nx,) is the share for each channel, of ``samples`` targets; the intervals are to hold ``share``.
-    """
-
-    horizon: int
-    samples: int
-    share: float
-    inside: Array
-
-    @property
-    def mean(self) -> float:
-        """The mean share over channels."""
-        return float(np.mean(self.inside))
-
-    @property
-    def honest(self) -> bool:
-        """Whether that share is within five hundredths of what the intervals are to hold."""
-        return abs(self.mean - self.share) <= HONEST
-
-
-@dataclass(frozen=True)
-class Divergence:
-    """How often and when simulations reached the model's envelope or the guard.
-
-    ``share`` of the windows; ``median_time`` in s of the first touch among those;
-    ``free_run_times`` in s, one for each free run, None for never.
-    """
-
-    share: float
-    median_time: float | None
-    free_run_times: tuple[float | None, ...]
+PERSISTENCE = "persistence"
 
 
 @dataclass(frozen=True)
@@ -123,27 +57,99 @@ class ModelPrediction:
 
 
 @dataclass(frozen=True)
-class Difference:
-    """N of ``first`` minus N of ``second`` on the same windows, with its paired interval."""
+class ErrorScore:
+    """Errors ``horizon`` steps after a measured start, or over a free run (``horizon`` None).
 
-    first: str
-    second: str
+    Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE
+    of the signal's RMS), ``nrmse`` (RMSE of the truth's standard deviation). ``samples`` were scored.
+    ``resampled_n`` (R,) is N for every draw of the block bootstrap.
+    """
+
     horizon: int | None
-    difference: float
+    samples: int
+    rmse: Array
+    error_std: Array
+    relative_percent: Array
+    nrmse: Array
     interval: Interval
+    resampled_n: Array = field(repr=False)
 
     @property
-    def significant(self) -> bool:
-        """Whether the interval excludes zero."""
-        return not self.interval.spans(0.0)
+    def n(self) -> float:
+        """N: the mean NRMSE over channels; channels that are constant in the truth are left out."""
+        return float(mean_over_channels(self.nrmse))
 
     @property
-    def verdict(self) -> str:
-        """The comparison in words."""
-        if not self.significant:
-            return "no significant difference"
-        better, worse = (self.first, self.second) if self.difference < 0 else (self.second, self.first)
-        return f"{better} better than {worse}"
+    def fit_percent(self) -> Array:
+        """100 (1 - NRMSE), per channel (nx,)."""
+        return 100.0 * (1.0 - self.nrmse)
+
+
+HONEST = 0.05
+"""By how much a coverage may miss its aim."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How many measured states lay in a model's intervals ``horizon`` steps after a measured start.
+
+    ``inside`` (nx,) is the share for each channel, of ``samples`` targets; the intervals are to hold ``share``.
+    """
+
+    horizon: int
+    samples: int
+    share: float
+    inside: Array
+
+    @property
+    def mean(self) -> float:
+        """The mean share over channels."""
+        return float(np.mean(self.inside))
+
+    @property
+    def honest(self) -> bool:
+        """Whether that share is within five hundredths of what the intervals are to hold."""
+        return abs(self.mean - self.share) <= HONEST
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """How often and when simulations reached the model's envelope or the guard.
+
+    ``share`` of the windows; ``median_time`` in s of the first touch among those;
+    ``free_run_times`` in s, one for each free run, None for never.
+    """
+
+    share: float
+    median_time: float | None
+    free_run_times: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class EpisodeError:
+    """N of one episode at each scored horizon (H,), in the scale of the whole test set; nan without a window there.
+
+    ``fit`` (nx,) is 100 (1 - norm(y - yhat) / norm(y - mean(y))) of each channel over the free run from the episode's
+    first samples to its end, every sample of it; nan where there is no free run.
+    """
+
+    name: str
+    n: Array
+    fit: Array
+
+
+@dataclass(frozen=True)
+class ConditionErrors:
+    """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
+
+    ``within``: it also learned from recordings of that condition; ``across``: it learned from the others alone. None
+    where there is nothing to test on or to learn from.
+    """
+
+    condition: str
+    horizon: int
+    within: float | None
+    across: float | None
 
 
 @dataclass(frozen=True)
@@ -191,6 +197,30 @@ class Prediction:
         return tuple(difference for difference in compared if difference is not None)
 
 
+@dataclass(frozen=True)
+class Difference:
+    """N of ``first`` minus N of ``second`` on the same windows, with its paired interval."""
+
+    first: str
+    second: str
+    horizon: int | None
+    difference: float
+    interval: Interval
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes zero."""
+        return not self.interval.spans(0.0)
+
+    @property
+    def verdict(self) -> str:
+        """The comparison in words."""
+        if not self.significant:
+            return "no significant difference"
+        better, worse = (self.first, self.second) if self.difference < 0 else (self.second, self.first)
+        return f"{better} better than {worse}"
+
+
 HORIZON = 20
 """Steps after which the prediction error counts, where it was measured there."""
 
@@ -202,42 +232,12 @@ def error_of(found: ModelPrediction | None) -> float | None:
     return (found.score(HORIZON) or found.at[-1]).n
 
 
-PERSISTENCE = "persistence"
-
-
-@dataclass(frozen=True)
-class ConditionErrors:
-    """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
-
-    ``within``: it also learned from recordings of that condition; ``across``: it learned from the others alone. None
-    where there is nothing to test on or to learn from.
-    """
-
-    condition: str
-    horizon: int
-    within: float | None
-    across: float | None
-
-
-@dataclass(frozen=True)
-class EpisodeError:
-    """N of one episode at each scored horizon (H,), in the scale of the whole test set; nan without a window there.
-
-    ``fit`` (nx,) is 100 (1 - norm(y - yhat) / norm(y - mean(y))) of each channel over the free run from the episode's
-    first samples to its end, every sample of it; nan where there is no free run.
-    """
-
-    name: str
-    n: Array
-    fit: Array
-
+FORM = 4
+"""Raised whenever stored scores hold something else than before."""
 
 ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
 
 RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
-
-FORM = 4
-"""Raised whenever stored scores hold something else than before."""
 
 
 def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:

@@ -108,6 +108,57 @@ def _short_of_history(name: str, model: DynamicsModel, cases: MeasuredCases) -> 
     ]
 
 
+NEVER = -1
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each free run, clipped to the guard.
+
+    ``touched`` (N,) and ``free_touched`` (number of free runs,) are the first step (from 1) at which
+    a simulation reached the model's envelope or the guard, or stopped being a number; -1 for never.
+    """
+
+    windows: Array
+    touched: IntArray
+    free_runs: tuple[Array, ...]
+    free_touched: IntArray
+
+
+def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
+    """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
+    windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
+    free_runs, free_touched = [], []
+    for run, history in zip(cases.free_runs, cases.free_history(model.n_lags), strict=True):
+        states, first = _simulate(model, *history, run.controls[None], cases.guard)
+        free_runs.append(states[0])
+        free_touched.append(int(first[0]))
+    return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
+
+
+def _simulate(
+    model: DynamicsModel, past_states: Array, past_controls: Array, controls: Array, guard: Array
+) -> tuple[Array, IntArray]:
+    if not len(controls):
+        return np.empty((*controls.shape[:2], past_states.shape[2])), np.empty(0, dtype=np.int64)
+    states = model.simulate(past_states, past_controls, controls)
+    hit = ~np.isfinite(states).all(axis=2) | _at_limit(states, guard)
+    if model.envelope is not None:
+        hit |= _at_limit(states, model.envelope)
+    touched = np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, NEVER).astype(np.int64)
+    low, high = guard
+    return np.clip(np.where(np.isfinite(states), states, np.where(np.isfinite(high), high, 0.0)), low, high), touched
+
+
+def _at_limit(states: Array, limits: Array) -> BoolArray:
+    """Say where a state (..., nx) lies on or beyond a limit; a channel whose limits coincide has none."""
+    low, high = limits
+    slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
+    with np.errstate(invalid="ignore"):
+        reached = ((states <= low + slack) | (states >= high - slack)) & (high - low > 1e-12)
+    return np.asarray(reached.any(axis=-1))
+
+
 def _at_horizon(forecasts: Forecasts, cases: MeasuredCases, horizon: int) -> ErrorScore:
     true, predicted = cases.windows.states[:, horizon - 1], forecasts.windows[:, horizon - 1]
     return _score(horizon, true, predicted, cases.moving[:, horizon - 1], cases.window_block, cases)
@@ -154,18 +205,10 @@ def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
     steps, nx = squares.shape[1:]
     columns = np.concatenate([squares, cases.moving[:, :steps, None]], axis=2)
     sums = block_sums(columns.reshape(len(squares), steps * (nx + 1)), cases.window_block)
-    scale = np.where(cases.std > 0, cases.std, np.nan)
-
-    def curves(summed: Array) -> Array:
-        parts = summed.reshape(len(summed), steps, nx + 1)
-        squares, counts = parts[..., :-1], parts[..., -1:]
-        mean = np.divide(squares, counts, out=np.full(squares.shape, np.nan), where=counts > 0)
-        return mean_over_channels(np.sqrt(mean) / scale)
-
     picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
-    drawn = curves(resampled_sums(sums, picks))
+    drawn = cases.n_of_sums(resampled_sums(sums, picks))
     band = [interval(column, cases.protocol.confidence) for column in drawn.T]
-    return curves(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
+    return cases.n_of_sums(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
 
 
 def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:
@@ -176,43 +219,6 @@ def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:
         median_time=float(np.median(hit) * dt) if len(hit) else None,
         free_run_times=tuple(None if step == NEVER else float(step * dt) for step in forecasts.free_touched),
     )
-
-
-def within_and_across(
-    model: DynamicsModel,
-    learn: Callable[[Dataset], DynamicsModel],
-    training: Dataset,
-    test: Dataset,
-    protocol: PredictionProtocol,
-) -> tuple[ConditionErrors, ...]:
-    """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
-    found = []
-    horizon = _seconds(protocol, test.system.dt)
-    for condition in test.conditions:
-        here = test.of_condition(condition)
-        others = [episode for episode in training if episode.condition != condition]
-        within = _error(model, training, here, protocol, horizon)
-        across = None
-        if others and within is not None:
-            rest = training.with_episodes(others)
-            across = _error(learn(rest), rest, here, protocol, horizon)
-        found.append(ConditionErrors(condition, horizon, within, across))
-    return tuple(found)
-
-
-def _seconds(protocol: PredictionProtocol, dt: float) -> int:
-    """Return the horizon nearest to one second."""
-    return min(protocol.horizons, key=lambda horizon: abs(horizon * dt - 1.0))
-
-
-def _error(
-    model: DynamicsModel, training: Dataset, test: Dataset, protocol: PredictionProtocol, horizon: int
-) -> float | None:
-    try:
-        score = score_model("", model, measured_cases(training, test, protocol), family="").score(horizon)
-    except InvalidData:
-        return None
-    return None if score is None else score.n
 
 
 SHARE = 0.9
@@ -284,8 +290,7 @@ def _n(errors: Array, cases: MeasuredCases, inside: np.ndarray, horizon: int) ->
     scored = errors[inside & cases.moving[:, horizon - 1], horizon - 1]
     if not len(scored):
         return float("nan")
-    std = np.where(cases.std > 0, cases.std, np.nan)
-    return float(mean_over_channels(np.sqrt(np.mean(scored**2, axis=0)) / std))
+    return float(mean_over_channels(np.sqrt(np.mean(scored**2, axis=0)) / cases.scale))
 
 
 def _fit(cases: MeasuredCases, measured: Array, predicted: Array) -> Array:
@@ -293,57 +298,6 @@ def _fit(cases: MeasuredCases, measured: Array, predicted: Array) -> Array:
         return np.full(cases.system.nx, np.nan)
     guess = cases.system.near(predicted, measured)
     return measures.fit_percent(measured, guess, std=cases.system.spread(measured))
-
-
-NEVER = -1
-
-
-@dataclass(frozen=True)
-class Forecasts:
-    """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each free run, clipped to the guard.
-
-    ``touched`` (N,) and ``free_touched`` (number of free runs,) are the first step (from 1) at which
-    a simulation reached the model's envelope or the guard, or stopped being a number; -1 for never.
-    """
-
-    windows: Array
-    touched: IntArray
-    free_runs: tuple[Array, ...]
-    free_touched: IntArray
-
-
-def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
-    """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
-    windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
-    free_runs, free_touched = [], []
-    for run, history in zip(cases.free_runs, cases.free_history(model.n_lags), strict=True):
-        states, first = _simulate(model, *history, run.controls[None], cases.guard)
-        free_runs.append(states[0])
-        free_touched.append(int(first[0]))
-    return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
-
-
-def _simulate(
-    model: DynamicsModel, past_states: Array, past_controls: Array, controls: Array, guard: Array
-) -> tuple[Array, IntArray]:
-    if not len(controls):
-        return np.empty((*controls.shape[:2], past_states.shape[2])), np.empty(0, dtype=np.int64)
-    states = model.simulate(past_states, past_controls, controls)
-    hit = ~np.isfinite(states).all(axis=2) | _at_limit(states, guard)
-    if model.envelope is not None:
-        hit |= _at_limit(states, model.envelope)
-    touched = np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, NEVER).astype(np.int64)
-    low, high = guard
-    return np.clip(np.where(np.isfinite(states), states, np.where(np.isfinite(high), high, 0.0)), low, high), touched
-
-
-def _at_limit(states: Array, limits: Array) -> BoolArray:
-    """Say where a state (..., nx) lies on or beyond a limit; a channel whose limits coincide has none."""
-    low, high = limits
-    slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
-    with np.errstate(invalid="ignore"):
-        reached = ((states <= low + slack) | (states >= high - slack)) & (high - low > 1e-12)
-    return np.asarray(reached.any(axis=-1))
 
 
 class Persistence(DynamicsModel):
@@ -359,3 +313,40 @@ class Persistence(DynamicsModel):
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return carry
+
+
+def within_and_across(
+    model: DynamicsModel,
+    learn: Callable[[Dataset], DynamicsModel],
+    training: Dataset,
+    test: Dataset,
+    protocol: PredictionProtocol,
+) -> tuple[ConditionErrors, ...]:
+    """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
+    found = []
+    horizon = _seconds(protocol, test.system.dt)
+    for condition in test.conditions:
+        here = test.of_condition(condition)
+        others = [episode for episode in training if episode.condition != condition]
+        within = _error(model, training, here, protocol, horizon)
+        across = None
+        if others and within is not None:
+            rest = training.with_episodes(others)
+            across = _error(learn(rest), rest, here, protocol, horizon)
+        found.append(ConditionErrors(condition, horizon, within, across))
+    return tuple(found)
+
+
+def _seconds(protocol: PredictionProtocol, dt: float) -> int:
+    """Return the horizon nearest to one second."""
+    return min(protocol.horizons, key=lambda horizon: abs(horizon * dt - 1.0))
+
+
+def _error(
+    model: DynamicsModel, training: Dataset, test: Dataset, protocol: PredictionProtocol, horizon: int
+) -> float | None:
+    try:
+        score = score_model("", model, measured_cases(training, test, protocol), family="").score(horizon)
+    except InvalidData:
+        return None
+    return None if score is None else score.n

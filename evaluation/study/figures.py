@@ -21,6 +21,69 @@ from evaluation.study.study import CONTROLLER, group_name
 from evaluation.transfer.summary import rank_correlation
 from sysid_evo.types import Array
 
+RESAMPLES = 4000
+
+SHARE = 0.95
+
+FEWEST = 3
+"""Robots, or seeds of a single one, below which there is no interval."""
+
+Repeats: TypeAlias = Mapping[tuple[str, str], float]
+"""A number by robot and seed."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The mean over ``robots``, of the mean over the seeds of each, and its 95 % interval, None where there is none.
+
+    ``lowest`` and ``highest`` are those of single points, ``points`` how many there are.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    lowest: float
+    highest: float
+    robots: int
+    points: int
+
+    @classmethod
+    def of(cls, repeats: Repeats, *, seed: int = 0) -> Spread | None:
+        """Return the spread of numbers by robot and seed, None for none; what is no number is left out."""
+        known = {key: value for key, value in repeats.items() if np.isfinite(value)}
+        if not known:
+            return None
+        by_robot: dict[str, list[float]] = {}
+        for (robot, _), value in known.items():
+            by_robot.setdefault(robot, []).append(value)
+        groups = [np.array(values) for values in by_robot.values()]
+        low, high = _interval(groups, seed)
+        values = np.array(list(known.values()))
+        mean = float(np.mean([group.mean() for group in groups]))
+        return cls(mean, low, high, float(values.min()), float(values.max()), len(groups), len(values))
+
+
+def paired(first: Repeats, second: Repeats) -> Repeats:
+    """Return the first minus the second for each robot and seed that both have."""
+    return {key: first[key] - second[key] for key in first if key in second}
+
+
+def _interval(groups: list[Array], seed: int) -> tuple[float | None, float | None]:
+    """Return the expanded percentiles of the means of drawn robots and seeds."""
+    count = len(groups) if len(groups) > 1 else len(groups[0])
+    if count < FEWEST:
+        return None, None
+    rng = np.random.default_rng(seed)
+    means = np.stack(
+        [group[rng.integers(0, len(group), (RESAMPLES, len(groups), len(group)))].mean(2) for group in groups]
+    )
+    robots = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
+    drawn = means[robots, np.arange(RESAMPLES)[:, None], np.arange(len(groups))].mean(axis=1)
+    tail = float(ndtr(stdtrit(count - 1, 0.5 - 0.5 * SHARE) * np.sqrt(count / (count - 1))))
+    low, high = np.quantile(drawn, [tail, 1.0 - tail])
+    return float(low), float(high)
+
+
 CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
 """Rows of their own: what the program picks in each point without the robot, and what would have been best."""
 
@@ -147,85 +210,6 @@ def _gap(row: ControllerRow) -> float | None:
     return row.claimed - row.achieved
 
 
-FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {
-    "forecast": lambda row: row.forecast,
-    "claim": lambda row: row.claimed,
-    "prediction error": lambda row: None if row.error is None else -row.error,
-}
-"""By what a controller could be chosen without the robot; more is better."""
-
-FITNESS = ("forecast", "claim")
-"""Those that are a fitness, so that one can say by how much they miss."""
-
-
-@dataclass(frozen=True)
-class ForecastFigures:
-    """One row: ranking and choosing by one ``figure`` within the points of one group, over robots and seeds.
-
-    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the yardstick by which the controller
-    that is chosen falls short of the best, ``rmse`` by how much a fitness misses, over all ``controllers``;
-    ``inside`` the share of 90 % intervals that hold what is achieved, of forecasts alone.
-    """
-
-    group: tuple[str, ...]
-    figure: str
-    correlation: Spread | None
-    loss: Spread | None
-    rmse: float | None
-    inside: Spread | None
-    controllers: int
-
-
-def forecast_figures(results: StudyResults) -> tuple[ForecastFigures, ...]:
-    """Return a row for each figure of each group, over its finished points."""
-    by_point: dict[str, list[ControllerRow]] = {}
-    for row in results.controllers:
-        if row.in_models and row.achieved is not None and row.forecast is not None:
-            by_point.setdefault(row.point, []).append(row)
-    groups: dict[tuple[str, ...], list[tuple[PointRow, list[ControllerRow]]]] = {}
-    for point in results.finished:
-        if point.name in by_point:
-            groups.setdefault(point.group, []).append((point, by_point[point.name]))
-    return tuple(_figures(group, name, own) for group, own in groups.items() for name in FIGURES)
-
-
-def _figures(
-    group: tuple[str, ...], name: str, points: Sequence[tuple[PointRow, list[ControllerRow]]]
-) -> ForecastFigures:
-    figure = FIGURES[name]
-    correlations: dict[tuple[str, str], float] = {}
-    losses: dict[tuple[str, str], float] = {}
-    inside: dict[tuple[str, str], float] = {}
-    misses: list[float] = []
-    for point, rows in points:
-        key = (point.where, point.seed)
-        known = [(value, row) for row in rows if (value := figure(row)) is not None]
-        pairs = [(value, row.achieved) for value, row in known if row.achieved is not None]
-        correlation = rank_correlation(pairs)
-        if correlation is not None:
-            correlations[key] = correlation
-        shares = [(value, row.share) for value, row in known if row.share is not None]
-        if shares:
-            losses[key] = max(share for _, share in shares) - max(shares, key=lambda pair: pair[0])[1]
-        held = [row.expected for _, row in known if row.expected is not None]
-        if held:
-            inside[key] = float(np.mean(held))
-        misses += [value - achieved for value, achieved in pairs]
-    return ForecastFigures(
-        group=group,
-        figure=name,
-        correlation=Spread.of(correlations),
-        loss=Spread.of(losses),
-        rmse=float(np.sqrt(np.mean(np.square(misses)))) if misses and name in FITNESS else None,
-        inside=_if(name == "forecast", inside),
-        controllers=sum(len(rows) for _, rows in points),
-    )
-
-
-def _if(wanted: bool, repeats: Repeats) -> Spread | None:
-    return Spread.of(repeats) if wanted else None
-
-
 HORIZONS = (10, 20, 60)
 """Steps ahead at which errors are shown."""
 
@@ -325,64 +309,76 @@ def _mean(spread: Spread | None) -> float:
     return float("inf") if spread is None else spread.mean
 
 
-RESAMPLES = 4000
+FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {
+    "forecast": lambda row: row.forecast,
+    "claim": lambda row: row.claimed,
+    "prediction error": lambda row: None if row.error is None else -row.error,
+}
+"""By what a controller could be chosen without the robot; more is better."""
 
-SHARE = 0.95
-
-FEWEST = 3
-"""Robots, or seeds of a single one, below which there is no interval."""
-
-Repeats: TypeAlias = Mapping[tuple[str, str], float]
-"""A number by robot and seed."""
+FITNESS = ("forecast", "claim")
+"""Those that are a fitness, so that one can say by how much they miss."""
 
 
 @dataclass(frozen=True)
-class Spread:
-    """The mean over ``robots``, of the mean over the seeds of each, and its 95 % interval, None where there is none.
+class ForecastFigures:
+    """One row: ranking and choosing by one ``figure`` within the points of one group, over robots and seeds.
 
-    ``lowest`` and ``highest`` are those of single points, ``points`` how many there are.
+    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the yardstick by which the controller
+    that is chosen falls short of the best, ``rmse`` by how much a fitness misses, over all ``controllers``;
+    ``inside`` the share of 90 % intervals that hold what is achieved, of forecasts alone.
     """
 
-    mean: float
-    low: float | None
-    high: float | None
-    lowest: float
-    highest: float
-    robots: int
-    points: int
-
-    @classmethod
-    def of(cls, repeats: Repeats, *, seed: int = 0) -> Spread | None:
-        """Return the spread of numbers by robot and seed, None for none; what is no number is left out."""
-        known = {key: value for key, value in repeats.items() if np.isfinite(value)}
-        if not known:
-            return None
-        by_robot: dict[str, list[float]] = {}
-        for (robot, _), value in known.items():
-            by_robot.setdefault(robot, []).append(value)
-        groups = [np.array(values) for values in by_robot.values()]
-        low, high = _interval(groups, seed)
-        values = np.array(list(known.values()))
-        mean = float(np.mean([group.mean() for group in groups]))
-        return cls(mean, low, high, float(values.min()), float(values.max()), len(groups), len(values))
+    group: tuple[str, ...]
+    figure: str
+    correlation: Spread | None
+    loss: Spread | None
+    rmse: float | None
+    inside: Spread | None
+    controllers: int
 
 
-def paired(first: Repeats, second: Repeats) -> Repeats:
-    """Return the first minus the second for each robot and seed that both have."""
-    return {key: first[key] - second[key] for key in first if key in second}
+def forecast_figures(results: StudyResults) -> tuple[ForecastFigures, ...]:
+    """Return a row for each figure of each group, over its finished points."""
+    by_point: dict[str, list[ControllerRow]] = {}
+    for row in results.controllers:
+        if row.in_models and row.achieved is not None and row.forecast is not None:
+            by_point.setdefault(row.point, []).append(row)
+    groups: dict[tuple[str, ...], list[tuple[PointRow, list[ControllerRow]]]] = {}
+    for point in results.finished:
+        if point.name in by_point:
+            groups.setdefault(point.group, []).append((point, by_point[point.name]))
+    return tuple(_figures(group, name, own) for group, own in groups.items() for name in FIGURES)
 
 
-def _interval(groups: list[Array], seed: int) -> tuple[float | None, float | None]:
-    """Return the expanded percentiles of the means of drawn robots and seeds."""
-    count = len(groups) if len(groups) > 1 else len(groups[0])
-    if count < FEWEST:
-        return None, None
-    rng = np.random.default_rng(seed)
-    means = np.stack(
-        [group[rng.integers(0, len(group), (RESAMPLES, len(groups), len(group)))].mean(2) for group in groups]
+def _figures(
+    group: tuple[str, ...], name: str, points: Sequence[tuple[PointRow, list[ControllerRow]]]
+) -> ForecastFigures:
+    figure = FIGURES[name]
+    correlations: dict[tuple[str, str], float] = {}
+    losses: dict[tuple[str, str], float] = {}
+    inside: dict[tuple[str, str], float] = {}
+    misses: list[float] = []
+    for point, rows in points:
+        key = (point.where, point.seed)
+        known = [(value, row) for row in rows if (value := figure(row)) is not None]
+        pairs = [(value, row.achieved) for value, row in known if row.achieved is not None]
+        correlation = rank_correlation(pairs)
+        if correlation is not None:
+            correlations[key] = correlation
+        shares = [(value, row.share) for value, row in known if row.share is not None]
+        if shares:
+            losses[key] = max(share for _, share in shares) - max(shares, key=lambda pair: pair[0])[1]
+        held = [row.expected for _, row in known if row.expected is not None]
+        if held:
+            inside[key] = float(np.mean(held))
+        misses += [value - achieved for value, achieved in pairs]
+    return ForecastFigures(
+        group=group,
+        figure=name,
+        correlation=Spread.of(correlations),
+        loss=Spread.of(losses),
+        rmse=float(np.sqrt(np.mean(np.square(misses)))) if misses and name in FITNESS else None,
+        inside=Spread.of(inside) if name == "forecast" else None,
+        controllers=sum(len(rows) for _, rows in points),
     )
-    robots = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
-    drawn = means[robots, np.arange(RESAMPLES)[:, None], np.arange(len(groups))].mean(axis=1)
-    tail = float(ndtr(stdtrit(count - 1, 0.5 - 0.5 * SHARE) * np.sqrt(count / (count - 1))))
-    low, high = np.quantile(drawn, [tail, 1.0 - tail])
-    return float(low), float(high)

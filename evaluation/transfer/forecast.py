@@ -72,6 +72,24 @@ def forecasts(matrix: TransferMatrix, errors: Mapping[str, float | None], *, rul
     return {one.controller: one for one in found if one is not None}
 
 
+def _of_champion(
+    champion: Champion, matrix: TransferMatrix, errors: Mapping[str, float | None], rule: Rule
+) -> Forecast | None:
+    robots = {matrix.robot, *matrix.other_robots}
+    cells = [matrix.cell(champion.name, model) for model in matrix.models]
+    cells = [cell for cell in cells if not cell.failed]
+    if len(cells) < 2 or robots & set(champion.against) or champion.system is None:
+        return None
+    families = {matrix.families.get(model, model) for model in champion.against}
+    own = np.array([matrix.families[cell.column] in families for cell in cells])
+    weights = credibilities([errors.get(cell.column) for cell in cells], own, rule=rule)
+    one_number = make_aggregate(champion.aggregate)
+    means = np.array([float(one_number(cell.fitness[None, None])[0]) for cell in cells])
+    value, low, high = _joined(means, [cell.fitness for cell in cells], weights, rule)
+    columns = (cell.column for cell in cells)
+    return Forecast(champion.name, value, low, high, dict(zip(columns, weights.tolist(), strict=True)))
+
+
 def forecast_of(
     fitness: Sequence[Array], errors: Sequence[float | None], own: Sequence[bool], *, rule: Rule = RULE
 ) -> tuple[float, float, float]:
@@ -92,40 +110,6 @@ def _joined(means: Array, fitness: Sequence[Array], weights: Array, rule: Rule) 
     return value, value + rule.low * unit, value + rule.high * unit
 
 
-def _of_champion(
-    champion: Champion, matrix: TransferMatrix, errors: Mapping[str, float | None], rule: Rule
-) -> Forecast | None:
-    robots = {matrix.robot, *matrix.other_robots}
-    cells = [matrix.cell(champion.name, model) for model in matrix.models]
-    cells = [cell for cell in cells if not cell.failed]
-    if len(cells) < 2 or robots & set(champion.against) or champion.system is None:
-        return None
-    families = {matrix.families.get(model, model) for model in champion.against}
-    own = np.array([matrix.families[cell.column] in families for cell in cells])
-    weights = credibilities([errors.get(cell.column) for cell in cells], own, rule=rule)
-    one_number = make_aggregate(champion.aggregate)
-    means = np.array([float(one_number(cell.fitness[None, None])[0]) for cell in cells])
-    value, low, high = _joined(means, [cell.fitness for cell in cells], weights, rule)
-    columns = (cell.column for cell in cells)
-    return Forecast(champion.name, value, low, high, dict(zip(columns, weights.tolist(), strict=True)))
-
-
-def highest(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
-    """Return which of ``names`` has the highest forecast, of equals the first; None where none has one."""
-    return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
-
-
-def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: Rule = RULE) -> Judgement:
-    """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
-
-    def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
-        met = {families.get(model, model) for model in champion.against}
-        own = np.array([families.get(model, model) in met for model in models])
-        return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
-
-    return worth
-
-
 LEAST_ERROR = 0.01
 """Errors below this, in standard deviations of the data, are told apart no more."""
 
@@ -144,6 +128,13 @@ def credibilities(errors: Sequence[float | None], own: BoolArray, *, rule: Rule 
     return weights / total if total > 0.0 else np.full(len(weights), 1.0 / max(1, len(weights)))
 
 
+def _weight(best: float, error: float | None, power: float) -> float:
+    """Return the weight of a model beside that of the best, which is 1."""
+    if error is None:
+        return 1.0
+    return float((best / max(error, LEAST_ERROR)) ** power) if np.isfinite(error) else 0.0
+
+
 def weighted_median(values: Array, weights: Array) -> Array:
     """Return the median (...) of ``values`` (M, ...) with these weights (M,), between two of them as they weigh.
 
@@ -158,11 +149,20 @@ def weighted_median(values: Array, weights: Array) -> Array:
     return np.array(found).reshape(values.shape[1:])
 
 
-def _weight(best: float, error: float | None, power: float) -> float:
-    """Return the weight of a model beside that of the best, which is 1."""
-    if error is None:
-        return 1.0
-    return float((best / max(error, LEAST_ERROR)) ** power) if np.isfinite(error) else 0.0
+def highest(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
+    """Return which of ``names`` has the highest forecast, of equals the first; None where none has one."""
+    return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
+
+
+def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: Rule = RULE) -> Judgement:
+    """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
+
+    def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
+        met = {families.get(model, model) for model in champion.against}
+        own = np.array([families.get(model, model) in met for model in models])
+        return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
+
+    return worth
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ from sysid_evo.tasks import Target, Task
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
 
+NOT_RUN = "not run"
+"""The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
+
 
 @dataclass(frozen=True)
 class TransferMatrix:
@@ -122,98 +125,6 @@ class TransferMatrix:
         return tuple(cell for cell in cells if cell.failed and cell.reason != NOT_RUN)
 
 
-def transfer(
-    champions: Sequence[Champion],
-    runners: Mapping[str, Runner | Dynamics],
-    *,
-    seed: int,
-    families: Mapping[str, str] | None = None,
-    robot: str | None = None,
-    trials: int = 100,
-    traces: int = 10,
-    progress: Progress | None = None,
-) -> TransferMatrix:
-    """Run every champion on every runner, or model, in the same fresh trials.
-
-    ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept, see `kept_traces`.
-    """
-    runners, seeds = as_runners(runners, "transfer"), transfer_seeds(as_seed(seed), trials)
-    cells = []
-    for champion in champions:
-        for column, runner in runners.items():
-            kept = kept_traces(traces, own=column == robot or column in champion.against)
-            cells.append(run_cell(champion, column, runner, seeds, traces=kept))
-            if progress is not None:
-                progress(len(cells), len(champions) * len(runners))
-    return TransferMatrix.of(champions, tuple(runners), cells, families=families, robot=robot)
-
-
-TRANSFER = 2**31 + 1
-"""The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
-
-
-NOT_RUN = "not run"
-"""The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
-
-    ``waypoint_radius`` is in m; a task without markers has none. ``walls`` and ``targets`` are those of the scene.
-    """
-
-    trajectory: Trajectory
-    fitness: float
-    waypoints: Array = field(default_factory=lambda: np.empty((0, 2)))
-    waypoint_radius: float = 0.0
-    walls: tuple[Array, ...] = ()
-    targets: tuple[Target, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the trace as strict JSON."""
-        t = self.trajectory
-        return {
-            "name": t.name,
-            "dt": t.dt,
-            "states": t.states.tolist(),
-            "controls": t.controls.tolist(),
-            "pose": None if t.pose is None else t.pose.tolist(),
-            "fitness": self.fitness,
-            "waypoints": self.waypoints.tolist(),
-            "waypoint_radius": self.waypoint_radius,
-            "walls": [wall.tolist() for wall in self.walls],
-            "targets": [
-                {
-                    "channel": target.channel.to_dict(),
-                    "place": target.place,
-                    "values": target.values.tolist(),
-                    "tolerance": target.tolerance,
-                }
-                for target in self.targets
-            ],
-        }
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Trace:
-        """Undo `to_dict`."""
-        pose = None if value["pose"] is None else np.asarray(value["pose"], dtype=np.float64)
-        states, controls = (np.asarray(value[key], dtype=np.float64) for key in ("states", "controls"))
-        waypoints = np.asarray(value["waypoints"], dtype=np.float64).reshape(-1, 2)
-        trajectory = Trajectory(states, controls, value["dt"], pose, value["name"])
-        walls = tuple(np.asarray(wall, dtype=np.float64) for wall in value.get("walls", ()))
-        targets = tuple(
-            Target(
-                Channel.from_dict(target["channel"]),
-                target["place"],
-                np.asarray(target["values"], dtype=np.float64),
-                target["tolerance"],
-            )
-            for target in value.get("targets", ())
-        )
-        return cls(trajectory, value["fitness"], waypoints, value["waypoint_radius"], walls, targets)
-
-
 @dataclass(frozen=True)
 class Cell:
     """What ``champion`` did on ``column`` in E trials, or the ``reason`` why it did nothing.
@@ -285,6 +196,64 @@ class Cell:
         return cls(**fields)
 
 
+@dataclass(frozen=True)
+class Trace:
+    """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
+
+    ``waypoint_radius`` is in m; a task without markers has none. ``walls`` and ``targets`` are those of the scene.
+    """
+
+    trajectory: Trajectory
+    fitness: float
+    waypoints: Array = field(default_factory=lambda: np.empty((0, 2)))
+    waypoint_radius: float = 0.0
+    walls: tuple[Array, ...] = ()
+    targets: tuple[Target, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the trace as strict JSON."""
+        t = self.trajectory
+        return {
+            "name": t.name,
+            "dt": t.dt,
+            "states": t.states.tolist(),
+            "controls": t.controls.tolist(),
+            "pose": None if t.pose is None else t.pose.tolist(),
+            "fitness": self.fitness,
+            "waypoints": self.waypoints.tolist(),
+            "waypoint_radius": self.waypoint_radius,
+            "walls": [wall.tolist() for wall in self.walls],
+            "targets": [
+                {
+                    "channel": target.channel.to_dict(),
+                    "place": target.place,
+                    "values": target.values.tolist(),
+                    "tolerance": target.tolerance,
+                }
+                for target in self.targets
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> Trace:
+        """Undo `to_dict`."""
+        pose = None if value["pose"] is None else np.asarray(value["pose"], dtype=np.float64)
+        states, controls = (np.asarray(value[key], dtype=np.float64) for key in ("states", "controls"))
+        waypoints = np.asarray(value["waypoints"], dtype=np.float64).reshape(-1, 2)
+        trajectory = Trajectory(states, controls, value["dt"], pose, value["name"])
+        walls = tuple(np.asarray(wall, dtype=np.float64) for wall in value.get("walls", ()))
+        targets = tuple(
+            Target(
+                Channel.from_dict(target["channel"]),
+                target["place"],
+                np.asarray(target["values"], dtype=np.float64),
+                target["tolerance"],
+            )
+            for target in value.get("targets", ())
+        )
+        return cls(trajectory, value["fitness"], waypoints, value["waypoint_radius"], walls, targets)
+
+
 LONG = ("states", "controls", "pose")
 """What there is of each trace at every step: as text it would take fifty times as long."""
 
@@ -310,6 +279,36 @@ def load_cell(path: Path) -> Cell:
         return Cell.from_dict(value)
     except DAMAGED as error:
         raise ArtefactError(f"{path}: not a cell of a transfer matrix: {error}") from error
+
+
+def transfer(
+    champions: Sequence[Champion],
+    runners: Mapping[str, Runner | Dynamics],
+    *,
+    seed: int,
+    families: Mapping[str, str] | None = None,
+    robot: str | None = None,
+    trials: int = 100,
+    traces: int = 10,
+    progress: Progress | None = None,
+) -> TransferMatrix:
+    """Run every champion on every runner, or model, in the same fresh trials.
+
+    ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept, see `kept_traces`.
+    """
+    runners, seeds = as_runners(runners, "transfer"), transfer_seeds(as_seed(seed), trials)
+    cells = []
+    for champion in champions:
+        for column, runner in runners.items():
+            kept = kept_traces(traces, own=column == robot or column in champion.against)
+            cells.append(run_cell(champion, column, runner, seeds, traces=kept))
+            if progress is not None:
+                progress(len(cells), len(champions) * len(runners))
+    return TransferMatrix.of(champions, tuple(runners), cells, families=families, robot=robot)
+
+
+TRANSFER = 2**31 + 1
+"""The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
 
 
 def transfer_seeds(seed: int, trials: int) -> Seeds:

@@ -1,6 +1,4 @@
-"""What the matrix says of each controller: claimed, achieved, gaps, worst case, regret, forecast; which one to
-drive.
-"""
+"""What the matrix says of each controller: claimed, achieved, gaps, worst case, regret; and which one to drive."""
 
 from __future__ import annotations
 
@@ -19,6 +17,23 @@ from sysid_evo.types import Array
 
 AT_REST = "constant"
 """The registered controller that does nothing, if it was not evolved."""
+
+
+@dataclass(frozen=True)
+class TransferSummary:
+    """All controllers, the one to pick without the robot, and what would have predicted success.
+
+    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself,
+    and people, are left out of the correlations: what the first claim is what they achieve, and people claim nothing.
+    """
+
+    controllers: tuple[ControllerSummary, ...]
+    pick: str | None
+    best_on: Mapping[str, str | None]
+    correlations: tuple[RankCorrelation, ...]
+
+    def controller(self, name: str) -> ControllerSummary:
+        return next(controller for controller in self.controllers if controller.name == name)
 
 
 @dataclass(frozen=True)
@@ -115,21 +130,29 @@ class RankCorrelation:
     controllers: int
 
 
-@dataclass(frozen=True)
-class TransferSummary:
-    """All controllers, the one to pick without the robot, and what would have predicted success.
+def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
+    """Return the summary of a matrix with the controller of the highest forecast as its pick.
 
-    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself,
-    and people, are left out of the correlations: what the first claim is what they achieve, and people claim nothing.
+    Without the prediction ``errors`` of its models (see `error_of`) all are believed alike.
     """
+    return chosen_by(summarise(matrix), forecasts(matrix, errors or {}))
 
-    controllers: tuple[ControllerSummary, ...]
-    pick: str | None
-    best_on: Mapping[str, str | None]
-    correlations: tuple[RankCorrelation, ...]
 
-    def controller(self, name: str) -> ControllerSummary:
-        return next(controller for controller in self.controllers if controller.name == name)
+FIGURE = "forecast"
+
+
+def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:
+    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and how forecasts rank.
+
+    Where no controller that was evolved in models has one, nothing is picked.
+    """
+    evolved = [one for one in summary.controllers if one.name in found and one.against and not one.on_robot]
+    if not evolved:
+        return replace(summary, pick=None)
+    best = highest(found, [one.name for one in evolved])
+    pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
+    ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
+    return replace(summary, pick=best, correlations=(*summary.correlations, *ranked))
 
 
 def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
@@ -401,28 +424,3 @@ def _estimate(figure: PairedEstimate | None, *, least: float = -np.inf) -> Estim
     return Estimate(
         max(least, figure.value), figure.standard_error, float(np.maximum(least, low)), float(np.maximum(least, high))
     )
-
-
-FIGURE = "forecast"
-
-
-def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
-    """Return the summary of a matrix with the controller of the highest forecast as its pick.
-
-    Without the prediction ``errors`` of its models (see `error_of`) all are believed alike.
-    """
-    return chosen_by(summarise(matrix), forecasts(matrix, errors or {}))
-
-
-def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:
-    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and how forecasts rank.
-
-    Where no controller that was evolved in models has one, nothing is picked.
-    """
-    evolved = [one for one in summary.controllers if one.name in found and one.against and not one.on_robot]
-    if not evolved:
-        return replace(summary, pick=None)
-    best = highest(found, [one.name for one in evolved])
-    pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
-    ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
-    return replace(summary, pick=best, correlations=(*summary.correlations, *ranked))

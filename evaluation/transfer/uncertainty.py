@@ -1,4 +1,4 @@
-"""A fitness, a difference or a ratio with its uncertainty over evolution seeds and trials.
+"""A fitness, a difference or a ratio with its uncertainty over trials.
 
 All controllers and systems meet the same trials, so that figures can be subtracted and divided trial by trial.
 Intervals are Student's, their degrees of freedom those of Satterthwaite (1946). Figures that are no means, such as the
@@ -18,6 +18,28 @@ from scipy.special import stdtrit
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.aggregates import Aggregate, mean
 from sysid_evo.types import Array
+
+ENDS = (0.05, 0.95)
+"""Quantiles of the draws between which a 90 % interval lies."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitness, or a difference of two, its standard error and 90 % interval (nan for one trial, and if not known)."""
+
+    value: float
+    standard_error: float
+    low: float = math.nan
+    high: float = math.nan
+
+    @classmethod
+    def of(cls, draws: Array | None) -> Estimate | None:
+        """Take the value and the spread of the draws behind it, (1 + draws,)."""
+        if draws is None:
+            return None
+        low, high = np.quantile(draws[1:], ENDS)
+        return cls(float(draws[0]), float(draws[1:].std()), float(low), float(high))
+
 
 SHARE = 0.9
 """Of repetitions with other trials, how many give an interval that holds the truth."""
@@ -103,27 +125,3 @@ def _sum(value: float, parts: Sequence[tuple[float, PairedEstimate]]) -> PairedE
             padded = [np.pad(a, (0, longest - len(a))) for a in (trials[controller], weight * adds)]
             trials[controller] = padded[0] + padded[1]
     return PairedEstimate(value, trials, frozenset().union(*(figure.sizes for _, figure in parts)))
-
-
-ENDS = (0.05, 0.95)
-"""Quantiles of the draws between which a 90 % interval lies."""
-
-UNKNOWN = math.nan
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitness, or a difference of two, its standard error and 90 % interval (nan for one trial, and if not known)."""
-
-    value: float
-    standard_error: float
-    low: float = UNKNOWN
-    high: float = UNKNOWN
-
-    @classmethod
-    def of(cls, draws: Array | None) -> Estimate | None:
-        """Take the value and the spread of the draws behind it, (1 + draws,)."""
-        if draws is None:
-            return None
-        low, high = np.quantile(draws[1:], ENDS)
-        return cls(float(draws[0]), float(draws[1:].std()), float(low), float(high))

@@ -21,7 +21,7 @@ from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins, parsed
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from evaluation.exploitability import Region
+    from evaluation.exploitability import UncoveredBox
     from sysid_evo.data.advice import Advice
     from sysid_evo.data.dataset import Dataset
     from sysid_evo.data.preparation import RawLog
@@ -224,7 +224,7 @@ def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, 
     return table
 
 
-def print_regions(name: str, regions: tuple[Region, ...]) -> None:
+def print_regions(name: str, regions: tuple[UncoveredBox, ...]) -> None:
     """Print them, one a line; nothing if there are none."""
     if not regions:
         return

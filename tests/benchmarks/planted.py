@@ -27,10 +27,10 @@ from evaluation.exploitability import (
     ModelExploitability,
     ProbeResult,
     Steps,
-    Support,
     assess_exploitability,
     probe_limits,
     search_exploit,
+    training_support,
 )
 from evaluation.exploitability.slopes import DataLaws
 from evaluation.transfer import transfer
@@ -75,7 +75,7 @@ class Shown:
             for limit in probe_limits(Steps.moving(self.training))
             if ProbeResult(limit.name, "", "", None, limit.share(visited), limit.share(held_out), None).exploited
         }
-        laws = DataLaws(self.training, Support.of(self.training))
+        laws = DataLaws(self.training, training_support(self.training))
         return found | {fact.state for fact in laws.facts(tuple(runs))}
 
     def looked_at(self, champion: Champion, dynamics: Mapping[str, Dynamics]) -> ModelExploitability:

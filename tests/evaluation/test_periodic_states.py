@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from evaluation.exploitability import Steps, Support
+from evaluation.exploitability import Steps, training_support
 from evaluation.plots import plot_free_run
 from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from sysid_evo.data import Dataset, Trajectory
@@ -66,13 +66,13 @@ def test_the_spread_of_an_angle_does_not_grow_with_its_turns() -> None:
 def test_states_a_turn_apart_are_equally_far_outside_the_data() -> None:
     rng = np.random.default_rng(0)
     states = np.stack([rng.uniform(-1.0, 1.0, 301), rng.uniform(-1.0, 1.0, 301)], axis=1)
-    support = Support.of(Dataset.from_arrays(PENDULUM, [states], [np.zeros((300, 1))]))
+    support = training_support(Dataset.from_arrays(PENDULUM, [states], [np.zeros((300, 1))]))
     here, there = (
         Steps.of(PENDULUM, [Trajectory(states + turns * np.array([TURN, 0.0]), np.zeros((300, 1)), 0.05)])
         for turns in (0, 2)
     )
-    np.testing.assert_allclose(support.distances(there), support.distances(here), atol=1e-9)
-    assert support.share_outside(there) < 0.05
+    np.testing.assert_allclose(there.distances(support), here.distances(support), atol=1e-9)
+    assert there.share_outside(support) < 0.05
 
 
 def test_the_line_of_an_angle_breaks_where_it_jumps() -> None:

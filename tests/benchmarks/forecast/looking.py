@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from evaluation.cells.plants import runner_of
-from evaluation.exploitability import Steps, Support, probe_limits
+from evaluation.exploitability import Steps, probe_limits, training_support
 from evaluation.exploitability.optimism import optimism, others_of
 from evaluation.exploitability.probes import ProbeLimit
 from evaluation.prediction.scores import HORIZON
 from evaluation.transfer import transfer_seeds
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset
+from sysid_evo.data.support import Support
 from sysid_evo.engine import DynamicsRunner, Rollouts, Runner
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.champion import load_champion
@@ -59,7 +60,7 @@ class Material:
             models={name: load_model(_newest(run / "models", name)) for name in named},
             families={name: model["family"] for name, model in named.items()},
             errors={model["name"]: _error(model) for model in report["prediction"]["models"]},
-            support=Support.of(training),
+            support=training_support(training),
             limits=probe_limits(Steps.moving(training)),
             seed=report["settings"]["seed"],
         )
@@ -124,13 +125,13 @@ def _column(champion: Champion, everyone: Array, label: str, material: Material)
     found = []
     for number in range(len(everyone)):
         runs = [run for which, run in zip(whose, recorded.trajectories, strict=True) if which == number]
-        steps = Steps.of(support.pairs.system, runs)
+        steps = Steps.of(support.system, runs)
         shares = [limit.share(steps) or 0.0 for limit in material.limits]
         found.append(
             {
                 **told,
                 "fitness": fitness[number].tolist(),
-                "outside": support.share_outside(steps) or 0.0,
+                "outside": steps.share_outside(support) or 0.0,
                 "probed": max(shares, default=0.0),
             }
         )

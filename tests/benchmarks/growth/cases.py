@@ -12,7 +12,7 @@ import numpy as np
 
 from evaluation.planning import with_preset
 from evaluation.prediction import PredictionProtocol, measured_cases, score_model
-from evaluation.steps import Steps, Support
+from evaluation.steps import Steps, training_support
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset, advise
 from sysid_evo.engine import DynamicsRunner, rollout
@@ -249,7 +249,7 @@ def _tests(quick: bool) -> Iterator[Growth]:
 
     def supporting(data: Dataset) -> Callable[[], object]:
         steps = Steps.of(data.system, data.episodes)
-        return lambda: Support.of(data).share_outside(steps)
+        return lambda: steps.share_outside(training_support(data))
 
     for name, test in {
         "score": scoring,
