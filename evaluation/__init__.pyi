@@ -10,7 +10,8 @@ from .results import DataSummary, Failure, ModelSummary, Report
 from .running import compare, run_study
 from .study.results import StudyResults
 from .study.study import Study
-from .transfer.matrix import Cell, TransferMatrix, run_cell, transfer, transfer_seeds
+from .transfer import Cell
+from .transfer.matrix import TransferMatrix, run_cell, transfer, transfer_seeds
 from .transfer.summary import TransferSummary, summarise
 
 __all__ = [

@@ -10,7 +10,7 @@ from typing import Any
 from evaluation.cells.controllers import EvolveCell
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import FitCell, PredictCell, StoredModel
-from evaluation.cells.plants import Column, emulated, runner_of
+from evaluation.cells.plants import Plant, emulated, runner_of
 from evaluation.experiment import FILE
 from evaluation.planning import comparison_of
 from evaluation.run_folder import is_run, latest_run_folder, owner_of
@@ -38,7 +38,7 @@ class Place:
     """A system to run controllers on: its label in the matrix, and the run folder whose models it is one of."""
 
     label: str
-    column: Column
+    column: Plant
     store: Store
 
     @property
@@ -181,7 +181,7 @@ def _told_apart(names: Sequence[tuple[str, str]]) -> list[str]:
     return [name if found.count(name) == 1 else f"{name}#{found[:i].count(name) + 1}" for i, name in enumerate(found)]
 
 
-def check_evolution(store: Store, columns: tuple[Column, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
+def check_evolution(store: Store, columns: tuple[Plant, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
     """Check that all members have one system, and that task and controller fit it. Raises what does not.
 
     Returns why the task cannot be done well by the first of them whose equations are known, in sentences.
@@ -200,7 +200,7 @@ def check_evolution(store: Store, columns: tuple[Column, ...], evolution: Contro
     return () if farthest is None else task.doubts(farthest)
 
 
-def other_models(store: Store, columns: tuple[Column, ...]) -> tuple[Column, ...]:
+def other_models(store: Store, columns: tuple[Plant, ...]) -> tuple[Plant, ...]:
     """Return the models of the run that are of one system with ``columns`` and not among them."""
     system = system_of(store, columns[0])
     taken = {column.model.digest for column in columns if column.model is not None}
@@ -233,7 +233,7 @@ def is_model_of_a_run(name: str) -> bool:
     return not is_file(name) and not is_robot(name)
 
 
-def find_column(store: Store, name: str) -> Column:
+def find_column(store: Store, name: str) -> Plant:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
     if is_file(name):
         file = stored_file(name, "model")
@@ -241,22 +241,22 @@ def find_column(store: Store, name: str) -> Column:
         if own is not None:
             return column_of(store, own)
         model = StoredModel(file)
-        return Column(model.name, model.family, model=model)
+        return Plant(model.name, model.family, model=model)
     if is_robot(name):
         spec = robot_spec(name)
         runner_of(spec)
-        return Column(spec.label, spec.label, robot=spec)
+        return Plant(spec.label, spec.label, robot=spec)
     return column_of(store, find_model(store, name))
 
 
-def column_of(store: Store, record: Record) -> Column:
+def column_of(store: Store, record: Record) -> Plant:
     """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
     model, family = StoredCell(record, FitCell), record.inputs["model"]["name"]
     data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
     if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
-        return Column(record.name, family, model=model)
+        return Plant(record.name, family, model=model)
     prediction = PredictCell(record.name, family, StoredCell(data, GivenData), model)
-    return Column(record.name, family, model=model, prediction=prediction)
+    return Plant(record.name, family, model=model, prediction=prediction)
 
 
 def record_of_file(store: Store, file: Path) -> Record | None:
@@ -284,12 +284,12 @@ def find_model(store: Store, name: str) -> Record:
     raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
 
 
-def has_dynamics(column: Column) -> bool:
+def has_dynamics(column: Plant) -> bool:
     """Whether the equations behind a column can be stepped: a model's and an emulated robot's, no environment's."""
     return column.robot is None or make_robot(column.robot).dynamics is not None
 
 
-def system_of(store: Store, column: Column) -> System:
+def system_of(store: Store, column: Plant) -> System:
     """Return the system of the model or robot behind a column."""
     if column.robot is None:
         return dynamics_of(store, column).system
@@ -297,7 +297,7 @@ def system_of(store: Store, column: Column) -> System:
     return system
 
 
-def dynamics_of(store: Store, column: Column) -> Dynamics:
+def dynamics_of(store: Store, column: Plant) -> Dynamics:
     """Return the model or the emulated robot behind a column."""
     if column.robot is not None:
         return emulated(column.robot)

@@ -22,10 +22,10 @@ from evaluation.cells.controllers import (
 )
 from evaluation.cells.data import GivenData, RecordedData, Split
 from evaluation.cells.models import ConditionsCell, FitCell, PredictCell
-from evaluation.cells.plants import Column, runner_of
+from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
-from evaluation.transfer.matrix import FOLDER, Measured, kept_traces, load_measured
+from evaluation.transfer.matrix import FOLDER, MeasuredResult, kept_traces, load_measured
 from evaluation.transfer.summary import AT_REST
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -91,7 +91,7 @@ def plan_comparison(
     *,
     dataset: Dataset | None = None,
     stored: tuple[Cell, System] | None = None,
-    measured: Sequence[Measured] = (),
+    measured: Sequence[MeasuredResult] = (),
 ) -> Comparison:
     """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
 
@@ -143,7 +143,7 @@ def plan_comparison(
     matrix, exploitability = None, None
     if experiment.only is None:
         columns = tuple(
-            Column(label, fit.spec.name, model=fit, prediction=predictions.get(label)) for label, fit in fits.items()
+            Plant(label, fit.spec.name, model=fit, prediction=predictions.get(label)) for label, fit in fits.items()
         )
         matrix = _matrix(
             experiment,
@@ -275,7 +275,7 @@ def _system_of(robot: Spec) -> System:
     return system
 
 
-def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Column | None:
+def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Plant | None:
     """Return the column of the emulated robot; a physical one gets its column when it is driven."""
     if robot is None:
         return None
@@ -287,7 +287,7 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
             "Leave --robot out, or name the robot that was recorded"
         )
     if not machine.physical:
-        return Column(robot.label, robot.label, robot=robot)
+        return Plant(robot.label, robot.label, robot=robot)
     if experiment.yardstick:
         runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
@@ -378,17 +378,17 @@ def _by_hand(
 def _matrix(
     experiment: Experiment,
     evolution: ControllerEvolution,
-    models: tuple[Column, ...],
-    robot: Column | None,
+    models: tuple[Plant, ...],
+    robot: Plant | None,
     ensembles: tuple[tuple[str, ...], ...],
-    measured: tuple[Measured, ...],
+    measured: tuple[MeasuredResult, ...],
     by_hand: tuple[HandWrittenCell, ...],
     *,
     recorded: bool,
 ) -> Matrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
-    groups: list[tuple[Column, ...]] = [(column,) for column in models]
+    groups: list[tuple[Plant, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
     quick = robot is not None and robot.robot is not None and make_robot(robot.robot).dynamics is not None
     usual = quick and recorded and experiment.budget.recipe == "recommended"

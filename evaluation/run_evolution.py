@@ -10,7 +10,7 @@ from evaluation.cells.assessment import RunCell
 from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import files_of
-from evaluation.cells.plants import Column
+from evaluation.cells.plants import Plant
 from evaluation.coverage import UncoveredBox, what_to_record
 from evaluation.experiment import Experiment
 from evaluation.exploitability.assessment import assess_exploitability
@@ -78,7 +78,7 @@ def inspected(controller: Path, support: Support) -> tuple[str, tuple[UncoveredB
     return champion.name, regions_of(champion, models, support)
 
 
-def by_label(columns: Sequence[Column]) -> tuple[Column, ...]:
+def by_label(columns: Sequence[Plant]) -> tuple[Plant, ...]:
     """Return the models among ``columns``, of those with one label the first."""
     return tuple({column.label: column for column in reversed(columns) if column.robot is None}.values())[::-1]
 
@@ -114,7 +114,7 @@ AGAIN = "evaluation.run_evolution:plan_again"
 
 
 def cells_of(
-    experiment: Experiment, store: Store, columns: tuple[Column, ...]
+    experiment: Experiment, store: Store, columns: tuple[Plant, ...]
 ) -> tuple[ChampionCell, tuple[RunCell, ...], tuple[RunCell, ...]]:
     """Return the cell of the controller against ``columns``, those of its claims there, and on the run's other models.
 
@@ -124,7 +124,7 @@ def cells_of(
     champion = controller_cell(experiment, columns, judges=columns + others)
     delay = experiment.estimator_delay
 
-    def on(column: Column) -> RunCell:
+    def on(column: Plant) -> RunCell:
         return RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed)
 
     labels = {column.label for column in columns}
@@ -177,7 +177,7 @@ def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
 
 
 def _looked_at(
-    champion: Champion, target: Column, columns: tuple[Column, ...], store: Store, seed: int, on_robot: bool
+    champion: Champion, target: Plant, columns: tuple[Plant, ...], store: Store, seed: int, on_robot: bool
 ) -> tuple[TransferMatrix, ModelExploitability | None]:
     """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to."""
     models = {column.label: dynamics_of(store, column) for column in columns}

@@ -12,7 +12,7 @@ from evaluation.advice.evidence import Evidence, ModelAdvice, advice_from_json, 
 from evaluation.cells.controllers import ChampionCell, ControllerFiles, HandWrittenCell, conditions
 from evaluation.cells.data import Parts
 from evaluation.cells.models import FitCell, PredictCell
-from evaluation.cells.plants import BELIEVED, Column, believed
+from evaluation.cells.plants import BELIEVED, Plant, believed
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import (
     ModelExploitability,
@@ -23,10 +23,10 @@ from evaluation.exploitability.search import search_exploit
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
 from evaluation.storage import read_json, write_json
-from evaluation.transfer.matrix import Cell as MatrixCell
 from evaluation.transfer.matrix import (
-    Measured,
+    MeasuredResult,
     TransferMatrix,
+    TransferResult,
     load_cell,
     run_on,
     save_cell,
@@ -55,7 +55,7 @@ class RunCell(Cell):
     kind = "run"
 
     champion: Cell
-    column: Column
+    column: Plant
     delay: float
     trials: int
     traces: int
@@ -82,7 +82,7 @@ class RunCell(Cell):
             "seed": self.seed,
         }
 
-    def compute(self, work: Work) -> MatrixCell:
+    def compute(self, work: Work) -> TransferResult:
         champion: Champion = work.result(self.champion)
         champion.check_system(self.column.system(work))
         cell = run_on(
@@ -96,13 +96,13 @@ class RunCell(Cell):
             raise InvalidData(cell.reason)
         return cell
 
-    def save(self, value: MatrixCell, path: Path) -> list[Path]:
+    def save(self, value: TransferResult, path: Path) -> list[Path]:
         return save_cell(value, path)
 
-    def load(self, path: Path) -> MatrixCell:
+    def load(self, path: Path) -> TransferResult:
         return load_cell(path)
 
-    def named(self, value: MatrixCell) -> MatrixCell:
+    def named(self, value: TransferResult) -> TransferResult:
         return replace(value, champion=self.champion.name, column=self.column.label)
 
     def seconds(self) -> float:
@@ -118,10 +118,10 @@ class Matrix:
     """
 
     champions: tuple[ChampionCell | HandWrittenCell, ...]
-    columns: tuple[Column, ...]
+    columns: tuple[Plant, ...]
     runs: tuple[RunCell, ...]
     robot: str | None
-    measured: tuple[Measured, ...] = ()
+    measured: tuple[MeasuredResult, ...] = ()
 
     def of(self, outcome: Any) -> TransferMatrix | None:
         """Return the matrix of what is there; ``outcome(cell)`` gives the `Outcome` of a cell."""
@@ -131,7 +131,7 @@ class Matrix:
         for run in self.runs:
             found: Outcome = outcome(run)
             if run.champion.name in known:
-                failed = MatrixCell(run.champion.name, run.column.label, reason=found.reason or "")
+                failed = TransferResult(run.champion.name, run.column.label, reason=found.reason or "")
                 cells.append(failed if found.value is None else found.value)
         families = {column.label: column.family for column in self.columns}
         labels = tuple(column.label for column in self.columns)
@@ -288,8 +288,8 @@ class SearchCell(ControllerFiles):
 
     kind = "search"
 
-    target: Column
-    others: tuple[Column, ...]
+    target: Plant
+    others: tuple[Plant, ...]
     settings: ControllerEvolution
     seed: int
 

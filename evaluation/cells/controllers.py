@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
-from evaluation.cells.plants import BELIEVED, Column, believed, prediction_error
+from evaluation.cells.plants import BELIEVED, Plant, believed, prediction_error
 from evaluation.experiment import NONE, Experiment
 from evaluation.transfer.forecast import RULE, worth_by
 from sysid_evo.artefacts import CheckpointFile
@@ -64,7 +64,7 @@ class EvolveCell(ControllerFiles):
     kind = "evolve"
     resumable = True
 
-    members: tuple[Column, ...]
+    members: tuple[Plant, ...]
     settings: ControllerEvolution
     seed: int
 
@@ -151,12 +151,12 @@ class ChooseCell(ControllerFiles):
     tolerant = True
 
     contenders: tuple[EvolveCell, ...]
-    judges: tuple[Column, ...]
+    judges: tuple[Plant, ...]
     trials: int
     seed: int
 
     @property
-    def members(self) -> tuple[Column, ...]:
+    def members(self) -> tuple[Plant, ...]:
         """Everything that one of the contenders was evolved against."""
         found = (member for contender in self.contenders for member in contender.members)
         return tuple({member.label: member for member in found}.values())
@@ -225,7 +225,7 @@ class PolishCell(ControllerFiles):
     tolerant = True
 
     chosen: ChooseCell
-    members: tuple[Column, ...]
+    members: tuple[Plant, ...]
     settings: ControllerEvolution
     generations: int
     starts: int
@@ -245,7 +245,7 @@ class PolishCell(ControllerFiles):
     def needs(self) -> tuple[Cell, ...]:
         return (self.chosen, *(cell for member in self.members for cell in self._needs(member)))
 
-    def _needs(self, member: Column) -> tuple[Cell, ...]:
+    def _needs(self, member: Plant) -> tuple[Cell, ...]:
         return member.believing if self.sift else member.needs
 
     def inputs(self) -> dict[str, Any]:
@@ -302,7 +302,7 @@ class HandWrittenCell(ControllerFiles):
     """
 
     kind = "by_hand"
-    members: ClassVar[tuple[Column, ...]] = ()
+    members: ClassVar[tuple[Plant, ...]] = ()
 
     spec: Spec
     task: Spec
@@ -389,7 +389,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     )
 
 
-def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> ControllerEvolution:
+def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:
     """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for.
 
     Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
@@ -404,9 +404,9 @@ def evolution_on(experiment: Experiment, members: tuple[Column, ...]) -> Control
 
 def controller_cell(
     experiment: Experiment,
-    members: tuple[Column, ...],
+    members: tuple[Plant, ...],
     *,
-    judges: tuple[Column, ...],
+    judges: tuple[Plant, ...],
     label: str | None = None,
     sift: bool = False,
     further: tuple[EvolveCell, ...] = (),
@@ -430,7 +430,7 @@ def controller_cell(
     return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name, sift)
 
 
-def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Column, ...]) -> ChampionCell:
+def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Plant, ...]) -> ChampionCell:
     """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
 
     What was evolved on a robot itself is chosen by that robot.

@@ -17,7 +17,7 @@ from sysid_evo.system import System
 
 
 @dataclass(frozen=True)
-class Column:
+class Plant:
     """A column of the transfer matrix: the model that the cell ``model`` gives, or the ``robot``.
 
     ``family`` is the registered name behind a model; that of a robot is its own. ``prediction`` is the cell of
@@ -49,7 +49,7 @@ class Column:
         """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
         return {"robot": None if self.robot is None else robots.identity(self.robot)}
 
-    def is_same(self, other: Column) -> bool:
+    def is_same(self, other: Plant) -> bool:
         """Whether the same model or robot stands behind both, whatever their labels."""
         return self.model == other.model and self.inputs() == other.inputs()
 
@@ -96,7 +96,7 @@ FAMILIES = 2
 """The best of this many families are always believed, so that there is one to judge what comes from the other."""
 
 
-def believed(columns: Sequence[Column], work: Work) -> tuple[Column, ...]:
+def believed(columns: Sequence[Plant], work: Work) -> tuple[Plant, ...]:
     """Return those of ``columns`` that predict well: N at most `BELIEVED` times that of the best.
 
     A model that misses a lag or a force of the robot tells nothing about fast controllers, and several such models
@@ -115,6 +115,6 @@ def believed(columns: Sequence[Column], work: Work) -> tuple[Column, ...]:
     return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
 
 
-def prediction_error(column: Column, work: Work) -> float | None:
+def prediction_error(column: Plant, work: Work) -> float | None:
     """Return N of a model on held-out data, None where it is not known."""
     return None if column.prediction is None else error_of(work.result(column.prediction))

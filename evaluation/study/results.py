@@ -17,7 +17,7 @@ from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
 from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import AT_REST, Standing, is_exploited, standings
+from evaluation.transfer.summary import AT_REST, ControllerScores, is_exploited, standings
 from sysid_evo.files import write_atomically
 from sysid_evo.plan import Cell, Record, Store
 from sysid_evo.plan.store import WAITING
@@ -278,7 +278,7 @@ class _Gathered:
     def _controller(
         self,
         cell: ChampionCell | HandWrittenCell,
-        standing: Standing | None,
+        standing: ControllerScores | None,
         forecast: Forecast | None,
         errors: dict[str, float | None],
     ) -> ControllerRow:

@@ -2,10 +2,10 @@
 
 from evaluation.transfer.matrix import (
     NOT_RUN,
-    Cell,
-    Measured,
+    MeasuredResult,
     Trace,
     TransferMatrix,
+    TransferResult,
     cell_of,
     kept_traces,
     load_cell,
@@ -19,12 +19,13 @@ from evaluation.transfer.matrix import (
     transfer_seeds,
     with_measured,
 )
+from evaluation.transfer.matrix import TransferResult as Cell
 from evaluation.transfer.summary import (
     AT_REST,
+    ControllerScores,
     ControllerSummary,
     Figures,
     RankCorrelation,
-    Standing,
     TransferSummary,
     fitness_on,
     is_exploited,
@@ -40,12 +41,13 @@ __all__ = [
     "ControllerSummary",
     "Estimate",
     "Figures",
-    "Measured",
+    "MeasuredResult",
     "PairedEstimate",
     "RankCorrelation",
-    "Standing",
+    "ControllerScores",
     "Trace",
     "TransferMatrix",
+    "TransferResult",
     "TransferSummary",
     "cell_of",
     "fitness_on",

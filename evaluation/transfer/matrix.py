@@ -44,7 +44,7 @@ class TransferMatrix:
 
     champions: tuple[Champion, ...]
     columns: tuple[str, ...]
-    cells: Mapping[tuple[str, str], Cell]
+    cells: Mapping[tuple[str, str], TransferResult]
     families: Mapping[str, str]
     robot: str | None = None
     other_robots: tuple[str, ...] = ()
@@ -54,7 +54,7 @@ class TransferMatrix:
         cls,
         champions: Sequence[Champion],
         columns: Sequence[str],
-        cells: Iterable[Cell],
+        cells: Iterable[TransferResult],
         *,
         families: Mapping[str, str] | None = None,
         robot: str | None = None,
@@ -74,7 +74,7 @@ class TransferMatrix:
         placed = {(cell.champion, cell.column): cell for cell in cells}
         for name in names:
             for column in ordered:
-                placed.setdefault((name, column), Cell(name, column, reason=NOT_RUN))
+                placed.setdefault((name, column), TransferResult(name, column, reason=NOT_RUN))
         given = families or {}
         named = {**given, **{column: given.get(column, column) for column in ordered}}
         return cls(tuple(champions), ordered, placed, named, robot, tuple(other_robots))
@@ -98,7 +98,7 @@ class TransferMatrix:
         """The largest number of trials in a cell."""
         return max((cell.trials for cell in self.cells.values()), default=0)
 
-    def cell(self, champion: str, column: str) -> Cell:
+    def cell(self, champion: str, column: str) -> TransferResult:
         return self.cells[champion, column]
 
     def means(self) -> Array:
@@ -119,14 +119,14 @@ class TransferMatrix:
         known = [row for row in evolved if not self.cell(row, column).failed]
         return max(known, key=lambda row: self.cell(row, column).mean, default=None)
 
-    def failures(self) -> tuple[Cell, ...]:
+    def failures(self) -> tuple[TransferResult, ...]:
         """Return the cells that were tried and failed, row by row."""
         cells = (self.cell(row, column) for row in self.rows for column in self.columns)
         return tuple(cell for cell in cells if cell.failed and cell.reason != NOT_RUN)
 
 
 @dataclass(frozen=True)
-class Cell:
+class TransferResult:
     """What ``champion`` did on ``column`` in E trials, or the ``reason`` why it did nothing.
 
     ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
@@ -187,7 +187,7 @@ class Cell:
         }
 
     @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Cell:
+    def from_dict(cls, value: Mapping[str, Any]) -> TransferResult:
         """Undo `to_dict`."""
         fields = dict(value)
         fields["fitness"] = np.asarray(fields["fitness"], dtype=np.float64)
@@ -258,7 +258,7 @@ LONG = ("states", "controls", "pose")
 """What there is of each trace at every step: as text it would take fifty times as long."""
 
 
-def save_cell(cell: Cell, path: Path) -> list[Path]:
+def save_cell(cell: TransferResult, path: Path) -> list[Path]:
     """Write a cell to ``path`` with two suffixes; return the files."""
     value = cell.to_dict()
     arrays = {}
@@ -270,13 +270,13 @@ def save_cell(cell: Cell, path: Path) -> list[Path]:
     return write_with_arrays(value, arrays, path)
 
 
-def load_cell(path: Path) -> Cell:
+def load_cell(path: Path) -> TransferResult:
     """Read what `save_cell` wrote. Raises `ArtefactError`."""
     try:
         value, arrays = read_with_arrays(path)
         for i, trace in enumerate(value["traces"]):
             trace.update({name: arrays.get(f"trace.{i}.{name}") for name in LONG})
-        return Cell.from_dict(value)
+        return TransferResult.from_dict(value)
     except DAMAGED as error:
         raise ArtefactError(f"{path}: not a cell of a transfer matrix: {error}") from error
 
@@ -324,28 +324,28 @@ def kept_traces(traces: int, *, own: bool) -> int:
     return traces if own else min(traces, 1)
 
 
-def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
+def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
     """Run ``champion``, see `run_on`; whatever is raised becomes the reason of a failed cell."""
     try:
         return run_on(champion, column, runner, seeds, traces=traces)
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
-        return Cell(champion.name, column, reason=f"{type(error).__name__}: {error}")
+        return TransferResult(champion.name, column, reason=f"{type(error).__name__}: {error}")
 
 
-def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> Cell:
+def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
     """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
     controller, task = make_controller(champion.controller), make_task(champion.task)
     rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
     return cell_of(champion, column, rollouts, task, traces=traces)
 
 
-def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> Cell:
+def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> TransferResult:
     """Return the cell of trials that were run; one without a single finished trial is a failed cell."""
     if rollouts.fitness.size == 0:
         reason = "; ".join(("no trial was finished", *rollouts.missing[:1]))
-        return Cell(champion.name, column, reason=reason, missing=rollouts.missing)
+        return TransferResult(champion.name, column, reason=reason, missing=rollouts.missing)
     fitness = rollouts.fitness[0]
-    return Cell(
+    return TransferResult(
         champion=champion.name,
         column=column,
         fitness=fitness,
@@ -386,11 +386,11 @@ BY_HAND = Spec("by_hand")
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredResult:
     """A cell, who drove (``champion``, the row), and whether the column is a robot, and a physical one."""
 
     champion: Champion
-    cell: Cell
+    cell: TransferResult
     on_robot: bool
     physical: bool = False
 
@@ -411,11 +411,11 @@ class Measured:
         return json.dumps(value, allow_nan=False)
 
     @classmethod
-    def from_json(cls, text: str) -> Measured:
+    def from_json(cls, text: str) -> MeasuredResult:
         """Undo `to_json`."""
         value = json.loads(text)
         champion = Champion.from_dict(value["champion"], value["tensors"])
-        return cls(champion, Cell.from_dict(value["cell"]), value["on_robot"], value["physical"])
+        return cls(champion, TransferResult.from_dict(value["cell"]), value["on_robot"], value["physical"])
 
 
 def person(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:
@@ -425,26 +425,26 @@ def person(name: str = "human", *, task: str = "point_to_point", system: System 
     )
 
 
-def save_measured(run: Path, measured: Measured) -> Path:
+def save_measured(run: Path, measured: MeasuredResult) -> Path:
     """Store a cell in the run folder ``run``; it takes the place of an earlier one of the same row and column."""
     name = f"{measured.champion.name}@{measured.cell.column}.json"
     text = measured.to_json()
     return write_atomically(run / FOLDER / re.sub(r"[^\w.@+-]+", "-", name), lambda file: file.write_text(text))
 
 
-def load_measured(run: Path) -> tuple[tuple[Measured, ...], tuple[str, ...]]:
+def load_measured(run: Path) -> tuple[tuple[MeasuredResult, ...], tuple[str, ...]]:
     """Return every measured cell of the run folder, the oldest first, and a remark for each that is damaged."""
     files = sorted((run / FOLDER).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
     found, remarks = [], []
     for file in files:
         try:
-            found.append(Measured.from_json(file.read_text(encoding="utf-8")))
+            found.append(MeasuredResult.from_json(file.read_text(encoding="utf-8")))
         except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
             remarks.append(f"{file} is damaged and left out: {type(error).__name__}: {error}")
     return tuple(found), tuple(remarks)
 
 
-def with_measured(matrix: TransferMatrix | None, measured: Sequence[Measured]) -> TransferMatrix | None:
+def with_measured(matrix: TransferMatrix | None, measured: Sequence[MeasuredResult]) -> TransferMatrix | None:
     """Return ``matrix`` with the measured cells, in rows and columns of their own where there are none yet.
 
     The robot that counts as achieved is the physical one driven last, else that of ``matrix``, else the one

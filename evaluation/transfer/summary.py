@@ -37,7 +37,7 @@ class TransferSummary:
 
 
 @dataclass(frozen=True)
-class Standing:
+class ControllerScores:
     """What a controller does in the matrix; None where nothing is known.
 
     ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``achieved`` that on
@@ -86,7 +86,7 @@ class ControllerSummary:
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
     floor: float | None = None
-    standing: Standing = field(default_factory=Standing)
+    standing: ControllerScores = field(default_factory=ControllerScores)
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -95,7 +95,7 @@ class ControllerSummary:
 
     @property
     def shown(self) -> Mapping[str, Estimate]:
-        """What there is of claimed, others, other_families and achieved, with the intervals of its `Standing`."""
+        """What there is of claimed, others, other_families and achieved, with the intervals of its scores."""
         at, elsewhere = self.standing, "others" if self.achieved is None else "achieved"
         found = {"claimed": self.claimed, "others": self.others, "other_families": self.other_families}
         found |= {"achieved": self.achieved, "claimed": at.claimed or self.claimed}
@@ -393,7 +393,7 @@ def judges_of(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
     return tuple(column for column in others if not matrix.cell(champion.name, column).failed)
 
 
-def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str, Standing]:
+def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str, ControllerScores]:
     """Return how the controllers of ``matrix`` stand, by name.
 
     ``at_rest`` names the controller that does nothing, from whose fitness shares are measured; None to measure from 0.
@@ -402,10 +402,10 @@ def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str
     return {champion.name: _standing(champion, figures) for champion in matrix.champions}
 
 
-def _standing(champion: Champion, figures: Figures) -> Standing:
+def _standing(champion: Champion, figures: Figures) -> ControllerScores:
     worst, worst_on = figures.worst(champion)
     name = champion.name
-    return Standing(
+    return ControllerScores(
         claimed=_estimate(figures.claimed.get(name)),
         achieved=_estimate(figures.elsewhere.get(name)),
         gap=_estimate(figures.gap.get(name)),

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from evaluation.planning import Comparison
     from evaluation.report import Report
     from evaluation.study import PlannedStudy, StudyResults
-    from evaluation.transfer.matrix import Measured
+    from evaluation.transfer.matrix import MeasuredResult
     from sysid_evo.plan.store import Outcome, Store
 
 
@@ -329,7 +329,7 @@ def report(
             tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
 
 
-def append(folder: Path, *measured: Measured) -> None:
+def append(folder: Path, *measured: MeasuredResult) -> None:
     """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
     from evaluation.experiment import FILE
     from evaluation.transfer.matrix import save_measured

@@ -20,7 +20,7 @@ from sysid_evo.cli.recordings import episode_table
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from evaluation.transfer import Measured
+    from evaluation.transfer import MeasuredResult
     from hardware.connection import GateLimits, Listener
     from hardware.driving.hand_driving import HandTrial
     from hardware.driving.server import PageAddress
@@ -115,7 +115,7 @@ def drive_controller(
     shown. ``keep`` is a folder for the data set of the trials of a robot that steps when it is told to.
     """
     from evaluation.run_folder import owner_of, seed_of_run
-    from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from evaluation.transfer import MeasuredResult, cell_of, transfer_seeds
     from hardware.driving.controller_driving import shown_live
     from hardware.driving.server import check_page
     from hardware.driving.trials import RobotRunner
@@ -173,7 +173,7 @@ def drive_controller(
         except LinkLost as error:
             bars.end(title, str(error))
             return code_of_loop(Reason.LINK_LOST)
-        measured = Measured(
+        measured = MeasuredResult(
             champion,
             cell_of(champion, column, rollouts, goal, traces=TRACES),
             on_robot=True,
@@ -210,7 +210,7 @@ def run_stepped(
     With a ``page`` the trials are then played back there. ``keep`` is a folder for their data set.
     """
     from evaluation.run_folder import seed_of_run
-    from evaluation.transfer import Measured, cell_of, transfer_seeds
+    from evaluation.transfer import MeasuredResult, cell_of, transfer_seeds
     from hardware.driving.controller_driving import play_back
     from sysid_evo.cli.experiments import append
     from sysid_evo.controllers.controller import make_controller
@@ -222,7 +222,7 @@ def run_stepped(
     seeds = transfer_seeds(seed if seed is not None else seed_of_run(folder) if folder else champion.seed, trials)
     rollouts = runner.run(make_controller(champion.controller), champion.parameters[None], task, seeds, record=True)
     cell = cell_of(champion, f"{machine.name} driven", rollouts, task, traces=TRACES)
-    measured = Measured(champion, cell, on_robot=True, physical=False)
+    measured = MeasuredResult(champion, cell, on_robot=True, physical=False)
     out.print(f"{champion.name} on {machine.name}", style="bold", highlight=False, markup=False)
     out.print(trials_table(measured, rollouts))
     if folder is not None:
@@ -244,7 +244,7 @@ def column_of(robot: Robot) -> str:
     return robot.name if robot.dynamics is None else f"{robot.name} driven"
 
 
-def trials_table(measured: Measured, rollouts: Rollouts) -> Table:
+def trials_table(measured: MeasuredResult, rollouts: Rollouts) -> Table:
     """Return the fitness of each trial, mean and standard deviation, and what is missing."""
     from rich.table import Table
 
@@ -505,7 +505,7 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
     """Add the trials that were driven to their end to the run's matrix, as the row ``name``."""
     import numpy as np
 
-    from evaluation.transfer import Cell, Measured, Trace, person
+    from evaluation.transfer import Cell, MeasuredResult, Trace, person
     from sysid_evo.cli.experiments import append
     from sysid_evo.tasks.task import make_task
 
@@ -530,7 +530,7 @@ def append_row(driven: Driven, name: str, trials: Sequence[HandTrial]) -> None:
     )
     physical = driven.on_robot and driven.robot.physical
     row = person(name, task=driven.task, system=driven.robot.system)
-    append(driven.run, Measured(row, cell, on_robot=driven.on_robot, physical=physical))
+    append(driven.run, MeasuredResult(row, cell, on_robot=driven.on_robot, physical=physical))
 
 
 def record(

@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation.cells.data import GivenData, Split
 from evaluation.cells.models import PredictCell
-from evaluation.cells.plants import Column, believed
+from evaluation.cells.plants import Plant, believed
 from evaluation.prediction import ErrorScore, Interval, ModelPrediction
 from sysid_evo.plan import Cell, Work
 from sysid_evo.testing import example_dataset
@@ -17,9 +17,9 @@ DATA = GivenData(example_dataset(), Split())
 MEASURED: dict[str, dict[int, float] | None] = {}
 
 
-def column(label: str, family: str, errors: dict[int, float] | None = None) -> Column:
+def column(label: str, family: str, errors: dict[int, float] | None = None) -> Plant:
     MEASURED[label] = errors
-    return Column(label, family, prediction=PredictCell(label, family, DATA))
+    return Plant(label, family, prediction=PredictCell(label, family, DATA))
 
 
 def measured(cell: PredictCell) -> ModelPrediction | None:
@@ -44,7 +44,7 @@ def nowhere(cell: Cell) -> Path:
     raise AssertionError(f"nobody asks where {cell.title} stands")
 
 
-def names(*columns: Column) -> tuple[str, ...]:
+def names(*columns: Plant) -> tuple[str, ...]:
     work = Work(measured, no_progress, Path("unused"), Path("unused"), nowhere)  # type: ignore[arg-type]  # predictions only
     return tuple(one.label for one in believed(columns, work))
 
@@ -70,7 +70,7 @@ def test_the_best_of_two_families_are_believed_so_that_one_can_judge_the_other()
 
 
 def test_a_robot_and_what_was_not_measured_are_believed() -> None:
-    robot, failed = Column("car", "car"), column("failed", "failed")
+    robot, failed = Plant("car", "car"), column("failed", "failed")
     assert names(robot, failed) == ("car", "failed")
     assert names(
         robot, failed, column("a", "a", {20: 0.1}), column("b", "b", {20: 0.2}), column("c", "c", {20: 0.3})

@@ -17,7 +17,7 @@ from evaluation.cells.models import StoredModel
 from evaluation.experiment import Experiment
 from evaluation.planning import Comparison, plan_comparison, unsettled
 from evaluation.transfer import Cell, person
-from evaluation.transfer.matrix import Measured
+from evaluation.transfer.matrix import MeasuredResult
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion
@@ -196,7 +196,7 @@ def test_other_data_change_everything_and_their_copy_nothing() -> None:
 
 
 def test_a_measured_cell_changes_the_assessment_alone() -> None:
-    drove = Measured(person("anna"), Cell("anna", "linear", np.ones(2), unit="waypoints"), on_robot=False)
+    drove = MeasuredResult(person("anna"), Cell("anna", "linear", np.ones(2), unit="waypoints"), on_robot=False)
     experiment = Experiment.of(BASE)
     after = plan_comparison(experiment, dataset=example_dataset(), measured=[drove])
     assert changed(planned(), after) == {"assess exploitability"}

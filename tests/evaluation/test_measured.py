@@ -11,7 +11,7 @@ import pytest
 from evaluation.transfer import (
     NOT_RUN,
     Cell,
-    Measured,
+    MeasuredResult,
     TransferMatrix,
     load_measured,
     person,
@@ -41,8 +41,8 @@ def computed(robot: str | None = None) -> TransferMatrix:
     return TransferMatrix.of(ROWS, columns, cells, families={"a": "f", "b": "g", "c": "h"}, robot=robot)
 
 
-def driven(row: Champion, column: str, *fitness: float, physical: bool = True) -> Measured:
-    return Measured(row, cell(row.name, column, *fitness), on_robot=True, physical=physical)
+def driven(row: Champion, column: str, *fitness: float, physical: bool = True) -> MeasuredResult:
+    return MeasuredResult(row, cell(row.name, column, *fitness), on_robot=True, physical=physical)
 
 
 def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures() -> None:
@@ -77,7 +77,7 @@ def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the
 
 def test_person_is_a_row_that_claims_nothing_and_is_never_chosen() -> None:
     human = person("anna")
-    cells = [Measured(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
+    cells = [MeasuredResult(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
     matrix = with_measured(computed(), [*cells, driven(human, "car", 70.0), driven(ROWS[1], "car", 2.0)])
     assert matrix is not None
     assert matrix.rows == ("a", "b", "anna")
@@ -102,7 +102,7 @@ def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is() -> None
 def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Path) -> None:
     save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
     missing = replace(cell("anna", "a", 3.0), missing=("interrupted",))
-    save_measured(tmp_path, Measured(person("anna"), missing, on_robot=False))
+    save_measured(tmp_path, MeasuredResult(person("anna"), missing, on_robot=False))
     save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 1.0))
     found = {item.champion.name: item for item in load_measured(tmp_path)[0]}
     assert set(found) == {"a", "anna"}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from evaluation.running import compare
-from evaluation.transfer import Cell, Measured, person, save_measured
+from evaluation.transfer import Cell, MeasuredResult, person, save_measured
 from sysid_evo.testing import example_dataset
 from tests.evaluation.test_side_by_side import SMALL, Remarks
 from tests.sysid_evo.cli.calling import forgetting, run_here
@@ -80,7 +80,7 @@ def test_a_comparison_is_the_same_in_every_byte(
         "plugins": (str(tmp_path / "own.py"),),
         "by_hand": ("pursuit",),
     }
-    human = Measured(person("anna"), Cell("anna", "linear", np.array([5.0]), unit="waypoints"), on_robot=False)
+    human = MeasuredResult(person("anna"), Cell("anna", "linear", np.array([5.0]), unit="waypoints"), on_robot=False)
     for name, scheduler in (("here", None), ("there", str(cluster.file))):
         (tmp_path / name / "cells").mkdir(parents=True)
         save_measured(tmp_path / name, human)

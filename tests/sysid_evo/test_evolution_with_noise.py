@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.cells.controllers import EvolveCell, evolution_settings
-from evaluation.cells.plants import Column
+from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner, Rollouts
@@ -101,7 +101,7 @@ def test_candidates_lose_fitness_where_models_are_doubted(
 
 
 def test_noise_belongs_to_what_a_controllers_cell_depends_on() -> None:
-    column = Column("emulated_car", "emulated_car", robot=Spec("emulated_car"))
+    column = Plant("emulated_car", "emulated_car", robot=Spec("emulated_car"))
     cells = [EvolveCell((column,), settings(noise), seed=0) for noise in ("", NOISE, "envelope(sensor=0.1)")]
     cells.append(EvolveCell((column,), settings("", "doubt(outside=1)"), seed=0))
     assert len({cell.digest for cell in cells}) == 4

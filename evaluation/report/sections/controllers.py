@@ -28,7 +28,7 @@ from evaluation.report.sections.prediction import N_IN_WORDS, horizon_name, main
 from evaluation.results import Report
 from evaluation.transfer.forecast import RULE, Forecast
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import ControllerSummary, Standing, TransferSummary
+from evaluation.transfer.summary import ControllerScores, ControllerSummary, TransferSummary
 from evaluation.transfer.uncertainty import Estimate
 
 EXPLOITED = {True: "yes", False: "no", None: "–"}
@@ -255,7 +255,7 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     )
 
 
-def _standing_row(name: str, standing: Standing) -> tuple[str, ...]:
+def _standing_row(name: str, standing: ControllerScores) -> tuple[str, ...]:
     return (
         name,
         within(standing.claimed),

@@ -19,7 +19,8 @@ from evaluation.report.sections.controllers import (
 )
 from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
 from evaluation.results import Report
-from evaluation.transfer.matrix import BY_HAND, NOT_RUN, Cell, TransferMatrix
+from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix
+from evaluation.transfer.matrix import TransferResult as Cell
 from evaluation.transfer.summary import Figures, judges_of
 from evaluation.transfer.uncertainty import SHARE, PairedEstimate
 from sysid_evo.evolution import Champion
