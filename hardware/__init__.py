@@ -1,1 +1,4 @@
-"""The robot: its link, the trackers that see it, the loop that drives it, recording, and emulated robots."""
+"""Robots: their sessions and the loop that drives them, links, trackers, recording, emulated and simulated robots.
+
+The process of a tracker starts from inside this package, so nothing is imported here.
+"""

@@ -1,4 +1,4 @@
-"""The contract of a session: Connection, Measurement, Command, RobotStatus, GateLimits, Listener; time to live."""
+"""The contract of a session with a robot: commands go out, frames of a tracker and the robot's status come in."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from hardware.arguments import number, table, whole
 from sysid_evo.models import Dynamics
 from sysid_evo.system import System
 from sysid_evo.types import Array
+
+TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops that soon
 
 
 class Closeable(ABC):
@@ -97,6 +99,24 @@ class Command:
 
 
 @dataclass(frozen=True)
+class Measurement:
+    """One frame of a tracker.
+
+    ``source_time`` is when the frame was taken, ``arrival_time`` when it got here. Both are in s on
+    one clock, that of the connection; a tracker with a clock of its own is mapped onto the host's
+    (`time.monotonic`). ``pose`` (n_pose,) is in the units of the system's motion; where ``valid``
+    is false the tracker has lost ``body`` and the pose means nothing.
+    """
+
+    source_time: float
+    arrival_time: float
+    frame: int
+    body: str
+    valid: bool
+    pose: Array
+
+
+@dataclass(frozen=True)
 class RobotStatus:
     """What the robot said of itself.
 
@@ -131,27 +151,7 @@ class Listener:
         """Finish; a second call does nothing."""
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """One frame of a tracker.
-
-    ``source_time`` is when the frame was taken, ``arrival_time`` when it got here. Both are in s on
-    one clock, that of the connection; a tracker with a clock of its own is mapped onto the host's
-    (`time.monotonic`). ``pose`` (n_pose,) is in the units of the system's motion; where ``valid``
-    is false the tracker has lost ``body`` and the pose means nothing.
-    """
-
-    source_time: float
-    arrival_time: float
-    frame: int
-    body: str
-    valid: bool
-    pose: Array
-
-
-TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops that soon
-
-MOST_FRAMES = 1_000_000
+MOST_FRAMES = 1_000_000  # that a limit of the gate may count
 
 
 @dataclass(frozen=True)

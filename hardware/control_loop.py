@@ -1,4 +1,4 @@
-"""The 20 Hz loop: frames in, estimate, decision of a pilot, command out; what it demands of a system."""
+"""The loop that drives a robot: frames in, estimate, decision of a pilot, command out, at a fixed rate."""
 
 from __future__ import annotations
 
@@ -214,13 +214,19 @@ class ControlLoop:
         return what + (f"; frames not used: {counts}" if counts else "") + (f" ({beyond})" if beyond else "")
 
 
+class Pilot(ABC):
+    """Who drives: a controller, a script or a person, asked for the control of every sample."""
+
+    @abstractmethod
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
+        """Return the control (nu,) for sample ``tick``, or None to end the run in neutral."""
+
+
 LATEST = 0.05  # s that a command may be late without the robot stopping in between
 
 SLOWEST = TIME_TO_LIVE - LATEST  # s: the longest sampling time
 
 PLANAR = 3  # numbers of a pose that the gate can judge
-
-TOLERANCE = 1e-9  # s
 
 
 def check_loop(system: System) -> None:
@@ -232,17 +238,9 @@ def check_loop(system: System) -> None:
             "the control loop: expected a system whose motion gives a planar pose (x, y, heading), got "
             + ("no motion" if system.motion is None else f"the motion {system.motion.kind}")
         )
-    if system.dt > SLOWEST + TOLERANCE:
+    if system.dt > SLOWEST + CLOCK_TOLERANCE:
         raise IncompatibleSystem(
             f"the control loop: expected a sampling time dt of at most {SLOWEST:g} s, got {system.dt:g} s. A command "
             f"is valid for {TIME_TO_LIVE:g} s and the next may be {LATEST:g} s late, so that at a longer dt the robot "
             "would fall back to neutral between two commands; give the system a shorter dt"
         )
-
-
-class Pilot(ABC):
-    """Decides on the control of every sample."""
-
-    @abstractmethod
-    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
-        """Return the control (nu,) for sample ``tick``, or None to end the run in neutral."""

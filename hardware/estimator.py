@@ -1,4 +1,4 @@
-"""From poses to states without looking ahead: PoseEstimator, its delay, and the protocol of estimators."""
+"""From poses to states without looking ahead, and how late an estimate is."""
 
 from __future__ import annotations
 
@@ -13,6 +13,29 @@ from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
+
+
+@dataclass(frozen=True)
+class StateEstimate:
+    """What is known of the robot at ``time`` (s, the connection's clock).
+
+    ``pose`` (n_pose,) is the newest that was accepted, ``age`` s old; ``state`` (nx,) is made of
+    the poses up to it by a causal filter, so it lags behind.
+    """
+
+    time: float
+    pose: Array
+    state: Array
+    age: float
+
+
+class StateEstimator(Protocol):
+    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
+
+    def restart(self) -> None: ...
+    def add(self, measurement: Measurement) -> None: ...
+    def estimate(self, time: float) -> StateEstimate | None: ...
+
 
 WINDOW = 0.1  # s
 
@@ -110,7 +133,28 @@ class PoseEstimator:
         return age > LONGEST * self.window or (age > self.window and self._covers(1))
 
 
-DELAY_LONGEST = 0.2  # s: the latest estimate looked for
+class NewestPose:
+    """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
+
+    def __init__(self, system: System) -> None:
+        self._state = system.neutral_state
+        self._newest: Measurement | None = None
+
+    def restart(self) -> None:
+        """Forget the pose."""
+        self._newest = None
+
+    def add(self, measurement: Measurement) -> None:
+        """Take in an accepted pose."""
+        self._newest = measurement
+
+    def estimate(self, time: float) -> StateEstimate | None:
+        """Return the newest pose, None before the first."""
+        newest = self._newest
+        return None if newest is None else StateEstimate(time, newest.pose, self._state, time - newest.source_time)
+
+
+LONGEST_DELAY = 0.2  # s: the latest estimate looked for
 
 STEP = 0.001  # s
 
@@ -143,8 +187,8 @@ def measure_delays(
     """
     truth = check_shape("truth", truth, (len(times), system.nx))
     estimates = check_shape("estimates", estimates, (len(estimate_times), system.nx))
-    late = estimate_times >= times[0] + DELAY_LONGEST + STEP
-    shifts = STEP * np.arange(-1, round(DELAY_LONGEST / STEP) + 2)
+    late = estimate_times >= times[0] + LONGEST_DELAY + STEP
+    shifts = STEP * np.arange(-1, round(LONGEST_DELAY / STEP) + 2)
     found = []
     for i, channel in enumerate(system.states):
         estimated = estimates[late, i]
@@ -170,6 +214,20 @@ def measure_delays(
     return tuple(found)
 
 
+def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimateDelay, ...]:
+    """Return the delays of `PoseEstimator` alone, on a known drive seen every ``frame_interval`` s without noise."""
+    times: Array = np.arange(0.0, duration, frame_interval)
+    states, poses = known_drive(system, times)
+    estimator = PoseEstimator(system)
+    known: list[tuple[float, Array]] = []
+    for frame, (time, pose) in enumerate(zip(times, poses, strict=True)):
+        estimator.add(Measurement(time, time, frame, "", True, pose))
+        estimate = estimator.estimate(time)
+        if estimate is not None:
+            known.append((time, estimate.state))
+    return measure_delays(system, times, states, np.array([t for t, _ in known]), np.array([s for _, s in known]))
+
+
 def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
     """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds swing smoothly around zero."""
     motion = system.motion
@@ -188,20 +246,6 @@ def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: f
     return states, poses
 
 
-def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimateDelay, ...]:
-    """Return the delays of `PoseEstimator` alone, on a known drive seen every ``frame_interval`` s without noise."""
-    times: Array = np.arange(0.0, duration, frame_interval)
-    states, poses = known_drive(system, times)
-    estimator = PoseEstimator(system)
-    known: list[tuple[float, Array]] = []
-    for frame, (time, pose) in enumerate(zip(times, poses, strict=True)):
-        estimator.add(Measurement(time, time, frame, "", True, pose))
-        estimate = estimator.estimate(time)
-        if estimate is not None:
-            known.append((time, estimate.state))
-    return measure_delays(system, times, states, np.array([t for t, _ in known]), np.array([s for _, s in known]))
-
-
 def _correlation(a: Array, b: Array) -> float:
     a, b = a - a.mean(), b - b.mean()
     scale = np.sqrt((a @ a) * (b @ b))
@@ -210,46 +254,3 @@ def _correlation(a: Array, b: Array) -> float:
 
 def _rms(difference: Array) -> float:
     return float(np.sqrt(np.mean(difference**2)))
-
-
-class StateEstimator(Protocol):
-    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
-
-    def restart(self) -> None: ...
-    def add(self, measurement: Measurement) -> None: ...
-    def estimate(self, time: float) -> StateEstimate | None: ...
-
-
-@dataclass(frozen=True)
-class StateEstimate:
-    """What is known of the robot at ``time`` (s, the connection's clock).
-
-    ``pose`` (n_pose,) is the newest that was accepted, ``age`` s old; ``state`` (nx,) is made of
-    the poses up to it by a causal filter, so it lags behind.
-    """
-
-    time: float
-    pose: Array
-    state: Array
-    age: float
-
-
-class NewestPose:
-    """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
-
-    def __init__(self, system: System) -> None:
-        self._state = system.neutral_state
-        self._newest: Measurement | None = None
-
-    def restart(self) -> None:
-        """Forget the pose."""
-        self._newest = None
-
-    def add(self, measurement: Measurement) -> None:
-        """Take in an accepted pose."""
-        self._newest = measurement
-
-    def estimate(self, time: float) -> StateEstimate | None:
-        """Return the newest pose, None before the first."""
-        newest = self._newest
-        return None if newest is None else StateEstimate(time, newest.pose, self._state, time - newest.source_time)

@@ -170,13 +170,8 @@ class PoseGate:
         return frame.source_time - first.source_time >= self.limits.recover
 
 
-def _sound(*values: float) -> bool:
-    return all(-LARGEST < value < LARGEST for value in values)
-
-
 SHARE = 0.9
-
-NOTHING = (0.0, 0.0)
+"""Quantile of the speeds from frame to frame that is taken for the robot's: one frame far away does not count."""
 
 REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run goes on without a pose
 
@@ -200,7 +195,7 @@ class LimitExcess:
     def __init__(self, limits: Mapping[str, float]) -> None:
         self._limits = limits
         self._steps: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
-        self._away = NOTHING
+        self._away = 0.0, 0.0
 
     def clear(self) -> None:
         """Forget everything: a frame was believed."""
@@ -219,7 +214,7 @@ class LimitExcess:
         if not self._steps:
             return ""
         fast = np.quantile(np.array(self._steps), SHARE, axis=0, method="lower").tolist()
-        seen = (*(fast if len(self._steps) > 1 else NOTHING), *self._away)
+        seen = (*(fast if len(self._steps) > 1 else (0.0, 0.0)), *self._away)
         for value, (key, (words, unit)) in zip(seen, WORDS.items(), strict=True):
             if value > self._limits[key]:
                 return (
@@ -237,3 +232,7 @@ def distance(before: Measurement, after: Measurement) -> float:
 def turn(before: Measurement, after: Measurement) -> float:
     """Return by how much two planar poses are turned against each other, 0 to pi rad."""
     return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))
+
+
+def _sound(*values: float) -> bool:
+    return all(-LARGEST < value < LARGEST for value in values)

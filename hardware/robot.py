@@ -12,7 +12,7 @@ import numpy as np
 from hardware.connection import Connection
 from hardware.control_loop import check_loop
 from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import Recorded, record_dataset, record_manoeuvres
+from hardware.recording.record import Recorded, record_manoeuvres
 from hardware.run_report import Stops
 from hardware.self_test import SelfTestFinding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
@@ -85,7 +85,7 @@ class Robot(ABC):
         stops: Stops | None = None,
         progress: Progress | None = None,
     ) -> Recorded:
-        """Drive these manoeuvres and record the answer."""
+        """Drive these manoeuvres and record the answer, see `hardware.recording.record.record_manoeuvres`."""
         return record_manoeuvres(self, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 
     def record(
@@ -97,8 +97,9 @@ class Robot(ABC):
         stops: Stops | None = None,
         progress: Progress | None = None,
     ) -> Recorded:
-        """Drive manoeuvres for ``duration`` s and record the answer, see `record_dataset`."""
-        return record_dataset(self, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)
+        """Drive its manoeuvres, drawn from ``seed``, for ``duration`` s and record the answer."""
+        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
+        return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 
 
 def find_robot(spec: str | Spec) -> Robot:
@@ -113,6 +114,3 @@ def find_robot(spec: str | Spec) -> Robot:
             "derive the registered class from Robot, or let the registered function return one"
         )
     return made
-
-
-__all__ = ["Robot", "find_robot"]

@@ -18,6 +18,17 @@ from sysid_evo.models import Dynamics
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
+
+@dataclass(frozen=True)
+class SelfTestFinding:
+    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
+
+    what: str
+    ok: bool
+    sentence: str
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+
 SECONDS = 3.0
 
 STILL_DISTANCE = 0.02  # m and
@@ -342,13 +353,3 @@ def _speed(dynamics: Dynamics) -> SelfTestFinding:
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"
     sentence = f"Rollouts are {form}; in NumPy {BATCH} trials of {STEPS} steps take {seconds:.2f} s."
     return SelfTestFinding("speed", True, sentence, {"seconds": seconds})
-
-
-@dataclass(frozen=True)
-class SelfTestFinding:
-    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
-
-    what: str
-    ok: bool
-    sentence: str
-    figures: Mapping[str, float] = field(default_factory=dict)

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from hardware.arguments import number
-from hardware.arguments import seed as checked_seed
 from hardware.connection import Connection
 from hardware.emulation.car_kernel import car_kernel
 from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, coefficients, fine_step
+from hardware.emulation.parameters import of_kind
 from hardware.emulation.tracked_robots import EmulatedConnection, EmulatedRobot
-from hardware.recording.record import Recorded, record_dataset
+from hardware.recording.record import Recorded, record_manoeuvres
 from hardware.run_report import Stops
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument
@@ -97,10 +97,8 @@ class ToyCarDynamics(PlainDynamics):
 @register_robot("emulated_car")
 def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
     """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
-    nominal, seed = CarParameters(), checked_seed("robot emulated_car", seed)
-    if seed is None:
-        return EmulatedRobot("emulated_car", ToyCarDynamics(nominal), repeats=REPEATS)
-    return EmulatedRobot(f"emulated_car:{seed}", ToyCarDynamics(nominal.perturbed(seed)), repeats=REPEATS)
+    kind, parameters = of_kind("emulated_car", CarParameters(), seed)
+    return EmulatedRobot(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
 
 AWKWARD = replace(CarParameters(), thrust_backward=0.0, start_speed=0.35, start_lag=0.5, start_level=0.5)
@@ -121,14 +119,12 @@ class AwkwardCar(EmulatedRobot):
     """
 
     def __init__(self, *, seed: int | None = None, start_lag: float = AWKWARD.start_lag, stuck: float = 0.1) -> None:
-        seed = checked_seed("robot awkward_car", seed)
         self.stuck = number("robot awkward_car: stuck", stuck, least=0.0)
         if self.stuck > 1.0:
             raise InvalidArgument(f"robot awkward_car: expected stuck as a share up to 1, got {stuck}")
         usual = replace(AWKWARD, start_lag=number("robot awkward_car: start_lag", start_lag, above=0.0))
-        name = "awkward_car" if seed is None else f"awkward_car:{seed}"
-        physics = ToyCarDynamics(usual if seed is None else usual.perturbed(seed))
-        super().__init__(name, physics, repeats=REPEATS)
+        kind, parameters = of_kind("awkward_car", usual, seed)
+        super().__init__(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
     def record(
         self,
@@ -140,7 +136,8 @@ class AwkwardCar(EmulatedRobot):
         progress: Progress | None = None,
     ) -> Recorded:
         jammed = _Jammed(self, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,))))
-        return record_dataset(jammed, seed=seed, duration=duration, folder=folder, stops=stops, progress=progress)
+        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
+        return record_manoeuvres(jammed, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 
 
 class _Jammed:

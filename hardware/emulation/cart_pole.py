@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.arguments import seed as checked_seed
-from hardware.emulation.parameters import Quantities, quantity
+from hardware.emulation.parameters import Quantities, of_kind, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
 from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
@@ -119,7 +118,5 @@ def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 @register_robot("cart_pole")
 def cart_pole(*, seed: int | None = None) -> SensedRobot:
     """A cart with a pole and two encoders, in simulation; with a ``seed`` another of its kind."""
-    nominal, seed = CartPoleParameters(), checked_seed("robot cart_pole", seed)
-    if seed is None:
-        return SensedRobot("cart_pole", CartPolePhysics(nominal), repeats=REPEATS)
-    return SensedRobot(f"cart_pole:{seed}", CartPolePhysics(nominal.perturbed(seed)), repeats=REPEATS)
+    kind, parameters = of_kind("cart_pole", CartPoleParameters(), seed)
+    return SensedRobot(kind, CartPolePhysics(parameters), repeats=REPEATS)

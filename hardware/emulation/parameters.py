@@ -1,12 +1,13 @@
-"""The numbers of an emulated robot: each with its unit, its reason, and how much copies differ in it."""
+"""The numbers of an emulated robot: each with its unit, its reason, and how much robots of a kind differ in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from hardware.arguments import seed as checked_seed
 from sysid_evo.errors import InvalidArgument
 
 
@@ -39,3 +40,12 @@ class Quantities:
             for item in fields(self)
         }
         return replace(self, **drawn)
+
+
+P = TypeVar("P", bound=Quantities)
+
+
+def of_kind(name: str, nominal: P, seed: int | None) -> tuple[str, P]:
+    """Return name and parameters of the registered robot ``name``; with a ``seed``, of another one of its kind."""
+    seed = checked_seed(f"robot {name}", seed)
+    return (name, nominal) if seed is None else (f"{name}:{seed}", nominal.perturbed(seed))

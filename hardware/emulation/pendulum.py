@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.arguments import seed as checked_seed
-from hardware.emulation.parameters import Quantities, quantity
+from hardware.emulation.parameters import Quantities, of_kind, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
 from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
@@ -100,7 +99,5 @@ def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 @register_robot("pendulum")
 def pendulum(*, seed: int | None = None) -> SensedRobot:
     """A pendulum with a weak motor and an encoder, in simulation; with a ``seed`` another of its kind."""
-    nominal, seed = PendulumParameters(), checked_seed("robot pendulum", seed)
-    if seed is None:
-        return SensedRobot("pendulum", PendulumPhysics(nominal), repeats=REPEATS)
-    return SensedRobot(f"pendulum:{seed}", PendulumPhysics(nominal.perturbed(seed)), repeats=REPEATS)
+    kind, parameters = of_kind("pendulum", PendulumParameters(), seed)
+    return SensedRobot(kind, PendulumPhysics(parameters), repeats=REPEATS)

@@ -25,8 +25,6 @@ from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
-NOISE_BLOCK = 1024  # fine steps of noise drawn at once
-
 
 @dataclass(frozen=True)
 class Sensor:
@@ -58,159 +56,6 @@ class SensedPhysics(PlainDynamics):
     def read(self) -> Mapping[str, Sensor]:
         """The sensor of each state that is not estimated."""
         return {name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.rates}
-
-
-class SensedRobot(SimulatedRobot):
-    """A robot without a pose; its sensors are read at every fine step, controllers see every ``repeats``-th."""
-
-    stepped: ClassVar[bool] = True
-
-    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1) -> None:
-        self.name = name
-        self.physics = physics
-        self.frame_period = physics.system.dt
-        self.dynamics: HeldControl = HeldControl(physics, repeats)
-        self.system = self.dynamics.system
-
-    def connect(self, *, seed: int | None = None) -> SensedConnection:
-        return SensedConnection(self.name, self.physics, seed=seed)
-
-    def look_at(
-        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
-    ) -> tuple[SelfTestFinding, ...]:
-        """Say what the sensors read at rest, and what the equations do under each control."""
-        period, readings = self.frame_period, []
-        with self.connect(seed=seed) as connection:
-            for _ in range(max(2, round(seconds / period))):
-                connection.measure(period)
-                readings.append(connection.reading)
-        names, rates = tuple(self.physics.read), self.physics.rates
-        sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
-        return examine(self.dynamics, sensors, stops=stops)
-
-    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
-        return excitation(self.system, duration=duration, rng=rng)
-
-    def record(
-        self,
-        *,
-        seed: int,
-        duration: float,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
-        """Drive manoeuvres for ``duration`` s, read the sensors, and estimate the rest from what they say.
-
-        Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to ``folder``:
-        a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
-        """
-        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
-        return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
-
-    def record_manoeuvres(
-        self,
-        manoeuvres: Sequence[Manoeuvre],
-        *,
-        seed: int,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
-        """Drive these manoeuvres, each a session of its own begun where the robot is let go."""
-        total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
-        logs: list[RawLog] = []
-        done, reason, detail = 0, Reason.PILOT, ""
-        for number, manoeuvre in enumerate(manoeuvres):
-            if stops is not None and stops.reason is not None:
-                reason, detail = stops.reason, stops.detail
-                break
-            logs.append(self._driven(manoeuvre, np.random.SeedSequence(seed, spawn_key=(number,))))
-            done += len(manoeuvre.controls)
-            if progress is not None:
-                progress(done, total)
-        report = LoopReport(reason, detail, lateness=np.zeros(done), gaps=np.full(max(0, done - 1), self.system.dt))
-        return Recorded(tuple(logs), prepared(logs, self.system), report)
-
-    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence) -> RawLog:
-        """Return what the sensors said during a manoeuvre, and the rates estimated from it."""
-        release, session = seeds.spawn(2)
-        state = self.physics.let_go(np.random.default_rng(release))
-        system, period = self.system, self.frame_period
-        seed = int(session.generate_state(1, np.uint64)[0])
-        readings, controls = [], []
-        with SensedConnection(self.name, self.physics, seed=seed, state=state) as connection:
-            connection.measure(period)
-            for control in manoeuvre.controls:
-                connection.send(control, valid_for=2.0 * system.dt)
-                for _ in range(self.dynamics.repeats):
-                    readings.append(connection.reading)
-                    controls.append(control)
-                    connection.measure(period)
-        measured = dict(zip(self.physics.read, np.array(readings).T, strict=True))
-        rates = {name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.rates.items()}
-        time = period * np.arange(len(readings), dtype=np.float64)
-        return RawLog(manoeuvre.name, time, np.empty((len(time), 0)), np.array(controls), {**measured, **rates})
-
-    def _unwrapped(self, name: str, values: Array) -> Array:
-        period = self.system.periods.get(self.system.state_names.index(name))
-        return values if period is None else np.unwrap(values, period=period)
-
-
-class SensedConnection(SimulatedConnection):
-    """A session with a `SensedRobot`: each frame lets the physics take one step; there is no pose to see.
-
-    ``reading`` holds what the sensors said last, in their order. Noise and draws come from ``seed``; the
-    session begins in ``state`` (nx,), at rest by default.
-    """
-
-    def __init__(self, name: str, physics: SensedPhysics, *, seed: int | None, state: Array | None = None) -> None:
-        system = physics.system
-        super().__init__(name, system, system.dt)
-        self._physics = physics
-        body, sensors = np.random.SeedSequence(seed).spawn(2)
-        self._rng, self._errors = np.random.default_rng(body), np.random.default_rng(sensors)
-        began = system.neutral_state if state is None else state
-        history = np.tile(began, (1, physics.n_lags + 1, 1))
-        controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
-        self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
-        self._noise = np.empty((0, physics.n_noise))
-        self.reading = self._read()
-
-    @property
-    def state(self) -> Array:
-        """The true state (nx,), which a real robot does not tell."""
-        return self._carry[0, : self._physics.system.nx].copy()
-
-    def _advance(self) -> None:
-        row = self.frame % NOISE_BLOCK
-        if row == 0:
-            self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
-        stepped = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
-        self._carry, _ = clip_state(stepped, self._physics.envelope)
-
-    def _look(self, time: float) -> Measurement:
-        self.reading = self._read()
-        return Measurement(time, time, self.frame, self.name, True, self.pose)
-
-    def _read(self) -> Array:
-        system, sensors = self._physics.system, self._physics.read
-        true = self._carry[0, [system.state_names.index(name) for name in sensors]]
-        noise = np.array([sensor.noise for sensor in sensors.values()])
-        step = np.array([sensor.resolution for sensor in sensors.values()])
-        value = true + noise * self._errors.standard_normal(len(true))
-        whole: Array = np.where(step > 0.0, step, 1.0)
-        return np.where(step > 0.0, np.round(value / whole) * whole, value)
-
-
-def rate(values: Array, step: float) -> Array:
-    """Return the change per second of ``values`` (N,) every ``step`` s; the first and last two repeat their neighbours.
-
-    Those are cut off by the filter of the preparation anyway.
-    """
-    if len(values) <= 2 * REACH:
-        return np.zeros(len(values))
-    return np.pad(np.convolve(values, STENCIL, mode="valid") / step, REACH, mode="edge")
 
 
 class Equations(SensedPhysics):
@@ -269,3 +114,146 @@ class Equations(SensedPhysics):
                 )
             given = np.stack([np.broadcast_to(given[name], len(states)) for name in names], axis=1)
         return check_shape(f"{type(self).__name__}.rates_of_change", given, states.shape)
+
+
+class SensedRobot(SimulatedRobot):
+    """A robot without a pose; its sensors are read at every fine step, controllers see every ``repeats``-th."""
+
+    stepped: ClassVar[bool] = True
+
+    def __init__(self, name: str, physics: SensedPhysics, *, repeats: int = 1) -> None:
+        self.name = name
+        self.physics = physics
+        self.frame_period = physics.system.dt
+        self.dynamics: HeldControl = HeldControl(physics, repeats)
+        self.system = self.dynamics.system
+
+    def connect(self, *, seed: int | None = None) -> SensedConnection:
+        return SensedConnection(self.name, self.physics, seed=seed)
+
+    def look_at(
+        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    ) -> tuple[SelfTestFinding, ...]:
+        """Say what the sensors read at rest, and what the equations do under each control."""
+        period, readings = self.frame_period, []
+        with self.connect(seed=seed) as connection:
+            for _ in range(max(2, round(seconds / period))):
+                connection.measure(period)
+                readings.append(connection.reading)
+        names, rates = tuple(self.physics.read), self.physics.rates
+        sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
+        return examine(self.dynamics, sensors, stops=stops)
+
+    def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
+        return excitation(self.system, duration=duration, rng=rng)
+
+    def record_manoeuvres(
+        self,
+        manoeuvres: Sequence[Manoeuvre],
+        *,
+        seed: int,
+        folder: Path | None = None,
+        stops: Stops | None = None,
+        progress: Progress | None = None,
+    ) -> Recorded:
+        """Drive these manoeuvres, read the sensors, and estimate the rest from what they say.
+
+        Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to ``folder``:
+        a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
+        """
+        total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
+        logs: list[RawLog] = []
+        done, reason, detail = 0, Reason.PILOT, ""
+        for number, manoeuvre in enumerate(manoeuvres):
+            if stops is not None and stops.reason is not None:
+                reason, detail = stops.reason, stops.detail
+                break
+            logs.append(self._driven(manoeuvre, np.random.SeedSequence(seed, spawn_key=(number,))))
+            done += len(manoeuvre.controls)
+            if progress is not None:
+                progress(done, total)
+        report = LoopReport(reason, detail, lateness=np.zeros(done), gaps=np.full(max(0, done - 1), self.system.dt))
+        return Recorded(tuple(logs), prepared(logs, self.system), report)
+
+    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence) -> RawLog:
+        """Return what the sensors said during a manoeuvre, and the rates estimated from it."""
+        release, session = seeds.spawn(2)
+        state = self.physics.let_go(np.random.default_rng(release))
+        system, period = self.system, self.frame_period
+        seed = int(session.generate_state(1, np.uint64)[0])
+        readings, controls = [], []
+        with SensedConnection(self.name, self.physics, seed=seed, state=state) as connection:
+            connection.measure(period)
+            for control in manoeuvre.controls:
+                connection.send(control, valid_for=2.0 * system.dt)
+                for _ in range(self.dynamics.repeats):
+                    readings.append(connection.reading)
+                    controls.append(control)
+                    connection.measure(period)
+        measured = dict(zip(self.physics.read, np.array(readings).T, strict=True))
+        rates = {name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.rates.items()}
+        time = period * np.arange(len(readings), dtype=np.float64)
+        return RawLog(manoeuvre.name, time, np.empty((len(time), 0)), np.array(controls), {**measured, **rates})
+
+    def _unwrapped(self, name: str, values: Array) -> Array:
+        period = self.system.periods.get(self.system.state_names.index(name))
+        return values if period is None else np.unwrap(values, period=period)
+
+
+NOISE_BLOCK = 1024  # fine steps of noise drawn at once
+
+
+class SensedConnection(SimulatedConnection):
+    """A session with a `SensedRobot`: each frame lets the physics take one step; there is no pose to see.
+
+    ``reading`` holds what the sensors said last, in their order. Noise and draws come from ``seed``; the
+    session begins in ``state`` (nx,), at rest by default.
+    """
+
+    def __init__(self, name: str, physics: SensedPhysics, *, seed: int | None, state: Array | None = None) -> None:
+        system = physics.system
+        super().__init__(name, system, system.dt)
+        self._physics = physics
+        body, sensors = np.random.SeedSequence(seed).spawn(2)
+        self._rng, self._errors = np.random.default_rng(body), np.random.default_rng(sensors)
+        began = system.neutral_state if state is None else state
+        history = np.tile(began, (1, physics.n_lags + 1, 1))
+        controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
+        self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
+        self._noise = np.empty((0, physics.n_noise))
+        self.reading = self._read()
+
+    @property
+    def state(self) -> Array:
+        """The true state (nx,), which a real robot does not tell."""
+        return self._carry[0, : self._physics.system.nx].copy()
+
+    def _advance(self) -> None:
+        row = self.frame % NOISE_BLOCK
+        if row == 0:
+            self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
+        stepped = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
+        self._carry, _ = clip_state(stepped, self._physics.envelope)
+
+    def _look(self, time: float) -> Measurement:
+        self.reading = self._read()
+        return Measurement(time, time, self.frame, self.name, True, self.pose)
+
+    def _read(self) -> Array:
+        system, sensors = self._physics.system, self._physics.read
+        true = self._carry[0, [system.state_names.index(name) for name in sensors]]
+        noise = np.array([sensor.noise for sensor in sensors.values()])
+        step = np.array([sensor.resolution for sensor in sensors.values()])
+        value = true + noise * self._errors.standard_normal(len(true))
+        whole: Array = np.where(step > 0.0, step, 1.0)
+        return np.where(step > 0.0, np.round(value / whole) * whole, value)
+
+
+def rate(values: Array, step: float) -> Array:
+    """Return the change per second of ``values`` (N,) every ``step`` s; the first and last two repeat their neighbours.
+
+    Those are cut off by the filter of the preparation anyway.
+    """
+    if len(values) <= 2 * REACH:
+        return np.zeros(len(values))
+    return np.pad(np.convolve(values, STENCIL, mode="valid") / step, REACH, mode="edge")

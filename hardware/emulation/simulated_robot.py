@@ -95,7 +95,7 @@ def in_real_time(robot: Robot) -> Robot:
 
 
 class PacedRobot(Robot):
-    """A simulated robot whose sessions keep pace with `time.monotonic`."""
+    """A simulated robot whose sessions keep pace with `time.monotonic`, so that a person can drive it."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
         self.robot = robot

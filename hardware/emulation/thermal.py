@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.arguments import seed as checked_seed
-from hardware.emulation.parameters import Quantities, quantity
+from hardware.emulation.parameters import Quantities, of_kind, quantity
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
 from sysid_evo.kernels import DynamicsKernel, Lifted
 from sysid_evo.registry import register_robot
@@ -105,7 +104,5 @@ def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 @register_robot("thermal")
 def thermal(*, seed: int | None = None) -> SensedRobot:
     """A heated block with a slow power stage and a delay, in simulation; with a ``seed`` another of its kind."""
-    nominal, seed = ThermalParameters(), checked_seed("robot thermal", seed)
-    if seed is None:
-        return SensedRobot("thermal", ThermalPhysics(nominal), repeats=REPEATS)
-    return SensedRobot(f"thermal:{seed}", ThermalPhysics(nominal.perturbed(seed)), repeats=REPEATS)
+    kind, parameters = of_kind("thermal", ThermalParameters(), seed)
+    return SensedRobot(kind, ThermalPhysics(parameters), repeats=REPEATS)

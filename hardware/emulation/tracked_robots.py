@@ -15,8 +15,6 @@ from sysid_evo.models import Dynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.types import Array
 
-TRACKER_DELAY = 0.004  # s from frame to arrival: "in the order of milliseconds" (paper, section 3)
-
 NOISE_BLOCK = 1024  # frames of noise drawn at once
 
 
@@ -83,6 +81,36 @@ class EmulatedConnection(SimulatedConnection):
         return Measurement(time, time + TRACKER_DELAY, self.frame, self.name, True, pose)
 
 
+TRACKER_DELAY = 0.004  # s from frame to arrival: "in the order of milliseconds" (paper, section 3)
+
+POSITION_ERROR = 0.001  # m: "in the order of millimeters" (paper, section 3)
+
+HEADING_ERROR = math.radians(0.3)  # what 1 mm on markers some 15 cm apart amounts to
+
+CORRELATION = 0.3
+"""Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
+
+
+class OpticalTracker:
+    """Adds first-order correlated normal errors to planar poses, frame by frame.
+
+    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._error = rng.standard_normal(3)
+        self._scale = np.array([POSITION_ERROR, POSITION_ERROR, HEADING_ERROR])
+
+    def observe(self, pose: Array) -> Array:
+        """Return what the tracker makes of the true ``pose`` (3,): m, m, rad."""
+        measured: Array = pose + self._scale * self._error
+        measured[2] = (measured[2] + math.pi) % (2.0 * math.pi) - math.pi
+        fresh = math.sqrt(1.0 - CORRELATION**2)
+        self._error = CORRELATION * self._error + fresh * self._rng.standard_normal(3)
+        return measured
+
+
 FRAMES = 10  # of the tracker in one sample: 200 Hz at 20 Hz
 
 LEAD = 2
@@ -96,6 +124,7 @@ counts for its own sample.
 class ModelledRobot(SimulatedRobot):
     """Any ``dynamics`` whose motion has a pose, seen by a tracker without errors.
 
+    A person drives it to feel a model (paper, section 5.2.3).
     Raises `IncompatibleSystem` for dynamics without a motion.
     """
 
@@ -170,31 +199,3 @@ class ModelledConnection(SimulatedConnection):
     def _look(self, time: float) -> Measurement:
         seen = bool(np.isfinite(self.pose).all())
         return Measurement(time, time, self.frame, self.name, seen, self.pose)
-
-
-POSITION_ERROR = 0.001  # m: "in the order of millimeters" (paper, section 3)
-
-HEADING_ERROR = math.radians(0.3)  # what 1 mm on markers some 15 cm apart amounts to
-
-CORRELATION = 0.3
-"""Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
-
-
-class OpticalTracker:
-    """Adds first-order correlated normal errors to planar poses, frame by frame.
-
-    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
-    """
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._error = rng.standard_normal(3)
-        self._scale = np.array([POSITION_ERROR, POSITION_ERROR, HEADING_ERROR])
-
-    def observe(self, pose: Array) -> Array:
-        """Return what the tracker makes of the true ``pose`` (3,): m, m, rad."""
-        measured: Array = pose + self._scale * self._error
-        measured[2] = (measured[2] + math.pi) % (2.0 * math.pi) - math.pi
-        fresh = math.sqrt(1.0 - CORRELATION**2)
-        self._error = CORRELATION * self._error + fresh * self._rng.standard_normal(3)
-        return measured

@@ -14,17 +14,6 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, check_shape
 
-DURATION = 360.0  # s: "about 6 minutes of driving data"
-
-ROUND = 300
-"""Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
-
-SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
-
-LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
-
-HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
-
 
 @dataclass(frozen=True)
 class Manoeuvre:
@@ -37,14 +26,29 @@ class Manoeuvre:
         object.__setattr__(self, "controls", check_shape(f"controls of {self.name!r}", self.controls, (None, None)))
 
 
+Segment: TypeAlias = tuple[Array, float]
+"""A control (nu,) and how long to hold it, in s."""
+
+DURATION = 360.0  # s: "about 6 minutes of driving data"
+
+ROUND = 300
+"""Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
+
+SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
+
+LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
+
+HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
+
+
 def excitation(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
     """Return manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
 
     A system without a motion gets `signals`, in as many rounds as last some `ROUND` samples each. One with
-    a motion gets twelve manoeuvres that drive: the first control is taken for the one that propels, the last for
-    the one that steers; controls between them move in the random manoeuvres only. A continuous control uses
-    its two limits and its neutral value. Manoeuvres for which a system has no control (steering, driving backward)
-    are left out. Raises `InvalidArgument`.
+    a motion gets twelve manoeuvres that span how it drives without racing (paper, section 3): the first control is
+    taken for the one that propels, the last for the one that steers; controls between them move in the random
+    manoeuvres only. A continuous control uses its two limits and its neutral value. Manoeuvres for which a system
+    has no control (steering, driving backward) are left out. Raises `InvalidArgument`.
     """
     scripts = _driving(system, rng) if system.motion is not None else _rounds(system, duration, rng)
     each = duration / len(scripts)
@@ -69,7 +73,7 @@ def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[s
 
 def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
     """Return an endless script for each manoeuvre; each has its own stream of random numbers."""
-    ends = _ends(system)
+    ends = _speeds(system)
     scripts: dict[str, Iterator[Segment]] = {}
 
     def own() -> np.random.Generator:
@@ -88,7 +92,7 @@ def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Seg
     return scripts
 
 
-def _ends(system: System) -> list[float]:
+def _speeds(system: System) -> list[float]:
     """Return full speed forward and, if the system can, backward."""
     high, low = extremes(system.controls[0])[[-1, 0]].tolist()
     return [high] if low == system.controls[0].neutral else [high, low]
@@ -129,7 +133,7 @@ def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """Full speed and short taps of the steering, forward and backward in turn."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
-        for propel in _ends(system):
+        for propel in _speeds(system):
             for _ in range(10):
                 yield _command(system, propel, next(steers)), rng.uniform(0.15, 0.7)
 
@@ -138,7 +142,7 @@ def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segmen
     """Launches in either direction, then coasting until the car stands, under every steering."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
-        for propel in _ends(system):
+        for propel in _speeds(system):
             steer = next(steers)
             yield _command(system, propel, steer), rng.uniform(0.3, 2.0)
             yield _command(system, float(system.neutral_control[0]), steer), rng.uniform(0.5, 2.5)
@@ -148,7 +152,7 @@ def _reverse(system: System, rng: np.random.Generator) -> Iterator[Segment]:
     """From full speed one way to full speed the other, under every steering."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
-        for propel in _ends(system):
+        for propel in _speeds(system):
             yield _command(system, propel, next(steers)), rng.uniform(0.5, 2.0)
 
 
@@ -164,77 +168,6 @@ def _sample(segments: Iterator[Segment], steps: int, dt: float) -> Array:
     return np.array(rows)
 
 
-KINDS = ("step", "coast_down", "circle")
-
-HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
-"""How long in s a command is held, of a system that drives; of others, 80 samples."""
-
-SAMPLES = 80
-
-REST = 3.0  # s without a command after it, in which the body comes to rest
-
-
-def measuring(system: System, kind: str) -> list[Manoeuvre]:
-    """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
-
-    ``step``: each control in turn goes to each of its ends, the others at rest, and back; of a system that drives, the
-    propelling one only. ``coast_down``: full speed each way, then no command. ``circle``: left and right at full and,
-    if the drive is continuous, at half speed; forwards, and backwards if it can. The last two want a motion.
-    Raises `InvalidArgument`.
-    """
-    if kind not in KINDS:
-        raise InvalidArgument(f"manoeuvre: expected one of {', '.join(KINDS)}, got {kind!r}")
-    if system.nu == 0:
-        raise InvalidArgument("manoeuvre: expected a system with at least one control, got none")
-    if kind != "step" and system.motion is None:
-        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; take step")
-    if kind == "circle" and system.nu < 2:
-        raise InvalidArgument("manoeuvre circle: expected a control that propels and one that steers, got one control")
-    made: list[Manoeuvre] = []
-    for control, value, steer in _commands(system, kind):
-        command = system.neutral_control.copy()
-        command[control] = value
-        name = f"{kind}-{system.control_names[control]}-{value:g}"
-        if steer is not None:
-            command[-1] = steer
-            name = f"{name}-{system.control_names[-1]}-{steer:g}"
-        held = HELD[kind] if system.motion is not None else SAMPLES * system.dt
-        rest = REST if system.motion is not None else held
-        script: list[Segment] = [(system.neutral_control, LEAD), (command, held), (system.neutral_control, rest)]
-        made.append(Manoeuvre(name, _sampled(script, system.dt)))
-    return made
-
-
-def _commands(system: System, kind: str) -> Iterator[tuple[int, float, float | None]]:
-    """Yield control, value and steering of each manoeuvre."""
-    if kind == "step" and system.motion is None:
-        for control, channel in enumerate(system.controls):
-            yield from (
-                (control, value, None) for value in _measuring_ends(system, control) if value != channel.neutral
-            )
-        return
-    drives = _measuring_ends(system, 0)
-    if kind != "circle":
-        yield from ((0, value, None) for value in drives)
-        return
-    channel = system.controls[0]
-    if channel.levels is None:
-        drives = [*drives, *(0.5 * (value + channel.neutral) for value in drives)]
-    for value in drives:
-        yield from ((0, value, steer) for steer in _measuring_ends(system, system.nu - 1)[::-1])
-
-
-def _measuring_ends(system: System, control: int) -> list[float]:
-    """Return the highest and, if it is another than neutral, the lowest value of a control."""
-    channel = system.controls[control]
-    low, high = extremes(channel)[[0, -1]].tolist()
-    return [value for value in (high, low) if value != channel.neutral]
-
-
-def _sampled(script: list[Segment], dt: float) -> Array:
-    return np.array(list(chain.from_iterable([control] * max(1, round(seconds / dt)) for control, seconds in script)))
-
-
 STEP_HOLDS = (3, 10, 30, 100)
 """Mean time between random steps, in samples."""
 
@@ -246,9 +179,6 @@ FASTEST, SLOWEST = 6, 150
 
 SWEEP = 280
 """Samples that the sweeps of all controls take, one after the other; then they begin anew."""
-
-Segment: TypeAlias = tuple[Array, float]
-"""A control (nu,) and how long to hold it, in s."""
 
 
 def signals(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
@@ -326,3 +256,69 @@ def _legal(channel: Channel, value: float) -> float:
     if channel.levels is None:
         return value
     return min(channel.levels, key=lambda level: abs(level - value))
+
+
+KINDS = ("step", "coast_down", "circle")
+
+HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
+"""How long in s a command is held, of a system that drives; of others, 80 samples."""
+
+SAMPLES = 80
+
+REST = 3.0  # s without a command after it, in which the body comes to rest
+
+
+def measuring(system: System, kind: str) -> list[Manoeuvre]:
+    """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
+
+    After Abbeel et al. (2006); `sysid_evo.data.response` reads the answers.
+    ``step``: each control in turn goes to each of its ends, the others at rest, and back; of a system that drives, the
+    propelling one only. ``coast_down``: full speed each way, then no command. ``circle``: left and right at full and,
+    if the drive is continuous, at half speed; forwards, and backwards if it can. The last two want a motion.
+    Raises `InvalidArgument`.
+    """
+    if kind not in KINDS:
+        raise InvalidArgument(f"manoeuvre: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if system.nu == 0:
+        raise InvalidArgument("manoeuvre: expected a system with at least one control, got none")
+    if kind != "step" and system.motion is None:
+        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; take step")
+    if kind == "circle" and system.nu < 2:
+        raise InvalidArgument("manoeuvre circle: expected a control that propels and one that steers, got one control")
+    made: list[Manoeuvre] = []
+    for control, value, steer in _commands(system, kind):
+        command = system.neutral_control.copy()
+        command[control] = value
+        name = f"{kind}-{system.control_names[control]}-{value:g}"
+        if steer is not None:
+            command[-1] = steer
+            name = f"{name}-{system.control_names[-1]}-{steer:g}"
+        held = HELD[kind] if system.motion is not None else SAMPLES * system.dt
+        rest = REST if system.motion is not None else held
+        script: list[Segment] = [(system.neutral_control, LEAD), (command, held), (system.neutral_control, rest)]
+        rows = chain.from_iterable([values] * max(1, round(seconds / system.dt)) for values, seconds in script)
+        made.append(Manoeuvre(name, np.array(list(rows))))
+    return made
+
+
+def _commands(system: System, kind: str) -> Iterator[tuple[int, float, float | None]]:
+    """Yield control, value and steering of each manoeuvre."""
+    if kind == "step" and system.motion is None:
+        for control, channel in enumerate(system.controls):
+            yield from ((control, value, None) for value in _ends(channel))
+        return
+    channel = system.controls[0]
+    drives = _ends(channel)
+    if kind != "circle":
+        yield from ((0, value, None) for value in drives)
+        return
+    if channel.levels is None:
+        drives = [*drives, *(0.5 * (value + channel.neutral) for value in drives)]
+    for value in drives:
+        yield from ((0, value, steer) for steer in _ends(system.controls[-1])[::-1])
+
+
+def _ends(channel: Channel) -> list[float]:
+    """Return the highest and the lowest value of a control, without one that is neutral."""
+    low, high = extremes(channel)[[0, -1]].tolist()
+    return [value for value in (high, low) if value != channel.neutral]

@@ -15,7 +15,7 @@ from hardware.control_loop import ControlLoop, Pilot, check_loop
 from hardware.estimator import NewestPose, StateEstimate
 from hardware.recording.journal import SUFFIX, Recorder, check_journals, read_journal
 from hardware.recording.journal_reader import column_names, raw_log
-from hardware.recording.manoeuvres import Manoeuvre, excitation
+from hardware.recording.manoeuvres import Manoeuvre
 from hardware.run_report import LoopReport, Stops
 from sysid_evo.data import Dataset
 from sysid_evo.data.preparation import Prepared, RawLog, episodes_of, said_once
@@ -28,19 +28,6 @@ from sysid_evo.types import Array
 PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each begins at rest
 
 
-class ManoeuvrePilot(Pilot):
-    """Sends the controls of a manoeuvre one by one, whatever the robot does."""
-
-    def __init__(self, manoeuvre: Manoeuvre, told: Callable[[int], None] | None = None) -> None:
-        self._controls = manoeuvre.controls
-        self._told = told
-
-    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
-        if self._told is not None:
-            self._told(min(tick, len(self._controls)))
-        return self._controls[tick] if tick < len(self._controls) else None
-
-
 @dataclass(frozen=True)
 class Recorded:
     """What a recording left: its logs and data set, how its last run ended, what is to be said about it."""
@@ -48,6 +35,33 @@ class Recorded:
     logs: tuple[RawLog, ...]
     dataset: Dataset
     report: LoopReport
+
+
+def record_manoeuvres(
+    robot: Connectable,
+    manoeuvres: Sequence[Manoeuvre],
+    *,
+    seed: int,
+    folder: Path | None = None,
+    stops: Stops | None = None,
+    progress: Progress | None = None,
+) -> Recorded:
+    """Record these manoeuvres on a robot, and prepare what was recorded, whole or not.
+
+    Journals go to ``folder`` (default: a temporary one). The same seed gives the same recording on an emulated robot.
+    Raises `LinkLost` or `InvalidData` if it is too short to make a data set of it.
+    """
+    check_loop(robot.system)
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary) if folder is None else folder
+        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
+    try:
+        return Recorded(tuple(logs), prepared(logs, robot.system), report)
+    except InvalidData as error:
+        if report.reason.is_fault:
+            raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
+        raise
 
 
 def record(
@@ -98,6 +112,19 @@ def record(
                 return report
             done += len(manoeuvre.controls)
     return report
+
+
+class ManoeuvrePilot(Pilot):
+    """Sends the controls of a manoeuvre one by one, whatever the robot does."""
+
+    def __init__(self, manoeuvre: Manoeuvre, told: Callable[[int], None] | None = None) -> None:
+        self._controls = manoeuvre.controls
+        self._told = told
+
+    def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
+        if self._told is not None:
+            self._told(min(tick, len(self._controls)))
+        return self._controls[tick] if tick < len(self._controls) else None
 
 
 def _run(
@@ -156,49 +183,6 @@ def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
     if not episodes:
         raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))
-
-
-def record_dataset(
-    robot: Connectable,
-    *,
-    seed: int,
-    duration: float,
-    folder: Path | None = None,
-    stops: Stops | None = None,
-    progress: Progress | None = None,
-) -> Recorded:
-    """Record the excitation of ``duration`` s on a robot, and prepare what was recorded, whole or not.
-
-    Journals go to ``folder`` (default: a temporary one). The same seed gives the same manoeuvres and,
-    on an emulated robot, the same recording. Raises `LinkLost` or `InvalidData` if it is too short
-    to make a data set of it.
-    """
-    check_loop(robot.system)
-    manoeuvres = excitation(robot.system, duration=duration, rng=np.random.default_rng(seed))
-    return record_manoeuvres(robot, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
-
-
-def record_manoeuvres(
-    robot: Connectable,
-    manoeuvres: Sequence[Manoeuvre],
-    *,
-    seed: int,
-    folder: Path | None = None,
-    stops: Stops | None = None,
-    progress: Progress | None = None,
-) -> Recorded:
-    """Record these manoeuvres on a robot, and prepare what was recorded, see `record_dataset`."""
-    check_loop(robot.system)
-    with tempfile.TemporaryDirectory() as temporary:
-        place = Path(temporary) if folder is None else folder
-        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
-        logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
-    try:
-        return Recorded(tuple(logs), prepared(logs, robot.system), report)
-    except InvalidData as error:
-        if report.reason.is_fault:
-            raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
-        raise
 
 
 def save_raw(log: RawLog, system: System, path: str | Path) -> Path:

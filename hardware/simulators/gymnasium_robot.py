@@ -59,7 +59,7 @@ class GymnasiumRobot(SimulatorRobot):
 
 @dataclass(frozen=True)
 class Environment(ExternalSimulator):
-    """The environment called ``name``, made with ``settings``, and what its numbers are.
+    """The environment called ``name``, made with ``settings``: states and controls for observations and actions.
 
     One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
     """

@@ -27,18 +27,6 @@ LONGEST_SEED = 2**31
 """Seeds of episodes lie below it."""
 
 
-class SimulatorSession(Closeable):
-    """Episodes of one simulator, one after the other."""
-
-    @abstractmethod
-    def reset(self, seed: int, at: Array | None = None) -> Array:
-        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
-
-    @abstractmethod
-    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
-        """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
-
-
 class ExternalSimulator(ABC):
     """What steps when it is told to; ``name`` is what people call it.
 
@@ -52,6 +40,18 @@ class ExternalSimulator(ABC):
     @abstractmethod
     def open(self) -> SimulatorSession:
         """Return a session; use it in a ``with`` statement."""
+
+
+class SimulatorSession(Closeable):
+    """Episodes of one simulator, one after the other."""
+
+    @abstractmethod
+    def reset(self, seed: int, at: Array | None = None) -> Array:
+        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
+
+    @abstractmethod
+    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+        """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
 
 
 ENGINE = "environment"

@@ -1,8 +1,4 @@
-"""Optical motion capture: OptiTrack (NatNet), Vicon, VRPN.
-
-The package gives no time stamps, neither of the frame nor of its arrival: frames are stamped when
-they come, and ``latency`` s, if it is known, are taken off.
-"""
+"""Optical motion capture: Vicon and VRPN by the package motioncapture, OptiTrack by the package natnet."""
 
 from __future__ import annotations
 
@@ -30,7 +26,8 @@ class MotionCaptureTracker(ProcessTracker):
     """The rigid body ``body`` of the system ``kind`` at ``host``.
 
     ``up`` is the axis that points up, ``scale`` the unit of length in m; ``heading_offset`` rad are added
-    to the heading; ``latency`` s are taken off the times of arrival. Raises `InvalidArgument`.
+    to the heading. The package gives no time stamps, neither of the frame nor of its arrival: frames are
+    stamped when they come, and ``latency`` s, if it is known, are taken off. Raises `InvalidArgument`.
 
     A system that ``polls`` answers with the last pose when there is no new one: a pose that is the
     same to the last bit is then no frame.

@@ -31,6 +31,7 @@ FUTURE = 0.01  # s that a frame on the host's own clock may be ahead of it
 class UdpTracker(Tracker):
     """Listens on ``host``:``port`` for ``{"time": s, "frame": n, "body": str, "valid": bool, "pose": [m, m, rad]}``.
 
+    One datagram is one frame: any tracker can be made to send them in ten lines.
     ``clock`` is "source" for times on any clock, which are mapped by `SourceClock`, or "host" for
     times that are the host's `time.monotonic` already. Port 0 takes a free one. Only datagrams
     from the address ``sender`` count, if it is given.

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from evaluation.prediction import ModelPrediction
-from hardware.recording.record import record_dataset
 from sysid_evo.data import Dataset
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot
@@ -29,7 +28,7 @@ CAR = System(
 def recording(log: str) -> tuple[Dataset, Dataset]:
     """Return training and test set of one of the cars."""
     if log == EMULATED:
-        return record_dataset(make_robot(EMULATED), seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
+        return make_robot(EMULATED).record(seed=0, duration=RECORDED_TIME).dataset.split(HELD_BACK)
     root = Path(os.environ.get("SYSID_EVO_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
     states, controls, names = [], [], []
     for path in sorted((root / "dart" / log).glob("*.csv")):

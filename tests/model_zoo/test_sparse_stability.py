@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.recording.record import record_dataset
 from model_zoo.polynomial.model import growth
 from model_zoo.polynomial.sindy import MARGIN, continued, limits
 from sysid_evo.data import Dataset
@@ -51,7 +50,7 @@ def test_inside_the_data_the_continuation_changes_nothing() -> None:
 )
 def test_a_cubic_equation_of_a_car_runs_free_for_a_whole_trial_without_diverging(car: int, duration: float) -> None:
     robot = make_robot(f"emulated_car:{car}" if car else "emulated_car")
-    data = record_dataset(robot, seed=0, duration=duration).dataset
+    data = robot.record(seed=0, duration=duration).dataset
     model = make_model("sindy", degree=3, threshold=0.01, control_lags=0).fit(data)
     rng = np.random.default_rng(0)
     start = model.pairs_[rng.integers(len(model.pairs_), size=100)][:, :3]

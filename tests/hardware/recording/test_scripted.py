@@ -13,7 +13,7 @@ from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal_reader import JournalReader
 from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import logs_of, prepared, record, record_dataset, save_raw
+from hardware.recording.record import logs_of, prepared, record, save_raw
 from hardware.robot import Robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.data.columns import load_columns
@@ -226,15 +226,13 @@ def test_prepared_recording_agrees_with_the_true_states(robot, recorded):
 
 
 def test_registered_robot_gives_a_data_set(car):
-    recorded = record_dataset(make_robot("emulated_car:1"), seed=3, duration=24.0)
+    recorded = make_robot("emulated_car:1").record(seed=3, duration=24.0)
     logs, dataset = recorded.logs, recorded.dataset
     assert len(logs) == len(dataset) == 12
     assert dataset.system == car
     assert dataset.names == tuple(log.name for log in logs)
     assert dataset.duration == pytest.approx(24.0, abs=6.0)
-    assert (
-        dataset.fingerprint == record_dataset(make_robot("emulated_car:1"), seed=3, duration=24.0).dataset.fingerprint
-    )
+    assert dataset.fingerprint == make_robot("emulated_car:1").record(seed=3, duration=24.0).dataset.fingerprint
 
 
 def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):

@@ -9,7 +9,6 @@ import pytest
 
 from hardware.emulation.car_physics import CarParameters
 from hardware.recording.manoeuvres import measuring
-from hardware.recording.record import record_dataset
 from hardware.robot import find_robot
 from model_zoo.car.single_track import MAGIC, PARAMETERS, SingleTrack, magic, pacejka_rate, tanh_rate
 from sysid_evo.data import Dataset
@@ -24,7 +23,7 @@ GUESS = tuple(parameter.guess for parameter in (*PARAMETERS, *MAGIC))
 
 @pytest.fixture(scope="module")
 def learned() -> SingleTrack:
-    dataset = record_dataset(make_robot("emulated_car"), seed=0, duration=180.0).dataset
+    dataset = make_robot("emulated_car").record(seed=0, duration=180.0).dataset
     return SingleTrack(tyre="tanh", starts=1, windows=150).fit(dataset, rng=0)
 
 
