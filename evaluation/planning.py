@@ -110,20 +110,11 @@ def plan_comparison(
     if stored is not None:
         data, system = stored
     else:
-        system = dataset.system if dataset is not None else _system_of(robot or robot_spec(DEFAULT_ROBOT))
+        system = dataset.system if dataset is not None else make_robot(robot or robot_spec(DEFAULT_ROBOT)).system
         data = _data(experiment, robot, dataset)
     specs = models_of(experiment, system, remarks)
-    labels = tuple(spec.label for spec in specs)
-    ensembles = ensembles_of(experiment, labels)
-    column = _robot_column(experiment, robot, system, remarks) if experiment.only is None else None
-    if experiment.only is None:
-        _check_control(evolution, system)
-        farthest = _farthest(dataset, robot)
-        if farthest is not None:
-            remarks += evolution.make_task(system).doubts(farthest)
+    ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
     fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
-    several = _conditions(experiment, dataset)
-    without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
     predictions: dict[str, PredictCell] = {}
     if experiment.only != "fit":
         still = PredictCell.persistence(data)
@@ -131,6 +122,26 @@ def plan_comparison(
             still.label: still,
             **{label: PredictCell(label, fit.spec.name, data, fit) for label, fit in fits.items()},
         }
+    matrix, exploitability = None, None
+    if experiment.only is None:
+        column = _robot_column(experiment, robot, system, remarks)
+        _check_control(evolution, system)
+        farthest = _farthest(dataset, robot)
+        if farthest is not None:
+            remarks += evolution.make_task(system).doubts(farthest)
+        matrix = _matrix(
+            experiment,
+            evolution,
+            tuple(Plant(label, fit.spec.name, model=fit, prediction=predictions[label]) for label, fit in fits.items()),
+            column,
+            ensembles,
+            tuple(measured),
+            _by_hand(experiment, evolution, system, fits, floor=column is not None),
+            recorded=_is_recorded(data),
+        )
+        exploitability = ExploitCell(matrix, data, experiment.seed)
+    several = _conditions(experiment, dataset)
+    without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
     settled = experiment.model_copy(
         update={
             **experiment.budget.model_dump(),
@@ -140,22 +151,6 @@ def plan_comparison(
             "data_digest": data.digest,
         }
     )
-    matrix, exploitability = None, None
-    if experiment.only is None:
-        columns = tuple(
-            Plant(label, fit.spec.name, model=fit, prediction=predictions.get(label)) for label, fit in fits.items()
-        )
-        matrix = _matrix(
-            experiment,
-            evolution,
-            columns,
-            column,
-            ensembles,
-            tuple(measured),
-            _by_hand(experiment, evolution, system, fits, floor=column is not None),
-            recorded=_is_recorded(data),
-        )
-        exploitability = ExploitCell(matrix, data, experiment.seed)
     advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values()]
     if matrix is not None and exploitability is not None:
@@ -270,11 +265,6 @@ def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
     return robot_spec(experiment.robot)
 
 
-def _system_of(robot: Spec) -> System:
-    system: System = make_robot(robot).system
-    return system
-
-
 def _robot_column(experiment: Experiment, robot: Spec | None, system: System, remarks: list[str]) -> Plant | None:
     """Return the column of the emulated robot; a physical one gets its column when it is driven."""
     if robot is None:
@@ -297,16 +287,14 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
 def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
     share = 0.0 if experiment.only == "fit" and experiment.test is None else experiment.held_back
     split = Split(experiment.test, share)
+    if dataset is None and experiment.test is not None:
+        raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
+    if share == 0.0 and experiment.test is None and experiment.only != "fit":
+        raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
     if dataset is None:
-        if experiment.test is not None:
-            raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
-        if share == 0.0 and experiment.only != "fit":
-            raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
         recorded = robot or robot_spec(DEFAULT_ROBOT)
         make_robot(recorded).check()
         return RecordedData(recorded, experiment.seed, experiment.minutes, split)
-    if share == 0.0 and experiment.test is None and experiment.only != "fit":
-        raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
     if parts.test is not None and experiment.only != "fit":
