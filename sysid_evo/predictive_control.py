@@ -1,21 +1,19 @@
-"""Controllers that plan with a model: MPPI, and one whose model adapts while it drives."""
+"""A controller that plans with a model inside, by path integrals (MPPI)."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View
+from sysid_evo.controllers.inner_model import inner_model
 from sysid_evo.engine.imagined import Imagination
-from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.dynamics import Dynamics
-from sysid_evo.models.storage import load_model
-from sysid_evo.registry.registry import make_robot, register_controller
+from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, check_shape
 
@@ -142,30 +140,3 @@ class Predictive(Controller):
         varied = np.clip(plan + spread[:, None, None] * drawn, -1.0, 1.0)
         constant = np.broadcast_to(self.constant[:, None], (len(self.constant), *plan.shape))
         return np.concatenate([plan[None], constant, varied])
-
-
-def inner_model(what: str, model: str | Dynamics, task: Task) -> Dynamics:
-    """Return the dynamics that ``model`` names, for the controller ``what`` at a bound ``task``.
-
-    Raises `ArtefactError` and `UnknownName` for what is not there, `IncompatibleTask` for a model of another system.
-    """
-    dynamics = model if isinstance(model, Dynamics) else _named(what, model)
-    differences = task.system.differences(dynamics.system)
-    if differences:
-        raise IncompatibleTask(f"{what}: the model is of another system: {'; '.join(differences)}")
-    return dynamics
-
-
-def _named(what: str, model: str) -> Dynamics:
-    file = Path(f"{model.removesuffix('.safetensors').removesuffix('.json')}.json")
-    if file.is_file() or file.suffix == Path(model).suffix:
-        return _stored(file.resolve(), file.stat().st_mtime_ns if file.is_file() else 0)
-    dynamics: Dynamics | None = make_robot(model).dynamics
-    if dynamics is None:
-        raise InvalidArgument(f"{what}: {model} is a physical robot; give the file of a model")
-    return dynamics
-
-
-@lru_cache(maxsize=16)
-def _stored(file: Path, _changed: int) -> Dynamics:
-    return load_model(file)

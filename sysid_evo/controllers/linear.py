@@ -1,4 +1,4 @@
-"""Constant outputs and linear feedback."""
+"""Linear feedback of what the task shows, and controls that never change."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View, observed
-from sysid_evo.controllers.program import Program, Statement, dot, limited, observation, take
-from sysid_evo.controllers.program import constant as program_constant
+from sysid_evo.controllers.program import Program, Statement, constant, dot, limited, observation, take
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, load, store
 from sysid_evo.registry.registry import register_controller
@@ -64,14 +63,33 @@ class LinearFeedback(Controller):
         return np.clip(raw, -1.0, 1.0), memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        return linear_feedback_kernel(self.places, self.n_outputs)
+        return ControllerKernel(
+            KernelSource(linear_lanes),
+            LINEAR_HEAD.pack(self.places, n_inputs=len(self.places), n_outputs=self.n_outputs),
+        )
 
     def program(self, parameters: Array) -> Program:
         weights, bias = (part[0] for part in self.weights(parameters[None]))
         seen = Statement("seen", take("SEEN_AT", observation(self.n_observations), *self.places), "what counts")
-        pushed = dot("W", weights.T, seen.value) + program_constant("B", bias[0])
+        pushed = dot("W", weights.T, seen.value) + constant("B", bias[0])
         raw = Statement("raw", limited(pushed), "outputs in [-1, 1]")
         return Program((seen, raw), raw.value)
+
+
+LINEAR_HEAD = Layout("n_inputs", "n_outputs")
+
+
+def linear_lanes(theta, memory, observation, raw, parameters, scratch):
+    """y = W o + b within [-1, 1], see `LinearFeedback`."""
+    n_inputs, n_outputs = int(parameters[LINEAR_HEAD.n_inputs]), int(parameters[LINEAR_HEAD.n_outputs])
+    for j in range(n_outputs):
+        total = load(theta, (n_inputs * n_outputs + j) * LANES)
+        for i in range(n_inputs):
+            seen = load(observation, int(parameters[LINEAR_HEAD.size + i]) * LANES)
+            total = total + load(theta, (i * n_outputs + j) * LANES) * seen
+        store(raw, j * LANES, total)
+    for i in range(n_outputs * LANES):
+        raw[i] = min(max(raw[i], -1.0), 1.0)
 
 
 @register_controller("constant")
@@ -97,47 +115,18 @@ class Constant(Controller):
         return np.repeat(raw, view.observation.shape[1], axis=1), memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        return constant_kernel(self.neutral)
+        return ControllerKernel(
+            KernelSource(constant_lanes), CONSTANT_HEAD.pack(self.neutral, n_outputs=len(self.neutral))
+        )
 
 
-HEAD = Layout("n_outputs")
+CONSTANT_HEAD = Layout("n_outputs")
 
 
-def constant_kernel(neutral: Array) -> ControllerKernel:
-    """Return the compiled form of `Constant` with the outputs ``neutral`` (n_outputs,) at rest."""
-    return ControllerKernel(KernelSource(constant), HEAD.pack(neutral, n_outputs=len(neutral)))
-
-
-def constant(theta, memory, observation, raw, parameters, scratch):
+def constant_lanes(theta, memory, observation, raw, parameters, scratch):
     """y = y_0 + b within [-1, 1], see `Constant`."""
-    for row in range(int(parameters[HEAD.n_outputs])):
-        neutral = parameters[HEAD.size + row]
+    for row in range(int(parameters[CONSTANT_HEAD.n_outputs])):
+        neutral = parameters[CONSTANT_HEAD.size + row]
         for lane in range(LANES):
             i = row * LANES + lane
             raw[i] = min(max(neutral + theta[i], -1.0), 1.0)
-
-
-LINEAR_FEEDBACK_HEAD = Layout("n_inputs", "n_outputs")
-
-
-def linear_feedback_kernel(places: tuple[int, ...], n_outputs: int) -> ControllerKernel:
-    """Return the compiled form of `LinearFeedback` of the observations in ``places``."""
-    return ControllerKernel(
-        KernelSource(linear_feedback), LINEAR_FEEDBACK_HEAD.pack(places, n_inputs=len(places), n_outputs=n_outputs)
-    )
-
-
-def linear_feedback(theta, memory, observation, raw, parameters, scratch):
-    """y = W o + b within [-1, 1], see `LinearFeedback`."""
-    n_inputs, n_outputs = (
-        int(parameters[LINEAR_FEEDBACK_HEAD.n_inputs]),
-        int(parameters[LINEAR_FEEDBACK_HEAD.n_outputs]),
-    )
-    for j in range(n_outputs):
-        total = load(theta, (n_inputs * n_outputs + j) * LANES)
-        for i in range(n_inputs):
-            seen = load(observation, int(parameters[LINEAR_FEEDBACK_HEAD.size + i]) * LANES)
-            total = total + load(theta, (i * n_outputs + j) * LANES) * seen
-        store(raw, j * LANES, total)
-    for i in range(n_outputs * LANES):
-        raw[i] = min(max(raw[i], -1.0), 1.0)

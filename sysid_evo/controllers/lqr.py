@@ -1,4 +1,4 @@
-"""LQR, and the linear model that it is computed from."""
+"""LQR, computed from a linear model: the best linear feedback for it near the targets of a task."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import ClassVar, Self, cast
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View, size_of
+from sysid_evo.controllers.inner_model import inner_model
 from sysid_evo.controllers.program import Program, Statement, constant, dot, limited, observation
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
 from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout
 from sysid_evo.models.dynamics import Dynamics
-from sysid_evo.predictive_control import inner_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
@@ -122,7 +122,10 @@ class Lqr(Controller):
         return np.clip(shown @ self.rest + strength * (shown @ self.feedback), -1.0, 1.0), memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        return lqr_kernel(self.rest, self.feedback)
+        n_inputs, n_outputs = len(self.rest) - 1, self.rest.shape[1]
+        return ControllerKernel(
+            KernelSource(act_lanes), HEAD.pack(self.rest, self.feedback, n_inputs=n_inputs, n_outputs=n_outputs)
+        )
 
     def program(self, parameters: Array) -> Program:
         law = self.rest + np.exp(np.clip(parameters[0], -5.0, 5.0)) * self.feedback
@@ -153,13 +156,32 @@ def _in_observations(
     return cast("Array", tables[0]), cast("Array", tables[1])
 
 
+HEAD = Layout("n_inputs", "n_outputs")
+
+
+def act_lanes(theta, memory, observation, raw, parameters, scratch):
+    """Outputs at rest plus so much of the feedback, see `Lqr`."""
+    n_inputs, n_outputs = int(parameters[HEAD.n_inputs]), int(parameters[HEAD.n_outputs])
+    size = (n_inputs + 1) * n_outputs
+    for j in range(n_outputs):
+        for lane in range(LANES):
+            at = HEAD.size + n_inputs * n_outputs + j
+            rest, feedback = parameters[at], parameters[at + size]
+            for i in range(n_inputs):
+                at = HEAD.size + i * n_outputs + j
+                rest += parameters[at] * observation[i * LANES + lane]
+                feedback += parameters[at + size] * observation[i * LANES + lane]
+            strength = math.exp(min(max(theta[lane], -5.0), 5.0))
+            raw[j * LANES + lane] = min(max(rest + strength * feedback, -1.0), 1.0)
+
+
 STEP = 1e-4
 """Of a difference quotient, in sizes of the channel."""
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """``a`` (nx, nx), ``b`` (nx, nu) and ``c`` (nx,), from one sample to the next."""
+    """x' = A x + B u + c from one sample to the next: ``a`` (nx, nx), ``b`` (nx, nu) and ``c`` (nx,)."""
 
     a: Array
     b: Array
@@ -196,28 +218,3 @@ def linear_model(dynamics: Dynamics, state: Array) -> LinearModel:
     slopes = ((after[:n] - after[n : 2 * n]) / (2.0 * steps[:, None])).T
     a, b = slopes[:, : system.nx], slopes[:, system.nx :]
     return LinearModel(a, b, after[-1] - a @ state - b @ neutral)
-
-
-HEAD = Layout("n_inputs", "n_outputs")
-
-
-def lqr_kernel(rest: Array, feedback: Array) -> ControllerKernel:
-    """Return the compiled form of `Lqr` with its tables (n_inputs + 1, n_outputs)."""
-    n_inputs, n_outputs = len(rest) - 1, rest.shape[1]
-    return ControllerKernel(KernelSource(lqr), HEAD.pack(rest, feedback, n_inputs=n_inputs, n_outputs=n_outputs))
-
-
-def lqr(theta, memory, observation, raw, parameters, scratch):
-    """Outputs at rest plus so much of the feedback, see `Lqr`."""
-    n_inputs, n_outputs = int(parameters[HEAD.n_inputs]), int(parameters[HEAD.n_outputs])
-    size = (n_inputs + 1) * n_outputs
-    for j in range(n_outputs):
-        for lane in range(LANES):
-            at = HEAD.size + n_inputs * n_outputs + j
-            rest, feedback = parameters[at], parameters[at + size]
-            for i in range(n_inputs):
-                at = HEAD.size + i * n_outputs + j
-                rest += parameters[at] * observation[i * LANES + lane]
-                feedback += parameters[at + size] * observation[i * LANES + lane]
-            strength = math.exp(min(max(theta[lane], -5.0), 5.0))
-            raw[j * LANES + lane] = min(max(rest + strength * feedback, -1.0), 1.0)

@@ -1,4 +1,4 @@
-"""PID loops with anti-windup, one scalar law."""
+"""PID loops on named channels, with anti-windup; the gains are evolved."""
 
 from __future__ import annotations
 
@@ -132,10 +132,60 @@ class Pid(Controller):
         return raw, np.concatenate([kept, error, np.ones_like(begun)], axis=-1)
 
     def kernel(self) -> ControllerKernel:
-        return pid_kernel(self.made, self.n_outputs, self.dt, self.time)
+        rows = [
+            LOOP.pack(
+                observation=loop.observation,
+                control=loop.control,
+                per_scale=1.0 / loop.scale,
+                period=loop.period,
+                per_period=1.0 / loop.period if loop.period else 0.0,
+            )
+            for loop in self.made
+        ]
+        parameters = HEAD.pack(*rows, n_loops=len(self.made), n_outputs=self.n_outputs, dt=self.dt, time=self.time)
+        return ControllerKernel(KernelSource(act_lanes), parameters, len(self.made) + self.n_outputs)
 
     def program(self, parameters: Array) -> Program:
-        return pid_program(self, parameters)
+        n = len(self.made)
+        gains = parameters[: 3 * n].reshape(n, 3).T
+        kp, ki, kd = (constant(name, row) for name, row in zip(("K_P", "K_I", "K_D"), gains, strict=True))
+        bias, adds_to = constant("BIAS", parameters[3 * n :]), self.adds_to.T
+        integral, last, begun = remembered("integral", n), remembered("last", n), remembered("begun", 1)
+        scale, period = (np.array([getattr(loop, name) for loop in self.made]) for name in ("scale", "period"))
+        places = [loop.observation for loop in self.made]
+        seen = take("ERROR_AT", observation(self.n_observations), *places)
+        error = Statement("error", seen / constant("SCALE", scale), "what each loop brings to zero")
+        change = error.value - last
+        if period.any():
+            difference = Statement("difference", change)
+            turns = apply("round", difference.value / constant("TURN", np.where(period > 0.0, period, 1.0)))
+            shortest = Statement(
+                "change", difference.value - constant("PERIOD", period) * turns, "the shortest way round"
+            )
+            before: tuple[Statement, ...] = (error, difference, shortest)
+        else:
+            shortest = Statement("change", change, "since the last sample")
+            before = (error, shortest)
+        rate = kd * begun * shortest.value * (self.time / self.dt)
+        immediate = Statement("immediate", kp * error.value + rate, "proportional and derivative terms")
+        grown = Statement("grown", integral + error.value * (self.dt / self.time), "integrals, if they all grow")
+        pushed = Statement("pushed", immediate.value + ki * grown.value)
+        output = Statement("output", bias + dot("ADDS_TO", adds_to, pushed.value), "before the limits")
+        beyond = Statement("beyond", choose(apply("abs", output.value), ">", 1.0, output.value, 0.0))
+        out = Statement("out", take("MOVES", beyond.value, *(loop.control for loop in self.made)))
+        kept = Statement(
+            "kept",
+            choose(out.value * ki * error.value, ">", 0.0, integral, grown.value),
+            "an integral that would drive its output further beyond stands still",
+        )
+        final = Statement("final", immediate.value + ki * kept.value)
+        raw = Statement("raw", limited(bias + dot("ADDS_TO", adds_to, final.value)), "outputs in [-1, 1]")
+        one = Statement("one", apply("abs", begun * 0.0 + 1.0))
+        return Program(
+            (*before, immediate, grown, pushed, output, beyond, out, kept, final, raw, one),
+            raw.value,
+            {"integral": kept.value, "last": error.value, "begun": one.value},
+        )
 
 
 def _all_loops(task: Task) -> dict[str, list[str]]:
@@ -146,70 +196,12 @@ def _all_loops(task: Task) -> dict[str, list[str]]:
     return dict.fromkeys(task.system.control_names, errors or names)
 
 
-def pid_program(pid: Pid, parameters: Array) -> Program:
-    """Return a bound `Pid` with these parameters (n_parameters,) as a program."""
-    n = len(pid.made)
-    gains = parameters[: 3 * n].reshape(n, 3).T
-    kp, ki, kd = (constant(name, row) for name, row in zip(("K_P", "K_I", "K_D"), gains, strict=True))
-    bias, adds_to = constant("BIAS", parameters[3 * n :]), pid.adds_to.T
-    integral, last, begun = remembered("integral", n), remembered("last", n), remembered("begun", 1)
-    scale, period = (np.array([getattr(loop, name) for loop in pid.made]) for name in ("scale", "period"))
-    places = [loop.observation for loop in pid.made]
-    seen = take("ERROR_AT", observation(pid.n_observations), *places)
-    error = Statement("error", seen / constant("SCALE", scale), "what each loop brings to zero")
-    change = error.value - last
-    if period.any():
-        difference = Statement("difference", change)
-        turns = apply("round", difference.value / constant("TURN", np.where(period > 0.0, period, 1.0)))
-        shortest = Statement("change", difference.value - constant("PERIOD", period) * turns, "the shortest way round")
-        before: tuple[Statement, ...] = (error, difference, shortest)
-    else:
-        shortest = Statement("change", change, "since the last sample")
-        before = (error, shortest)
-    rate = kd * begun * shortest.value * (pid.time / pid.dt)
-    immediate = Statement("immediate", kp * error.value + rate, "proportional and derivative terms")
-    grown = Statement("grown", integral + error.value * (pid.dt / pid.time), "integrals, if they all grow")
-    pushed = Statement("pushed", immediate.value + ki * grown.value)
-    output = Statement("output", bias + dot("ADDS_TO", adds_to, pushed.value), "before the limits")
-    beyond = Statement("beyond", choose(apply("abs", output.value), ">", 1.0, output.value, 0.0))
-    out = Statement("out", take("MOVES", beyond.value, *(loop.control for loop in pid.made)))
-    kept = Statement(
-        "kept",
-        choose(out.value * ki * error.value, ">", 0.0, integral, grown.value),
-        "an integral that would drive its output further beyond stands still",
-    )
-    final = Statement("final", immediate.value + ki * kept.value)
-    raw = Statement("raw", limited(bias + dot("ADDS_TO", adds_to, final.value)), "outputs in [-1, 1]")
-    one = Statement("one", apply("abs", begun * 0.0 + 1.0))
-    return Program(
-        (*before, immediate, grown, pushed, output, beyond, out, kept, final, raw, one),
-        raw.value,
-        {"integral": kept.value, "last": error.value, "begun": one.value},
-    )
-
-
 HEAD = Layout("n_loops", "n_outputs", "dt", "time")
 
 LOOP = Layout("observation", "control", "per_scale", "period", "per_period")
 
 
-def pid_kernel(loops: tuple[Loop, ...], n_outputs: int, dt: float, time: float) -> ControllerKernel:
-    """Return the compiled form of `Pid`."""
-    rows = [
-        LOOP.pack(
-            observation=loop.observation,
-            control=loop.control,
-            per_scale=1.0 / loop.scale,
-            period=loop.period,
-            per_period=1.0 / loop.period if loop.period else 0.0,
-        )
-        for loop in loops
-    ]
-    parameters = HEAD.pack(*rows, n_loops=len(loops), n_outputs=n_outputs, dt=dt, time=time)
-    return ControllerKernel(KernelSource(pid), parameters, len(loops) + n_outputs)
-
-
-def pid(theta, memory, observation, raw, parameters, scratch):
+def act_lanes(theta, memory, observation, raw, parameters, scratch):
     """Proportional, integral and derivative terms, then the outputs with integrals that do not wind up; see `Pid`."""
     n_loops, n_outputs = int(parameters[HEAD.n_loops]), int(parameters[HEAD.n_outputs])
     fraction = parameters[HEAD.dt] / parameters[HEAD.time]

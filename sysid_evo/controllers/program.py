@@ -60,7 +60,7 @@ class Variable(Expression):
 
 
 @dataclass(frozen=True, eq=False)
-class Constant(Expression):
+class ConstantVector(Expression):
     """A vector of constants with a name."""
 
     name: str
@@ -166,7 +166,7 @@ class Program:
         found: dict[str, Array] = {}
         for statement in self.statements:
             for part in parts_of(statement.expression):
-                if isinstance(part, Constant):
+                if isinstance(part, ConstantVector):
                     found[part.name] = part.values
                 elif isinstance(part, Dot):
                     found[part.name] = part.matrix
@@ -188,10 +188,10 @@ def remembered(name: str, n: int) -> Variable:
     return Variable(n, name, remembered=True)
 
 
-def constant(name: str, values: Any) -> Constant:
+def constant(name: str, values: Any) -> ConstantVector:
     """Return a vector of constants."""
     numbers = np.asarray(values, dtype=np.float64)
-    return Constant(len(numbers), name, numbers)
+    return ConstantVector(len(numbers), name, numbers)
 
 
 def dot(name: str, matrix: Array, of: Variable) -> Dot:
@@ -255,7 +255,7 @@ def _value(e: Expression, known: Vectors, memory: Vectors, real: Any) -> Any:
             return np.asarray(e.value, dtype=real)
         case Variable():
             return memory[e.name].astype(real) if e.remembered else known[e.name]
-        case Constant():
+        case ConstantVector():
             return e.values.astype(real)
         case Dot():
             return e.matrix.astype(real) @ value(e.of)

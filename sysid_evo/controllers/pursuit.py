@@ -1,4 +1,4 @@
-"""Pure pursuit of a waypoint, one scalar law."""
+"""Pure pursuit: drive a planar body along the arc that leads to the waypoint."""
 
 from __future__ import annotations
 
@@ -113,36 +113,49 @@ class Pursuit(Controller):
         return raw, memory.copy()
 
     def kernel(self) -> ControllerKernel:
-        return pursuit_kernel(self)
+        speed, yaw_rate, angle, distance = self.places
+        drive, steer = self.outputs
+        parameters = HEAD.pack(
+            self.rest,
+            look=self.look,
+            acceleration=self.acceleration,
+            gain=self.gain,
+            ahead=-1.0 if self.backward else 1.0,
+            n_outputs=len(self.rest),
+            drive=drive,
+            steer=steer,
+            speed=speed,
+            yaw_rate=yaw_rate,
+            angle=angle,
+            distance=distance,
+        )
+        return ControllerKernel(KernelSource(act_lanes), parameters)
 
     def program(self, parameters: Array) -> Program:
-        return pursuit_program(self, parameters)
-
-
-def pursuit_program(pursuit: Pursuit, parameters: Array) -> Program:
-    """Return a bound `Pursuit` with these parameters (n_parameters,) as a program."""
-    look, acceleration, gain, damping = map(float, pursuit.settings(parameters[None])[:, 0])
-    shown = observation(pursuit.n_observations)
-    seen = [
-        Statement(name, take(name.upper(), shown, place)) for name, place in zip(SHOWN, pursuit.places, strict=True)
-    ]
-    speed, yaw_rate, angle, distance = (statement.value for statement in seen)
-    ahead = -1.0 if pursuit.backward else 1.0
-    tail = choose(angle, ">", 0.0, angle - math.pi, angle + math.pi)
-    bearing = Statement("bearing", tail if pursuit.backward else angle + 0.0, "rad, from where it drives to")
-    side = choose(bearing.value, ">", 0.0, 1.0, -1.0)
-    sine = choose(apply("abs", bearing.value), ">", math.pi / 2.0, side, apply("sin", bearing.value))
-    curvature = Statement("curvature", number(2.0) * sine / _max(distance, CLOSEST), "1/m, of the arc to the waypoint")
-    bend = _max(apply("abs", curvature.value), STRAIGHTEST)
-    wanted = Statement("wanted", apply("sqrt", number(acceleration) / bend), "m/s, how fast the arc can be driven")
-    drive = Statement("push", limited((wanted.value - speed * ahead) * (ahead * gain)), "forward")
-    steer = Statement("turn", limited(curvature.value * (ahead * look) - yaw_rate * damping), "to the left")
-    unit = np.eye(len(pursuit.rest))
-    rest = np.where(unit[list(pursuit.outputs)].any(axis=0), 0.0, pursuit.rest)
-    pushed, turned = (unit[:, [place]] for place in pursuit.outputs)
-    both = dot("PUSHES", pushed, drive.value) + dot("TURNS", turned, steer.value)
-    raw = Statement("raw", constant("REST", rest) + both, "outputs in [-1, 1]")
-    return Program((*seen, bearing, curvature, wanted, drive, steer, raw), raw.value)
+        look, acceleration, gain, damping = map(float, self.settings(parameters[None])[:, 0])
+        shown = observation(self.n_observations)
+        seen = [
+            Statement(name, take(name.upper(), shown, place)) for name, place in zip(SHOWN, self.places, strict=True)
+        ]
+        speed, yaw_rate, angle, distance = (statement.value for statement in seen)
+        ahead = -1.0 if self.backward else 1.0
+        tail = choose(angle, ">", 0.0, angle - math.pi, angle + math.pi)
+        bearing = Statement("bearing", tail if self.backward else angle + 0.0, "rad, from where it drives to")
+        side = choose(bearing.value, ">", 0.0, 1.0, -1.0)
+        sine = choose(apply("abs", bearing.value), ">", math.pi / 2.0, side, apply("sin", bearing.value))
+        curvature = Statement(
+            "curvature", number(2.0) * sine / _max(distance, CLOSEST), "1/m, of the arc to the waypoint"
+        )
+        bend = _max(apply("abs", curvature.value), STRAIGHTEST)
+        wanted = Statement("wanted", apply("sqrt", number(acceleration) / bend), "m/s, how fast the arc can be driven")
+        drive = Statement("push", limited((wanted.value - speed * ahead) * (ahead * gain)), "forward")
+        steer = Statement("turn", limited(curvature.value * (ahead * look) - yaw_rate * damping), "to the left")
+        unit = np.eye(len(self.rest))
+        rest = np.where(unit[list(self.outputs)].any(axis=0), 0.0, self.rest)
+        pushed, turned = (unit[:, [place]] for place in self.outputs)
+        both = dot("PUSHES", pushed, drive.value) + dot("TURNS", turned, steer.value)
+        raw = Statement("raw", constant("REST", rest) + both, "outputs in [-1, 1]")
+        return Program((*seen, bearing, curvature, wanted, drive, steer, raw), raw.value)
 
 
 def _max(of: Expression, least: float) -> Binary:
@@ -156,28 +169,7 @@ HEAD = Layout(
 HALF = math.pi / 2.0
 
 
-def pursuit_kernel(pursuit: Pursuit) -> ControllerKernel:
-    """Return the compiled form of a bound `Pursuit`."""
-    speed, yaw_rate, angle, distance = pursuit.places
-    drive, steer = pursuit.outputs
-    parameters = HEAD.pack(
-        pursuit.rest,
-        look=pursuit.look,
-        acceleration=pursuit.acceleration,
-        gain=pursuit.gain,
-        ahead=-1.0 if pursuit.backward else 1.0,
-        n_outputs=len(pursuit.rest),
-        drive=drive,
-        steer=steer,
-        speed=speed,
-        yaw_rate=yaw_rate,
-        angle=angle,
-        distance=distance,
-    )
-    return ControllerKernel(KernelSource(pursue), parameters)
-
-
-def pursue(theta, memory, observation, raw, parameters, scratch):
+def act_lanes(theta, memory, observation, raw, parameters, scratch):
     """Steer along the arc to the waypoint, as fast as it allows, see `Pursuit`."""
     p, ahead = parameters, parameters[HEAD.ahead]
     speed, yaw_rate = view(observation, int(p[HEAD.speed]) * LANES), view(observation, int(p[HEAD.yaw_rate]) * LANES)

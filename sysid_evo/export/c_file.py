@@ -8,7 +8,7 @@ from sysid_evo.controllers.program import (
     OBSERVATION,
     Binary,
     Choice,
-    Constant,
+    ConstantVector,
     Dot,
     Expression,
     Number,
@@ -111,10 +111,10 @@ static {name}_real dot(const {name}_real *weights, const {name}_real *vector, si
 
 def c_text(law: Law, real: Real = "double", file: str = "") -> str:
     """Return the text of the file, which will be called ``file``."""
-    return _Writer(law, real).text(file or f"{law.name}.c")
+    return _CWriter(law, real).text(file or f"{law.name}.c")
 
 
-class _Writer:
+class _CWriter:
     """Writes one law in one precision."""
 
     def __init__(self, law: Law, real: Real) -> None:
@@ -198,7 +198,7 @@ class _Writer:
                 return self.number(e.value) if e.value >= 0.0 else f"({self.number(e.value)})"
             case Variable():
                 return self.at(e, "i")
-            case Constant():
+            case ConstantVector():
                 return f"{e.name}[{'i' if e.size > 1 else 0}]"
             case Dot():
                 row = f"{e.name}[{'i' if e.size > 1 else 0}]"

@@ -11,7 +11,7 @@ from sysid_evo.controllers.program import (
     OBSERVATION,
     Binary,
     Choice,
-    Constant,
+    ConstantVector,
     Dot,
     Expression,
     Number,
@@ -115,7 +115,7 @@ class _Graph:
                 return self.table("", np.array([e.value]))
             case Variable():
                 return f"memory_{e.name}" if e.remembered else e.name
-            case Constant():
+            case ConstantVector():
                 return self.table(e.name, e.values)
             case Dot():
                 return self.node("MatMul", self.table(e.name, e.matrix), self.result(e.of))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sysid_evo.controllers.program import (
     Binary,
     Choice,
-    Constant,
+    ConstantVector,
     Dot,
     Expression,
     Number,
@@ -119,7 +119,7 @@ def _table(values: Array) -> str:
 
 def _has_size(e: Expression) -> bool:
     """Whether the text of ``e`` gives an array: somewhere in it stands a vector."""
-    return any(isinstance(part, (Variable, Constant, Dot, Take)) for part in parts_of(e))
+    return any(isinstance(part, (Variable, ConstantVector, Dot, Take)) for part in parts_of(e))
 
 
 def _text(e: Expression) -> tuple[str, int]:
@@ -129,7 +129,7 @@ def _text(e: Expression) -> tuple[str, int]:
             return (repr(e.value), ATOM) if e.value >= 0.0 else (f"({e.value!r})", ATOM)
         case Variable():
             return (f"self.{e.name}" if e.remembered else e.name), ATOM
-        case Constant():
+        case ConstantVector():
             return e.name, ATOM
         case Dot():
             return f"{e.name} @ {_text(e.of)[0]}", PRODUCT

@@ -1,21 +1,36 @@
-"""Random waypoints, one after the other (the paper's task)."""
+"""Point-to-point racing: pass as many random waypoints as possible (paper, section 5.2)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from sysid_evo import angles
 from sysid_evo.angles import wrap
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.kernels import KernelSource, TaskKernel
+from sysid_evo.kernels import (
+    LANES,
+    QUARTER,
+    KernelSource,
+    Layout,
+    TaskKernel,
+    first_lane,
+    lanes_at_most,
+    load,
+    load_quarter,
+    splat,
+    splat_quarter,
+    store,
+    view,
+    where_bits,
+)
+from sysid_evo.motion_kernels import wrap as wrap_lanes
 from sysid_evo.randomness import TASK_STREAM, drawn
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.kernels import WAYPOINTS_HEAD, WAYPOINTS_ROWS, waypoints_advance, waypoints_observe
 from sysid_evo.tasks.task import Scene, Task, TaskState
 from sysid_evo.types import Array, IntArray, Seeds
 
@@ -108,7 +123,7 @@ class PointToPoint(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("PointToPointState", task_state)
-        forward, yaw_rate = self._rows
+        forward, yaw_rate = self._speeds
         dx, dy = here.to_waypoint(here.pose)
         angle = np.arctan2(dy, dx) - here.pose[:, 2]
         observation = np.empty((len(state), 5))
@@ -148,7 +163,7 @@ class PointToPoint(Task):
 
     def doubts(self, farthest: Array) -> tuple[str, ...]:
         """Say if the waypoints are too far apart for the speed, or too small for one step, or the arena to turn in."""
-        forward, yaw_rate = self._rows
+        forward, yaw_rate = self._speeds
         speed, turning, dt = farthest[forward], farthest[yaw_rate], self.system.dt
         if speed <= 0.0:
             return ("point_to_point: this robot was never seen to move, so that no waypoint can be reached",)
@@ -184,10 +199,32 @@ class PointToPoint(Task):
         return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
 
     def kernel(self) -> TaskKernel[Any] | None:
-        return waypoints_kernel(self.system, self.waypoint_radius, self.horizon + 1)
+        motion = self.system.motion_kernel()
+        if motion is None:
+            return None
+        forward, yaw_rate = self._speeds
+        parameters = HEAD.pack(
+            motion.parameters,
+            forward=forward,
+            yaw_rate=yaw_rate,
+            dt=self.system.dt,
+            radius_squared=self.waypoint_radius**2,
+            n_data=2 * (self.horizon + 1),
+        )
+        return TaskKernel(
+            observe=KernelSource(observe_lanes),
+            advance=KernelSource(advance_lanes, {"move": motion.move}),
+            n_rows=ROWS.size,
+            rows=_rows,
+            trial_data=_data,
+            state=_state,
+            parameters=parameters,
+            pose_row=ROWS.x,
+            n_pose=self.system.n_pose,
+        )
 
     @property
-    def _rows(self) -> tuple[int, int]:
+    def _speeds(self) -> tuple[int, int]:
         """Where forward speed and yaw rate stand among the states."""
         assert self.system.motion is not None
         roles, names = self.system.motion.roles(), self.system.state_names
@@ -207,31 +244,9 @@ def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
     return found
 
 
-def waypoints_kernel(system: System, waypoint_radius: float, n_waypoints: int) -> TaskKernel[Any] | None:
-    """Return the compiled form of `PointToPoint` on ``system``; None if its motion has none."""
-    motion = system.motion_kernel()
-    if motion is None or system.motion is None:
-        return None
-    roles = system.motion.roles()
-    parameters = WAYPOINTS_HEAD.pack(
-        motion.parameters,
-        forward=system.state_names.index(roles["forward"]),
-        yaw_rate=system.state_names.index(roles["yaw_rate"]),
-        dt=system.dt,
-        radius_squared=waypoint_radius**2,
-        n_data=2 * n_waypoints,
-    )
-    return TaskKernel(
-        observe=KernelSource(waypoints_observe),
-        advance=KernelSource(waypoints_advance, {"move": motion.move}),
-        n_rows=WAYPOINTS_ROWS.size,
-        rows=_rows,
-        trial_data=_data,
-        state=_state,
-        parameters=parameters,
-        pose_row=WAYPOINTS_ROWS.x,
-        n_pose=system.n_pose,
-    )
+ROWS = Layout("passed", "alive", "x", "y", "heading", "next_x", "next_y")
+
+HEAD = Layout("forward", "yaw_rate", "dt", "radius_squared", "n_data")
 
 
 def _data(task_state: TaskState) -> Array:
@@ -242,15 +257,59 @@ def _data(task_state: TaskState) -> Array:
 def _rows(task_state: TaskState) -> Array:
     here = cast("PointToPointState", task_state)
     x, y, heading = here.pose.T
-    rows = [here.passed, here.alive, x, y, angles.wrap(heading), *here.waypoint.T]  # wrapped while still exact
+    rows = [here.passed, here.alive, x, y, wrap(heading), *here.waypoint.T]  # wrapped while still exact
     return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
 
 
 def _state(task_state: TaskState, rows: Array) -> TaskState:
-    passed = rows[WAYPOINTS_ROWS.passed].astype(np.int64)
+    passed = rows[ROWS.passed].astype(np.int64)
     return replace(
         cast("PointToPointState", task_state),
         passed=passed,
-        alive=rows[WAYPOINTS_ROWS.alive] > 0,
-        pose=rows[WAYPOINTS_ROWS.x : WAYPOINTS_ROWS.heading + 1].T.copy(),
+        alive=rows[ROWS.alive] > 0,
+        pose=rows[ROWS.x : ROWS.heading + 1].T.copy(),
     )
+
+
+def observe_lanes(task, state, observation, parameters):
+    """Bias, forward speed, yaw rate, angle and distance to the waypoint."""
+    forward = view(state, int(parameters[HEAD.forward]) * LANES)
+    yaw_rate = view(state, int(parameters[HEAD.yaw_rate]) * LANES)
+    store(observation, 0, splat(1.0))
+    store(observation, LANES, load(forward, 0))
+    store(observation, 2 * LANES, load(yaw_rate, 0))
+    for lane in range(0, LANES, QUARTER):
+        here, seen = view(task, lane), view(observation, lane)
+        dx = load_quarter(here, ROWS.next_x * LANES) - load_quarter(here, ROWS.x * LANES)
+        dy = load_quarter(here, ROWS.next_y * LANES) - load_quarter(here, ROWS.y * LANES)
+        store(seen, 3 * LANES, wrap_lanes(math.atan2(dy, dx) - load_quarter(here, ROWS.heading * LANES)))
+        store(seen, 4 * LANES, math.sqrt(dx * dx + dy * dy))
+
+
+def advance_lanes(task, before, after, control, trials, trial_data, parameters):
+    """Let the motion move the pose, and pass the waypoints within reach."""
+    reach = parameters[HEAD.radius_squared]
+    move(
+        view(task, ROWS.x * LANES),
+        before,
+        after,
+        parameters[HEAD.dt],
+        view(parameters, HEAD.size),
+    )
+    dx = load(task, ROWS.next_x * LANES) - load(task, ROWS.x * LANES)
+    dy = load(task, ROWS.next_y * LANES) - load(task, ROWS.y * LANES)
+    passing = lanes_at_most(dx * dx + dy * dy, splat(reach))
+    while passing != 0:
+        lane = first_lane(passing)
+        passing &= passing - 1
+        number = task[ROWS.passed * LANES + lane] + 1.0
+        place = trials[lane] * int(parameters[HEAD.n_data]) + 2 * int(number)
+        put(view(task, ROWS.passed * LANES), lane, number)
+        put(view(task, ROWS.next_x * LANES), lane, trial_data[place])
+        put(view(task, ROWS.next_y * LANES), lane, trial_data[place + 1])
+
+
+def put(row, lane, number):
+    """Write one lane of a row by way of its quarter: a row read soon after a single number was written waits for it."""
+    first = lane - lane % QUARTER
+    store(row, first, where_bits(1 << (lane % QUARTER), splat_quarter(number), load_quarter(row, first)))

@@ -1,4 +1,4 @@
-"""A task of one function of states and controls; register_reward."""
+"""A task of one function: what each state and control are worth; and how a function of one's own becomes a task."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from typing import Any, Self, TypeAlias, TypeVar, cast
 import numpy as np
 
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.kernels import LANES, KernelSource, Picked, Source, TaskKernel
+from sysid_evo.kernels import LANES, KernelSource, Layout, Picked, Source, TaskKernel, view
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.kernels import FOLLOWING_HEAD as OBSERVED
-from sysid_evo.tasks.kernels import OWN, REWARD_ROWS, never, reward_advance
 from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.tasks.tracking import formulas_of_states, observations, observe, shown_states, state_numbers
+from sysid_evo.tasks.tracking import HEAD, formulas_of_states, observations, observe_lanes, shown_states, state_numbers
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
 Worth: TypeAlias = Callable[[Array, Array], Array]
@@ -264,6 +262,12 @@ def register_reward(
     return decorate
 
 
+ROWS = Layout("score", "alive", "pose")
+"""After the pose comes one row in which the state and control of a lane stand side by side."""
+
+OWN = Layout("lowest", "share")
+
+
 def reward_kernel(
     system: System,
     scalar: Callable[..., Any] | Source,
@@ -280,8 +284,8 @@ def reward_kernel(
         return None
     worth = KernelSource(scalar) if callable(scalar) else scalar
     states = state_numbers(system)
-    own = OBSERVED.size + states.size
-    parameters = OBSERVED.pack(
+    own = HEAD.size + states.size
+    parameters = HEAD.pack(
         states,
         OWN.pack(lowest=lowest, share=1.0 / horizon),
         motion.parameters,
@@ -299,16 +303,14 @@ def reward_kernel(
         of_motion=own + OWN.size,
     )
     return TaskKernel(
-        observe=KernelSource(observe),
-        advance=KernelSource(
-            reward_advance, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}
-        ),
-        n_rows=REWARD_ROWS.pose + system.n_pose + 1,
+        observe=KernelSource(observe_lanes),
+        advance=KernelSource(advance_lanes, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}),
+        n_rows=ROWS.pose + system.n_pose + 1,
         rows=_rows,
         trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
         state=_state,
         parameters=parameters,
-        pose_row=REWARD_ROWS.pose,
+        pose_row=ROWS.pose,
         n_pose=system.n_pose,
     )
 
@@ -320,5 +322,36 @@ def _rows(task_state: TaskState) -> Array:
 
 def _state(task_state: TaskState, rows: Array) -> TaskState:
     here = cast("RewardState", task_state)
-    pose = rows[REWARD_ROWS.pose : REWARD_ROWS.pose + here.pose.shape[1]].T.copy()
-    return replace(here, score=rows[REWARD_ROWS.score], alive=rows[REWARD_ROWS.alive] > 0, pose=pose)
+    pose = rows[ROWS.pose : ROWS.pose + here.pose.shape[1]].T.copy()
+    return replace(here, score=rows[ROWS.score], alive=rows[ROWS.alive] > 0, pose=pose)
+
+
+def advance_lanes(task, before, after, control, trials, trial_data, parameters):
+    """Move the pose and add the reward of the state in which the control was given."""
+    nx, nu, n_pose = (
+        int(parameters[HEAD.nx]),
+        int(parameters[HEAD.nu]),
+        int(parameters[HEAD.n_pose]),
+    )
+    own = view(parameters, int(parameters[HEAD.of_nu]))
+    pose = view(task, ROWS.pose * LANES)
+    x = view(pose, n_pose * LANES)
+    u = view(x, nx)
+    move(pose, before, after, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.of_motion])))
+    lowest, share = own[OWN.lowest], own[OWN.share]
+    for lane in range(LANES):
+        for i in range(nx):
+            x[i] = before[i * LANES + lane]
+        for j in range(nu):
+            u[j] = control[j * LANES + lane]
+        reward = worth(x, u)
+        task[lane] += share * (reward if reward >= lowest else lowest)
+        for i in range(nx):
+            x[i] = after[i * LANES + lane]
+        if over(x, u):
+            task[ROWS.alive * LANES + lane] = 0.0
+
+
+def never(x, u):
+    """No trial is over before its time."""
+    return 0.0

@@ -58,7 +58,7 @@ I = types.Array(types.int64, 1, "C")
 def generate(source: Source, signature: Signature, precision: Precision, *, pointer: bool = True) -> str:
     """Return the text of the module that compiles ``source`` as ``entry``."""
     options = f"cache=True, fastmath={FASTMATH}, error_model='numpy', _nrt=False"
-    writer = _Writer(precision)
+    writer = _ModuleWriter(precision)
     if pointer:
         inner = writer.needs(source)
         names = ", ".join(signature.arguments)
@@ -72,7 +72,7 @@ def generate(source: Source, signature: Signature, precision: Precision, *, poin
     return "\n\n".join([header, *writer.done, entry]) + "\n"
 
 
-class _Writer:
+class _ModuleWriter:
     """Writes kernel functions in dependency order, each once."""
 
     def __init__(self, precision: Precision) -> None:
@@ -130,7 +130,7 @@ class _Specialise(ast.NodeTransformer):
 
     def __init__(
         self,
-        writer: _Writer,
+        writer: _ModuleWriter,
         function: FunctionType,
         bindings: Mapping[str, Any],
         local: set[str],

@@ -184,18 +184,20 @@ CHANGES = (
     Change(
         "times of files are not told apart",
         PARCELS,
-        'f"{name}\\0{time}\\0{len(content)}\\0"',
+        'f"{name}\\0{changed}\\0{len(content)}\\0"',
         'f"{name}\\0{len(content)}\\0"',
         (TEST_PARCELS,),
     ),
     Change(
         "files that run together are not told apart",
         PARCELS,
-        'f"{name}\\0{time}\\0{len(content)}\\0"',
-        'f"{name}{time}"',
+        'f"{name}\\0{changed}\\0{len(content)}\\0"',
+        'f"{name}{changed}"',
         (TEST_PARCELS,),
     ),
-    Change("files are as old as they are here", PARCELS, "os.utime(file, ns=(time, time))", "pass", (TEST_PARCELS,)),
+    Change(
+        "files are as old as they are here", PARCELS, "os.utime(file, ns=(changed, changed))", "pass", (TEST_PARCELS,)
+    ),
     Change(
         "an absolute path is inside",
         PARCELS,

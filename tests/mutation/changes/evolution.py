@@ -231,8 +231,8 @@ CHANGES = (
     Change(
         "a behaviour is counted after the trial, too",
         "sysid_evo/engine/reference.py",
-        "behaviour.sides(state, control, centre) & alive[:, None]",
-        "behaviour.sides(state, control, centre)",
+        "+= sides(state, control, centre) & alive[:, None]",
+        "+= sides(state, control, centre)",
         ("tests/sysid_evo/engine/test_behaviour.py",),
     ),
 )

@@ -66,8 +66,8 @@ CHANGES = (
     Change(
         "the compiled task passes a waypoint from another distance",
         "sysid_evo/tasks/point_to_point.py",
-        "radius_squared=waypoint_radius**2",
-        "radius_squared=waypoint_radius",
+        "radius_squared=self.waypoint_radius**2",
+        "radius_squared=self.waypoint_radius",
         TEST_WAYPOINTS,
     ),
     Change(
@@ -107,7 +107,7 @@ CHANGES = (
     ),
     Change(
         "a trial that diverges scores as one that survives",
-        REFERENCE,
+        "sysid_evo/engine/results.py",
         "task.worst - 1.0 + survived / task.horizon, fitness)",
         "fitness, fitness)",
         TEST_REFERENCE,
