@@ -1,1 +1,1 @@
-"""Driving by hand: a local web page, the keys pressed on it, and the trials driven with them."""
+"""Driving, by a person or a controller: trials of a task, and the local web page that shows them and takes the keys."""

@@ -1,4 +1,4 @@
-"""A person drives: trials one after the other."""
+"""A person drives on the local page: trials of a task, one after the other."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from hardware.connection import Command, GateLimits, Listener, Measurement, RobotStatus
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.driving.keyboard import ALL_KEYS, Keyboard, control_of, key_life
-from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.keyboard import Keyboard, control_of, key_life
+from hardware.driving.page_messages import ALL_KEYS, first_scene, numbers, scenery_of, setting_of, speed_of, traced
 from hardware.driving.server import PageAddress, check_page, served
 from hardware.driving.trials import RestWatch, Tape
 from hardware.estimator import StateEstimate
@@ -371,7 +371,8 @@ LEAD = 1.0  # s at rest before the first key, for the preparation of the log to 
 class WhileDriving(Listener):
     """Tells ``listener`` what happens from a second before ``pilot`` drives on.
 
-    ``make_listener`` is called, once, when the driving begins: a trial without a key leaves nothing.
+    It may take an hour until the first key, which nobody wants to record. ``make_listener`` is called, once, when
+    the driving begins: a trial without a key leaves nothing.
     """
 
     def __init__(self, pilot: HumanPilot, make_listener: Callable[[], Listener]) -> None:

@@ -8,13 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from hardware.driving.page_messages import ALL_KEYS, BACKWARD, FORWARD, LEFT, RIGHT, keys_message
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
-
-FORWARD, BACKWARD, LEFT, RIGHT = 1, 2, 4, 8
-
-ALL_KEYS = FORWARD | BACKWARD | LEFT | RIGHT
 
 HOLD = 0.15  # s after the last word of the page by which the robot must be in neutral
 
@@ -132,10 +129,6 @@ def _deflected(channel: Channel, way: int) -> float:
     return (channel.neutral, channel.high, channel.low)[way]
 
 
-class InvalidWord(ValueError):
-    """What came is not what the page sends."""
-
-
 class Seat:
     """One open page. Its words count only while it drives, and its keys only once it has said that none is held."""
 
@@ -150,20 +143,8 @@ class Seat:
         return self._seats.driver is self
 
     def hear(self, word: Any, arrival: float) -> None:
-        """Act on what the page says; ``arrival`` is in s. Raises `InvalidWord`.
-
-        ``word`` has the ``keys`` held (a bit for each), the page's ``clock`` in s and, at most,
-        ``new``: a new trial is wanted.
-        """
-        if not isinstance(word, dict) or not {"keys", "clock"} <= word.keys() <= {"keys", "clock", "new"}:
-            raise InvalidWord("expected keys, clock and perhaps new")
-        keys, clock, new = word["keys"], word["clock"], word.get("new", False)
-        if type(keys) is not int or not 0 <= keys <= ALL_KEYS:
-            raise InvalidWord(f"keys: expected 0 to {ALL_KEYS}, got {keys!r}")
-        if type(clock) not in (int, float) or not abs(clock) < 1e12:
-            raise InvalidWord(f"clock: expected seconds, got {clock!r}")
-        if type(new) is not bool:
-            raise InvalidWord(f"new: expected true or false, got {new!r}")
+        """Act on what the page says, see `keys_message`; ``arrival`` is in s. Raises `InvalidWord`."""
+        keys, clock, new = keys_message(word)
         on_time = self._punctuality.on_time(clock, arrival)
         if new and self.drives:  # it ends what is driven, so it is never too late for it
             self._keyboard.ask_for_new_trial()

@@ -1,9 +1,9 @@
-"""What the page shows: what stays the same in a session, what is drawn of a trial, and what there is to see now."""
+"""The messages of the page, all of them JSON: the keys that it sends, and what it is sent to show."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,10 +12,43 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Scene, Task
 from sysid_evo.types import Array
 
+FORWARD, BACKWARD, LEFT, RIGHT = 1, 2, 4, 8
+
+ALL_KEYS = FORWARD | BACKWARD | LEFT | RIGHT
+
+LARGEST_CLOCK = 1e12  # s
+
+
+class InvalidWord(ValueError):
+    """What came is not what the page sends."""
+
+
+class KeysMessage(NamedTuple):
+    """The ``keys`` held (a bit for each), the page's ``clock`` in s, and whether a ``new`` trial is wanted."""
+
+    keys: int
+    clock: float
+    new: bool
+
+
+def keys_message(word: Any) -> KeysMessage:
+    """Return what a word of the page says; one without ``new`` wants no new trial. Raises `InvalidWord`."""
+    if not isinstance(word, dict) or not {"keys", "clock"} <= word.keys() <= {"keys", "clock", "new"}:
+        raise InvalidWord("expected keys, clock and perhaps new")
+    keys, clock, new = word["keys"], word["clock"], word.get("new", False)
+    if type(keys) is not int or not 0 <= keys <= ALL_KEYS:
+        raise InvalidWord(f"keys: expected 0 to {ALL_KEYS}, got {keys!r}")
+    if type(clock) not in (int, float) or not abs(clock) < LARGEST_CLOCK:
+        raise InvalidWord(f"clock: expected seconds, got {clock!r}")
+    if type(new) is not bool:
+        raise InvalidWord(f"new: expected true or false, got {new!r}")
+    return KeysMessage(keys, clock, new)
+
+
 MOST_TRACES = 4
 """States whose course is drawn where the task has no targets."""
 
-MOST_CONTROLS = 2
+MOST_CONTROLS = 2  # whose course is drawn below them
 
 
 class DrivePanel(Protocol):

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from hardware.connection import Closeable
-from hardware.driving.keyboard import InvalidWord, Keyboard, Seat, Seats
-from hardware.driving.page_messages import DrivePanel
+from hardware.driving.keyboard import Keyboard, Seat, Seats
+from hardware.driving.page_messages import DrivePanel, InvalidWord
 from hardware.run_report import Reason, Stops
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.extras import check_installed
@@ -96,33 +96,6 @@ def served(
         yield page
 
 
-def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starlette:
-    """Return the page, its files and its web socket, all behind ``/token/``."""
-    from starlette.applications import Starlette
-    from starlette.middleware import Middleware
-    from starlette.routing import Mount, Route, WebSocketRoute
-    from starlette.websockets import WebSocketDisconnect
-
-    async def converse(page: WebSocket) -> None:
-        await page.accept()
-        seat = seats.take()
-        talking = asyncio.create_task(_tell(page, seat, seats, panel))
-        try:
-            await _listen(page, seat)
-        except ValueError:
-            seat.leave()
-            await page.close(INVALID)
-        finally:
-            seat.leave()
-            talking.cancel()
-            with suppress(asyncio.CancelledError, WebSocketDisconnect):
-                await talking
-
-    files = [Route(f"/{name}", _file(PAGE / file)) for name, file in FILES.items()]
-    routes = [Mount(f"/{token}", routes=[*files, WebSocketRoute("/socket", converse)])]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token, host=host)])
-
-
 class PageServer(Closeable):
     """The page at ``url`` while it is open; it serves from a thread of its own.
 
@@ -191,6 +164,33 @@ class PageServer(Closeable):
             self._keyboard.release()
             if not self._closing:
                 self._died("the page's server ended")
+
+
+def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starlette:
+    """Return the page, its files and its web socket, all behind ``/token/``."""
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.routing import Mount, Route, WebSocketRoute
+    from starlette.websockets import WebSocketDisconnect
+
+    async def converse(page: WebSocket) -> None:
+        await page.accept()
+        seat = seats.take()
+        talking = asyncio.create_task(_tell(page, seat, seats, panel))
+        try:
+            await _listen(page, seat)
+        except ValueError:
+            seat.leave()
+            await page.close(INVALID)
+        finally:
+            seat.leave()
+            talking.cancel()
+            with suppress(asyncio.CancelledError, WebSocketDisconnect):
+                await talking
+
+    files = [Route(f"/{name}", _file(PAGE / file)) for name, file in FILES.items()]
+    routes = [Mount(f"/{token}", routes=[*files, WebSocketRoute("/socket", converse)])]
+    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token, host=host)])
 
 
 def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:

@@ -7,7 +7,7 @@ import pytest
 
 from hardware.control_loop import ControlLoop
 from hardware.driving.hand_driving import LEAD, HumanPilot, Phase, WhileDriving
-from hardware.driving.keyboard import FORWARD, LEFT
+from hardware.driving.page_messages import FORWARD, LEFT
 from hardware.emulation.tracked_robots import EmulatedRobot, ModelledRobot
 from hardware.estimator import StateEstimate
 from hardware.run_report import Reason

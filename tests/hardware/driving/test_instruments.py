@@ -9,7 +9,7 @@ import pytest
 
 from hardware.control_loop import ControlLoop
 from hardware.driving.hand_driving import HumanPilot, Instruments
-from hardware.driving.keyboard import FORWARD
+from hardware.driving.page_messages import FORWARD
 from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.tasks import PointToPoint
 from tests.hardware.driving.conftest import Hands

@@ -5,18 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hardware.driving.keyboard import (
-    BACKWARD,
-    FORWARD,
-    LEFT,
-    RIGHT,
-    InvalidWord,
-    Keyboard,
-    Punctuality,
-    Seats,
-    control_of,
-    key_life,
-)
+from hardware.driving.keyboard import Keyboard, Punctuality, Seats, control_of, key_life
+from hardware.driving.page_messages import BACKWARD, FORWARD, LEFT, RIGHT, InvalidWord
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System

@@ -16,7 +16,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from hardware.connection import Command, Listener
 from hardware.driving.hand_driving import HandDriving, Instruments, Phase
-from hardware.driving.keyboard import FORWARD, HOLD, Keyboard, key_life
+from hardware.driving.keyboard import HOLD, Keyboard, key_life
+from hardware.driving.page_messages import FORWARD
 from hardware.driving.server import PageServer
 from hardware.emulation.simulated_robot import in_real_time
 from hardware.robot import Robot

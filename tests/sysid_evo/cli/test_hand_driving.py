@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from evaluation.transfer import load_measured
 from hardware.connection import GateLimits
 from hardware.driving.hand_driving import HandTrial
-from hardware.driving.keyboard import FORWARD, LEFT
+from hardware.driving.page_messages import FORWARD, LEFT
 from hardware.driving.server import check_page
 from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.recording.journal import read_journal
