@@ -1,4 +1,7 @@
-"""Colours for light and dark, figures without global state, reproducible SVG."""
+"""Colours for light and dark, figures without global state, reproducible SVG.
+
+Matplotlib is used in its object-oriented form with the Agg backend, and loaded by the functions that draw.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,16 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 
 from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,33 @@ class Colour:
 
 
 INK = Colour("ink", "#1b1f24", "#e4e8ec")
-
+PAPER = Colour("paper", "#ffffff", "#15191e")
+MUTED = Colour("muted", "#57606a", "#a3adb8")
+RULE = Colour("rule", "#d8dee4", "#343c45")
 GRID = Colour("grid", "#b0b0b0", "#6b7480")
+REFERENCE_GREY = Colour("reference", "#888888", "#98a1ab")
+LINES = (
+    Colour("blue", "#0072b2", "#4ba3e3"),
+    Colour("vermilion", "#d55e00", "#f58442"),
+    Colour("green", "#009e73", "#2cc79a"),
+    Colour("pink", "#cc79a7", "#e59cc4"),
+    Colour("amber", "#e69f00", "#f3ba3d"),
+    Colour("sky", "#56b4e9", "#8fd3fb"),
+    Colour("violet", "#7b4fa3", "#b18ad8"),
+    Colour("brown", "#8c6d31", "#c5a562"),
+)
+"""Okabe and Ito's colours for the colour-blind, and two more."""
+BOX = Colour("box", "#f2f6fa", "#1d242c")
+LINK = Colour("link", "#0b5a8f", "#7cc0f2")
+HEAT = Colour("heat", "#5fb0de", "#1b6494")
+ALARM = Colour("alarm", "#f29a63", "#a4501b")
+THEME = (INK, PAPER, MUTED, RULE, GRID, REFERENCE_GREY, *LINES, BOX, LINK, HEAT, ALARM)
+
+COLOURS = tuple(colour.light for colour in LINES)
+MEASURED = INK.light
+REFERENCE = REFERENCE_GREY.light
+DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
+"""Styles of lines, and their dashes in SVG."""
 
 STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
@@ -59,38 +87,27 @@ STYLE: dict[Any, Any] = {
     "ytick.color": INK.light,
 }
 
-LINES = (
-    Colour("blue", "#0072b2", "#4ba3e3"),
-    Colour("vermilion", "#d55e00", "#f58442"),
-    Colour("green", "#009e73", "#2cc79a"),
-    Colour("pink", "#cc79a7", "#e59cc4"),
-    Colour("amber", "#e69f00", "#f3ba3d"),
-    Colour("sky", "#56b4e9", "#8fd3fb"),
-    Colour("violet", "#7b4fa3", "#b18ad8"),
-    Colour("brown", "#8c6d31", "#c5a562"),
-)
-"""Okabe and Ito's colours for the colour-blind, and two more."""
 
-COLOURS = tuple(colour.light for colour in LINES)
-
-DASHES = ("-", "--", ":")
-
-MEASURED = INK.light
-
-REFERENCE_GREY = Colour("reference", "#888888", "#98a1ab")
-
-REFERENCE = REFERENCE_GREY.light
+def style_sheet() -> str:
+    """Return the colours as CSS variables: dark ones on a screen that asks for them, light ones on paper."""
+    light, dark = (" ".join(f"--{c.name}: {getattr(c, form)};" for c in THEME) for form in ("light", "dark"))
+    return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
 
 
 @contextmanager
 def style() -> Iterator[None]:
     """Draw in the style of the report; names are never taken for mathematics."""
+    import matplotlib as mpl
+
     with mpl.rc_context(STYLE):
         yield
 
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of that size in inches, laid out so that nothing overlaps."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -103,21 +120,38 @@ def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 3.6) -> Axe
 
 def line_style(number: int) -> dict[str, Any]:
     """Return colour and dashes of line ``number``: 24 that can be told apart."""
-    return {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number // len(COLOURS) % len(DASHES)]}
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": tuple(DASHES)[number // len(COLOURS) % len(DASHES)]}
 
 
-class Band(PolyCollection):
-    """The interval ``low`` to ``high`` (n,) about the line called ``name`` at the same places ``x`` (n,)."""
+@dataclass(frozen=True)
+class Band:
+    """The interval ``low`` to ``high`` (n,) about the line called ``name``; what is drawn of it is a ``shape``."""
 
-    def __init__(self, name: str, x: Array, low: Array, high: Array, *, color: str, alpha: float) -> None:
-        known = np.isfinite(low) & np.isfinite(high)
-        places = np.flatnonzero(known)
-        runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
-        outlines = [
-            np.column_stack([np.r_[x[run], x[run][::-1]], np.r_[low[run], high[run][::-1]]]) for run in runs if len(run)
-        ]
-        super().__init__(outlines, facecolors=color, alpha=alpha, linewidths=0.0)
-        self.name, self.low, self.high = name, low, high
+    name: str
+    low: Array
+    high: Array
+    shape: PolyCollection
+
+
+def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, *, color: str, alpha: float) -> None:
+    """Draw an interval (n,) about the line called ``name`` at the same places ``x`` (n,); `bands` finds it again."""
+    from matplotlib.collections import PolyCollection
+
+    known = np.isfinite(low) & np.isfinite(high)
+    places = np.flatnonzero(known)
+    runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+    outlines = [
+        np.column_stack([np.r_[x[run], x[run][::-1]], np.r_[low[run], high[run][::-1]]]) for run in runs if len(run)
+    ]
+    kind = type("Band", (PolyCollection,), {})  # the class names the group in an SVG file
+    shape = kind(outlines, facecolors=color, alpha=alpha, linewidths=0.0)
+    vars(shape)["band"] = Band(name, low, high, shape)
+    ax.add_collection(shape)
+
+
+def bands(ax: Axes) -> dict[str, Band]:
+    """Return the intervals that `draw_band` put on ``ax``, by the name of their line."""
+    return {band.name: band for shape in ax.collections if (band := vars(shape).get("band")) is not None}
 
 
 def to_svg(figure: Figure) -> str:
@@ -126,26 +160,3 @@ def to_svg(figure: Figure) -> str:
     with style():
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     return stream.getvalue()
-
-
-PAPER = Colour("paper", "#ffffff", "#15191e")
-
-MUTED = Colour("muted", "#57606a", "#a3adb8")
-
-RULE = Colour("rule", "#d8dee4", "#343c45")
-
-BOX = Colour("box", "#f2f6fa", "#1d242c")
-
-LINK = Colour("link", "#0b5a8f", "#7cc0f2")
-
-HEAT = Colour("heat", "#5fb0de", "#1b6494")
-
-ALARM = Colour("alarm", "#f29a63", "#a4501b")
-
-THEME = (INK, PAPER, MUTED, RULE, GRID, REFERENCE_GREY, *LINES, BOX, LINK, HEAT, ALARM)
-
-
-def style_sheet() -> str:
-    """Return the colours as CSS variables: dark ones on a screen that asks for them, light ones on paper."""
-    light, dark = (" ".join(f"--{c.name}: {getattr(c, form)};" for c in THEME) for form in ("light", "dark"))
-    return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.patches import Circle, Rectangle
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import folded
-from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, Band, axes_or_new, line_style
+from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, axes_or_new, draw_band, line_style
 from evaluation.prediction.scores import PERSISTENCE, Prediction
 from evaluation.transfer.matrix import NOT_RUN, Trace, TransferMatrix
 from evaluation.transfer.summary import TransferSummary
@@ -22,6 +18,10 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
 from sysid_evo.system import System
 from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 MARKS = (
     ("claimed", "claimed (where evolved)", "o", "none", COLOURS[0]),
@@ -36,6 +36,8 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
 
     A black frame marks the models a controller was evolved against; a line sets the robot apart.
     """
+    from matplotlib.patches import Rectangle
+
     rows, columns = len(matrix.rows), len(matrix.columns)
     ax = axes_or_new(ax, 1.8 + 0.95 * columns, 1.3 + 0.46 * rows)
     means, stds = matrix.means(), matrix.stds()
@@ -111,179 +113,15 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
     return ax
 
 
-def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") -> Axes:
-    """Draw best, mean and worst fitness of each generation, as the evolution saw them."""
-    ax = axes_or_new(ax, 4.0, 2.8)
-    generation = np.arange(1, len(champion.history) + 1)
-    best, mean, worst = champion.history.T
-    ax.fill_between(generation, worst, best, color=COLOURS[0], alpha=0.12, linewidth=0)
-    ax.plot(generation, best, color=COLOURS[0], linewidth=1.2, label="best")
-    ax.plot(generation, mean, color=COLOURS[1], linewidth=1.2, label="mean")
-    ax.plot(generation, worst, color=REFERENCE, linewidth=0.8, label="worst")
-    ax.xaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
-    ax.set_xlabel("generation")
-    ax.set_ylabel(f"fitness ({unit})" if unit else "fitness")
-    return ax
-
-
-LEAST = 0.1
-
-
-def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -> Axes:
-    """Draw the share of visited steps beyond what the data show, in per cent, by model and probe.
-
-    A last row shows held-out driving. Shares below 0.1 % stay white; the colours are logarithmic.
-    """
-    names = [probe.name for probe in models[0].probes]
-    rows = [model.model for model in models] + ["held-out data"]
-    shares = np.array(
-        [[_percent(model.outside_visited), *(_percent(probe.visited) for probe in model.probes)] for model in models]
-        + [[_percent(models[0].outside_held_out), *(_percent(probe.held_out) for probe in models[0].probes)]]
-    )
-    ax = axes_or_new(ax, 2.0 + 0.95 * shares.shape[1], 1.3 + 0.36 * len(rows))
-    known = np.isfinite(shares)
-    depth = np.log10(np.clip(np.where(known, shares, LEAST), LEAST, 100.0))
-    shown = np.ma.masked_where(~known | (depth <= np.log10(LEAST)), depth)
-    ax.imshow(shown, cmap="OrRd", vmin=np.log10(LEAST), vmax=2.0, aspect="auto")
-    for i, j in np.ndindex(*shares.shape):
-        share = shares[i, j]
-        text = f"{share:.{1 if 0.0 < share < 10.0 else 0}f} %" if known[i, j] else "n/a"
-        dark = known[i, j] and share > 20.0
-        ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
-    ax.axhline(len(models) - 0.5, color=MEASURED, linewidth=1.5)
-    ax.axvline(0.5, color=MEASURED, linewidth=1.5)
-    labels = ["outside\nthe data", *(name.replace("_", "\n", 1).replace("_", " ") for name in names)]
-    ax.set_xticks(range(len(labels)), labels)
-    ax.set_yticks(range(len(rows)), rows)
-    ax.xaxis.tick_top()
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    return ax
-
-
-def _percent(share: float | None) -> float:
-    return float("nan") if share is None else 100.0 * share
-
-
-FLOOR = 1e-3
-
-BAND = 0.13
-"""How opaque an interval is drawn."""
-
-
-def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
-    """Return how a model is drawn in every plot; persistence is grey."""
-    if name == PERSISTENCE:
-        return {"color": REFERENCE, "linestyle": "--"}
-    return line_style([other for other in prediction.names if other != PERSISTENCE].index(name))
-
-
-def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
-    """Draw N after every step, from measured states, for each model, with its interval as a band."""
-    ax = axes_or_new(ax)
-    dt = prediction.cases.system.dt
-    drawn = []
-    for model in prediction.models:
-        if len(model.curve) and np.isfinite(model.curve).any():
-            seconds = dt * np.arange(1.0, len(model.curve) + 1.0)
-            curve = np.maximum(model.curve, FLOOR)
-            ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
-            if model.curve_interval.shape[1] == len(curve):
-                low, high = np.maximum(model.curve_interval, FLOOR)
-                colour = model_style(prediction, model.name)["color"]
-                ax.add_collection(Band(model.name, seconds, low, high, color=colour, alpha=BAND))
-            drawn.append(curve[np.isfinite(curve)])
-    for horizon in prediction.cases.horizons:
-        ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)
-    ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.set_xlabel("horizon (s)")
-    ax.set_ylabel("N (standard deviations)")
-    if drawn:
-        values = np.concatenate(drawn)
-        ax.set_ylim(max(FLOOR, 0.8 * values.min()), 1.25 * values.max())
-        ax.set_xlim(0.0, None)
-        ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
-    return ax
-
-
-def plot_free_run(
-    prediction: Prediction,
-    channel: int,
-    *,
-    models: Sequence[str] | None = None,
-    besides: Sequence[str] = (),
-    run: int = 0,
-    seconds: tuple[float, float] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw one state channel as measured and as predicted in free run from the start of an episode.
-
-    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three
-    half ranges of what was measured there are cut off. The models ``besides`` are drawn too, as far as they fit.
-    """
-    ax = axes_or_new(ax)
-    cases = prediction.cases
-    case, dt = cases.free_runs[run], cases.system.dt
-    first, last = excerpt(prediction, run) if seconds is None else seconds
-    begin = cases.protocol.first + 1
-    time = dt * (begin + np.arange(len(case.states)))
-    shown = (time >= first) & (time <= last)
-    measured = _drawn(cases.system, case.states[shown], channel)
-    ax.plot(time[shown], measured, color=MEASURED, linewidth=2.2, label="measured", alpha=0.85)
-
-    def draw(names: Sequence[str]) -> None:
-        for name in names:
-            states = _drawn(cases.system, prediction.model(name).free_states[run][shown], channel)
-            ax.plot(time[shown], states, linewidth=1.1, label=name, **model_style(prediction, name))
-
-    draw([m.name for m in prediction.models if m.free_states] if models is None else models)
-    if len(measured):
-        middle = (np.nanmax(measured) + np.nanmin(measured)) / 2.0
-        half = (np.nanmax(measured) - np.nanmin(measured)) / 2.0
-        low, high = ax.get_ylim()
-        reach = 3.0 * max(half, 1e-9)
-        ax.set_ylim(max(low, middle - reach), min(high, middle + reach))
-    limits = ax.get_ylim()
-    draw(besides)
-    ax.set_ylim(*limits)
-    state = cases.system.states[channel]
-    ax.set_xlim(first, last)
-    ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)
-    ax.set_xlabel("time (s)")
-    return ax
-
-
-def _drawn(system: System, states: Array, channel: int) -> Array:
-    """Return one channel of a run (T, nx) to draw; a periodic one is wrapped, and its line breaks at a jump."""
-    values = np.array(system.wrapped(states)[:, channel])
-    if channel in system.periods:
-        values[1:][np.abs(np.diff(values)) > 0.5 * system.periods[channel]] = np.nan
-    return values
-
-
-def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:
-    """Return the first and last second of ``length`` seconds from the first movement of a free run."""
-    case, dt = prediction.cases.free_runs[run], prediction.cases.system.dt
-    moving = np.flatnonzero(case.moving)
-    offset = prediction.cases.protocol.first + 1
-    first = max(0, min(int(moving[0]) if len(moving) else 0, len(case.states) - round(length / dt)))
-    return (offset + first) * dt, min(offset + first + round(length / dt), offset + len(case.states) - 1) * dt
-
-
 REACH = 0.62
 """Rows over which the groups of one name are spread."""
 
-Spread = tuple[float, float, float]
+MeanAndInterval = tuple[float, float, float]
 """A mean, and the low and high end of its interval; both are the mean where there is none."""
 
 
 def plot_spreads(
-    spreads: Mapping[str, Mapping[str, Spread]],
+    spreads: Mapping[str, Mapping[str, MeanAndInterval]],
     ax: Axes | None = None,
     *,
     label: str,
@@ -314,42 +152,135 @@ def plot_spreads(
     return ax
 
 
-FORWARD, BACKWARD, PASSED = COLOURS[:3]
+def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") -> Axes:
+    """Draw best, mean and worst fitness of each generation, as the evolution saw them."""
+    from matplotlib.ticker import MaxNLocator
 
-
-SHOWN_STATES = 3
-"""States that are drawn of a trial without targets."""
-
-
-def plotted_places(trace: Trace, system: System) -> tuple[int, ...]:
-    """Return which states of a trial are drawn: those that were led to a target, else the first ones."""
-    return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
-
-
-def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None) -> Axes:
-    """Draw one state over time (blue), what it was to be (grey) and the tolerance about that.
-
-    A periodic state is drawn within half a period of what it was to be, and its line breaks where it jumps.
-    """
-    ax = axes_or_new(ax, 3.4, 1.6)
-    channel, values = system.states[place], trace.trajectory.states[:, place].copy()
-    time = trace.trajectory.dt * np.arange(len(values))
-    target = next((target for target in trace.targets if target.place == place), None)
-    wanted = np.full(len(values), channel.neutral)
-    if target is not None:
-        wanted = target.values[np.minimum(np.arange(len(values)), len(target.values) - 1)]
-        ax.fill_between(
-            time, wanted - target.tolerance, wanted + target.tolerance, color=REFERENCE, alpha=0.2, linewidth=0
-        )
-        ax.plot(time, wanted, color=REFERENCE, linewidth=1.0)
-    if channel.period is not None:
-        values = wanted + wrap(values - wanted, channel.period)
-        values[1:][np.abs(np.diff(values)) > 0.5 * channel.period] = np.nan
-    ax.plot(time, values, color=FORWARD, linewidth=1.0)
-    ax.set_xlim(0.0, time[-1])
-    ax.set_xlabel("time (s)")
-    ax.set_ylabel(f"{channel.name} ({channel.unit})" if channel.unit else channel.name)
+    ax = axes_or_new(ax, 4.0, 2.8)
+    generation = np.arange(1, len(champion.history) + 1)
+    best, mean, worst = champion.history.T
+    ax.fill_between(generation, worst, best, color=COLOURS[0], alpha=0.12, linewidth=0)
+    ax.plot(generation, best, color=COLOURS[0], linewidth=1.2, label="best")
+    ax.plot(generation, mean, color=COLOURS[1], linewidth=1.2, label="mean")
+    ax.plot(generation, worst, color=REFERENCE, linewidth=0.8, label="worst")
+    ax.xaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
+    ax.set_xlabel("generation")
+    ax.set_ylabel(f"fitness ({unit})" if unit else "fitness")
     return ax
+
+
+LOWEST_N = 1e-3
+"""The N from which on the axis is drawn, which is logarithmic."""
+
+OPAQUE = 0.13
+"""How opaque an interval is drawn."""
+
+
+def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
+    """Draw N after every step, from measured states, for each model, with its interval as a band."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax = axes_or_new(ax)
+    dt = prediction.cases.system.dt
+    drawn = []
+    for model in prediction.models:
+        if len(model.curve) and np.isfinite(model.curve).any():
+            seconds = dt * np.arange(1.0, len(model.curve) + 1.0)
+            curve = np.maximum(model.curve, LOWEST_N)
+            ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
+            if model.curve_interval.shape[1] == len(curve):
+                low, high = np.maximum(model.curve_interval, LOWEST_N)
+                colour = model_style(prediction, model.name)["color"]
+                draw_band(ax, model.name, seconds, low, high, color=colour, alpha=OPAQUE)
+            drawn.append(curve[np.isfinite(curve)])
+    for horizon in prediction.cases.horizons:
+        ax.axvline(horizon * dt, color=REFERENCE, linewidth=0.6, alpha=0.5)
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_xlabel("horizon (s)")
+    ax.set_ylabel("N (standard deviations)")
+    if drawn:
+        values = np.concatenate(drawn)
+        ax.set_ylim(max(LOWEST_N, 0.8 * values.min()), 1.25 * values.max())
+        ax.set_xlim(0.0, None)
+        ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return ax
+
+
+def plot_free_run(
+    prediction: Prediction,
+    channel: int,
+    *,
+    models: Sequence[str] | None = None,
+    besides: Sequence[str] = (),
+    run: int = 0,
+    seconds: tuple[float, float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw one state channel as measured and as predicted in free run from the start of an episode.
+
+    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three
+    half ranges of what was measured there are cut off. The models ``besides`` are drawn too, as far as they fit.
+    """
+    ax = axes_or_new(ax)
+    cases = prediction.cases
+    case, dt = cases.free_runs[run], cases.system.dt
+    first, last = excerpt(prediction, run) if seconds is None else seconds
+    begin = cases.protocol.first + 1
+    time = dt * (begin + np.arange(len(case.states)))
+    shown = (time >= first) & (time <= last)
+    measured = _continuous(cases.system, case.states[shown], channel)
+    ax.plot(time[shown], measured, color=MEASURED, linewidth=2.2, label="measured", alpha=0.85)
+
+    def draw(names: Sequence[str]) -> None:
+        for name in names:
+            states = _continuous(cases.system, prediction.model(name).free_states[run][shown], channel)
+            ax.plot(time[shown], states, linewidth=1.1, label=name, **model_style(prediction, name))
+
+    draw([m.name for m in prediction.models if m.free_states] if models is None else models)
+    if len(measured):
+        middle = (np.nanmax(measured) + np.nanmin(measured)) / 2.0
+        half = (np.nanmax(measured) - np.nanmin(measured)) / 2.0
+        low, high = ax.get_ylim()
+        reach = 3.0 * max(half, 1e-9)
+        ax.set_ylim(max(low, middle - reach), min(high, middle + reach))
+    limits = ax.get_ylim()
+    draw(besides)
+    ax.set_ylim(*limits)
+    state = cases.system.states[channel]
+    ax.set_xlim(first, last)
+    ax.set_ylabel(f"{state.name} ({state.unit})" if state.unit else state.name)
+    ax.set_xlabel("time (s)")
+    return ax
+
+
+def _continuous(system: System, states: Array, channel: int) -> Array:
+    """Return one channel of a run (T, nx) to draw; a periodic one is wrapped, and its line breaks at a jump."""
+    values = np.array(system.wrapped(states)[:, channel])
+    if channel in system.periods:
+        values[1:][np.abs(np.diff(values)) > 0.5 * system.periods[channel]] = np.nan
+    return values
+
+
+def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:
+    """Return the first and last second of ``length`` seconds from the first movement of a free run."""
+    case, dt = prediction.cases.free_runs[run], prediction.cases.system.dt
+    moving = np.flatnonzero(case.moving)
+    offset = prediction.cases.protocol.first + 1
+    first = max(0, min(int(moving[0]) if len(moving) else 0, len(case.states) - round(length / dt)))
+    return (offset + first) * dt, min(offset + first + round(length / dt), offset + len(case.states) - 1) * dt
+
+
+def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
+    """Return how a model is drawn in every plot; persistence is grey."""
+    if name == PERSISTENCE:
+        return {"color": REFERENCE, "linestyle": "--"}
+    return line_style([other for other in prediction.names if other != PERSISTENCE].index(name))
+
+
+FORWARD, BACKWARD, PASSED = COLOURS[:3]
 
 
 def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
@@ -357,6 +288,10 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
 
     Raises `InvalidData` for a trajectory without a pose in the plane.
     """
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Circle
+    from matplotlib.ticker import MaxNLocator
+
     pose = trace.trajectory.pose
     if pose is None or pose.shape[1] != 3:
         raise InvalidData(f"trace {trace.trajectory.name!r}: expected a pose x, y, heading to draw")
@@ -392,3 +327,80 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
     ax.set_xlabel("x (m)")
     ax.set_ylabel("y (m)")
     return ax
+
+
+def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None) -> Axes:
+    """Draw one state over time (blue), what it was to be (grey) and the tolerance about that.
+
+    A periodic state is drawn within half a period of what it was to be, and its line breaks where it jumps.
+    """
+    ax = axes_or_new(ax, 3.4, 1.6)
+    channel, values = system.states[place], trace.trajectory.states[:, place].copy()
+    time = trace.trajectory.dt * np.arange(len(values))
+    target = next((target for target in trace.targets if target.place == place), None)
+    wanted = np.full(len(values), channel.neutral)
+    if target is not None:
+        wanted = target.values[np.minimum(np.arange(len(values)), len(target.values) - 1)]
+        ax.fill_between(
+            time, wanted - target.tolerance, wanted + target.tolerance, color=REFERENCE, alpha=0.2, linewidth=0
+        )
+        ax.plot(time, wanted, color=REFERENCE, linewidth=1.0)
+    if channel.period is not None:
+        values = wanted + wrap(values - wanted, channel.period)
+        values[1:][np.abs(np.diff(values)) > 0.5 * channel.period] = np.nan
+    ax.plot(time, values, color=FORWARD, linewidth=1.0)
+    ax.set_xlim(0.0, time[-1])
+    ax.set_xlabel("time (s)")
+    ax.set_ylabel(f"{channel.name} ({channel.unit})" if channel.unit else channel.name)
+    return ax
+
+
+SHOWN_STATES = 3
+"""States that are drawn of a trial without targets."""
+
+
+def plotted_places(trace: Trace, system: System) -> tuple[int, ...]:
+    """Return which states of a trial are drawn: those that were led to a target, else the first ones."""
+    return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
+
+
+FAINTEST = 0.1
+"""The share, in per cent, from which on a cell is painted."""
+
+
+def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -> Axes:
+    """Draw the share of visited steps beyond what the data show, in per cent, by model and probe.
+
+    A last row shows held-out driving. Shares below 0.1 % stay white; the colours are logarithmic.
+    """
+    names = [probe.name for probe in models[0].probes]
+    rows = [model.model for model in models] + ["held-out data"]
+    shares = np.array(
+        [[_percent(model.outside_visited), *(_percent(probe.visited) for probe in model.probes)] for model in models]
+        + [[_percent(models[0].outside_held_out), *(_percent(probe.held_out) for probe in models[0].probes)]]
+    )
+    ax = axes_or_new(ax, 2.0 + 0.95 * shares.shape[1], 1.3 + 0.36 * len(rows))
+    known = np.isfinite(shares)
+    depth = np.log10(np.clip(np.where(known, shares, FAINTEST), FAINTEST, 100.0))
+    shown = np.ma.masked_where(~known | (depth <= np.log10(FAINTEST)), depth)
+    ax.imshow(shown, cmap="OrRd", vmin=np.log10(FAINTEST), vmax=2.0, aspect="auto")
+    for i, j in np.ndindex(*shares.shape):
+        share = shares[i, j]
+        text = f"{share:.{1 if 0.0 < share < 10.0 else 0}f} %" if known[i, j] else "n/a"
+        dark = known[i, j] and share > 20.0
+        ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
+    ax.axhline(len(models) - 0.5, color=MEASURED, linewidth=1.5)
+    ax.axvline(0.5, color=MEASURED, linewidth=1.5)
+    labels = ["outside\nthe data", *(name.replace("_", "\n", 1).replace("_", " ") for name in names)]
+    ax.set_xticks(range(len(labels)), labels)
+    ax.set_yticks(range(len(rows)), rows)
+    ax.xaxis.tick_top()
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    return ax
+
+
+def _percent(share: float | None) -> float:
+    return float("nan") if share is None else 100.0 * share

@@ -1,7 +1,7 @@
 """The report: what was found, as tables for a terminal, strict JSON, and a page that opens offline."""
 
 from evaluation.report.elements import Finding
-from evaluation.report.report import brief, report_schema, save_report, tables, to_json
+from evaluation.report.report import brief, report_schema, save_report, tables, to_html, to_json, to_markdown
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.summary import tells_nothing, verdict
@@ -21,6 +21,8 @@ __all__ = [
     "save_report",
     "tables",
     "tells_nothing",
+    "to_html",
     "to_json",
+    "to_markdown",
     "verdict",
 ]

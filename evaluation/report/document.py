@@ -1,12 +1,18 @@
-"""The report as strict JSON."""
+"""What ``report.json`` and ``study.json`` are made of: strict JSON, the same text for the same results."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Return the text of a document that `plain` has made strict."""
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def plain(value: Any) -> Any:

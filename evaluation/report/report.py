@@ -1,4 +1,4 @@
-"""The report of a comparison: its document (fields are the sections), its page, printing, notebook form."""
+"""The report of a comparison: the list of its sections, its document, its page, and what a terminal prints of it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rich.text import Text
 
 from evaluation.advice.evidence import advice_to_json
 from evaluation.behaviour import manners
-from evaluation.report.document import plain
-from evaluation.report.elements import Section, Sheet, Story
+from evaluation.report.document import json_text, plain
+from evaluation.report.elements import Section, Story
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import _indented, findings_lines, to_rich
-from evaluation.report.save import _end, _mark
+from evaluation.report.render.terminal import findings_lines, indented, to_rich
+from evaluation.report.save import write_page, write_text
 from evaluation.report.sections import (
     advice,
     behaviour,
@@ -32,20 +32,81 @@ from evaluation.report.sections import (
     transfer,
 )
 from evaluation.report.sections.advice import advice_lines
-from evaluation.report.sections.behaviour import _behaviour
-from evaluation.report.sections.controllers import _forecast, _summary, drive_command, overview_sheet
-from evaluation.report.sections.evolution import _champion
-from evaluation.report.sections.exploitability import _exploitability
-from evaluation.report.sections.prediction import _prediction, condition_sheet
+from evaluation.report.sections.behaviour import behaviour_to_json
+from evaluation.report.sections.controllers import (
+    drive_command,
+    forecast_to_json,
+    overview_sheet,
+    summary_to_json,
+)
+from evaluation.report.sections.evolution import champion_to_json
+from evaluation.report.sections.exploitability import exploitability_to_json
+from evaluation.report.sections.prediction import condition_sheet, prediction_to_json
 from evaluation.report.sections.summary import SAID, headlines, verdict
-from evaluation.report.sections.transfer import _matrix
+from evaluation.report.sections.transfer import matrix_to_json
 from evaluation.results import Report
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import summary_of
-from sysid_evo.files import write_atomically
+
+DOCUMENT, PAGE = "report.json", "report.html"
+
+SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
+    prediction.section,
+    advice.section,
+    transfer.section,
+    controllers.section,
+    behaviour.section,
+    replay.section,
+    exploitability.section,
+    run.failures,
+    data.section,
+    run.section,
+)
+"""What makes the sections, in the order in which they are read."""
+
+
+def sections(report: Report) -> list[Section]:
+    """Return the parts of the report after the verdict, without those that have nothing to show."""
+    return [section for make in SECTIONS if (section := make(report)) is not None]
+
+
+def story_of(report: Report) -> Story:
+    """Return the content of a report in its order; page and Markdown are made of it."""
+    return Story(report.title, headlines(report), verdict(report), overview_sheet(report), sections(report))
+
+
+def to_html(report: Report) -> str:
+    """Return the page of a report as text; it holds no link and no source outside itself."""
+    return page_of(story_of(report))
+
+
+def to_markdown(report: Report, *, figures: str = "") -> str:
+    """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
+    return story_to_markdown(story_of(report), figures=figures)
+
+
+def save_report(
+    report: Report, folder: str | Path, *, of: str | None = None, afresh: bool = False
+) -> tuple[Path, Path]:
+    """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
+
+    ``of`` is a digest of all results that the report shows. With it a page is not drawn again that is there already,
+    made of the same results by the same program, unless that is wanted ``afresh``.
+    """
+    text = json_text(to_json(report))
+    document = write_text(Path(folder) / DOCUMENT, text)
+    made_of = () if of is None else (of, text)
+    return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
+
 
 SCHEMA = "sysid-evo/report/4"
 """What ``report.schema.json`` describes."""
+
+
+def report_schema() -> dict[str, Any]:
+    """Return the JSON schema of the document."""
+    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
+    return schema
 
 
 def to_json(report: Report) -> dict[str, Any]:
@@ -64,19 +125,21 @@ def to_json(report: Report) -> dict[str, Any]:
         },
         "notes": report.notes,
         "models": [asdict(model) for model in report.models],
-        "prediction": None if report.prediction is None else _prediction(report.prediction),
+        "prediction": None if report.prediction is None else prediction_to_json(report.prediction),
         **(
             {"conditions": {label: [asdict(one) for one in errors] for label, errors in report.conditions.items()}}
             if report.conditions
             else {}
         ),
-        "champions": [] if report.matrix is None else [_champion(champion) for champion in report.matrix.champions],
-        "transfer": None if report.matrix is None else _matrix(report.matrix),
-        "controllers": None if report.transfer is None else _summary(report.transfer),
-        "forecast": None if report.matrix is None else _forecast(report),
-        "behaviour": [] if report.matrix is None else _behaviour(report.manners, report.matrix),
+        "champions": []
+        if report.matrix is None
+        else [champion_to_json(champion) for champion in report.matrix.champions],
+        "transfer": None if report.matrix is None else matrix_to_json(report.matrix),
+        "controllers": None if report.transfer is None else summary_to_json(report.transfer),
+        "forecast": None if report.matrix is None else forecast_to_json(report),
+        "behaviour": [] if report.matrix is None else behaviour_to_json(report.manners, report.matrix),
         "controller_files": report.controllers,
-        "exploitability": [_exploitability(model) for model in report.exploitability],
+        "exploitability": [exploitability_to_json(model) for model in report.exploitability],
         "advice": None if report.advice is None else advice_to_json(report.advice),
         "failures": [asdict(failure) for failure in report.all_failures],
         "settings": report.settings,
@@ -91,72 +154,17 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     """Return a transfer matrix without a report as strict JSON: the parts that a report holds under the same names."""
     document = {
         "schema": SCHEMA,
-        "champions": [_champion(champion) for champion in matrix.champions],
-        "transfer": _matrix(matrix),
-        "controllers": _summary(summary_of(matrix)),
-        "behaviour": _behaviour(manners(matrix), matrix),
+        "champions": [champion_to_json(champion) for champion in matrix.champions],
+        "transfer": matrix_to_json(matrix),
+        "controllers": summary_to_json(summary_of(matrix)),
+        "behaviour": behaviour_to_json(manners(matrix), matrix),
     }
     strict: dict[str, Any] = plain(document)
     return strict
 
 
-def report_schema() -> dict[str, Any]:
-    """Return the JSON schema of the document."""
-    schema: dict[str, Any] = json.loads(files("evaluation.report").joinpath("report.schema.json").read_text("utf-8"))
-    return schema
-
-
-def to_markdown(report: Report, *, figures: str = "") -> str:
-    """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
-    return story_to_markdown(Story.of(report), figures=figures)
-
-
-def to_html(report: Report) -> str:
-    """Return the page of a report as text; it holds no link and no source outside itself."""
-    return page_of(Story.of(report))
-
-
-DOCUMENT, PAGE = "report.json", "report.html"
-
-
-def save_report(
-    report: Report, folder: str | Path, *, of: str | None = None, afresh: bool = False
-) -> tuple[Path, Path]:
-    """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
-
-    ``of`` is a digest of all results that the report shows. With it a page is not drawn again that is there already,
-    made of the same results by the same program, unless that is wanted ``afresh``.
-    """
-    folder = Path(folder)
-    text = json.dumps(to_json(report), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    document = write_atomically(folder / DOCUMENT, lambda file: file.write_text(text, encoding="utf-8"))
-    mark = "" if of is None else _mark(of, text)
-    if afresh or not mark or _end(folder / PAGE, len(mark)) != mark:
-        page = to_html(report) + mark
-        write_atomically(folder / PAGE, lambda file: file.write_text(page, encoding="utf-8"))
-    return document, folder / PAGE
-
-
-SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
-    prediction.section,
-    advice.section,
-    transfer.section,
-    controllers.section,
-    behaviour.section,
-    replay.section,
-    exploitability.section,
-    run.failures_section,
-    data.section,
-    run.section,
-)
-
-
-def sections(report: Report) -> list[Section]:
-    """Return the parts of the report after the verdict, without those that have nothing to show."""
-    return [section for make in SECTIONS if (section := make(report)) is not None]
-
-
 SHOWN_FAILURES = 5
+"""Failures whose reasons fit on a screen."""
 
 
 def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
@@ -168,8 +176,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
     parts = _verdict(report)
     if report.all_failures:
         shown, count = report.all_failures[:SHOWN_FAILURES], len(report.all_failures)
-        reasons = [_indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
-        more = [_indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
+        reasons = [indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
+        more = [indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
     for sheet in (overview_sheet(report), condition_sheet(report.conditions)):
         parts += [] if sheet is None else to_rich(sheet)
@@ -183,26 +191,19 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
 
 def tables(report: Report) -> list[RenderableType]:
     """Return the verdict and all main tables as rich renderables, each at most 80 columns wide."""
-    parts = _verdict(report)
+    parts, found = _verdict(report), sections(report)
     if report.advice is not None and len(report.advice.remarks) > SAID:
         parts += advice_lines(report.advice)
-    for sheet in _sheets(report):
-        parts += to_rich(sheet)
+    for section in found:
+        for sheet in () if section.background else section.sheets:
+            parts += [] if sheet.code else to_rich(sheet)
     if report.exploitability:
         parts.append(Group(*(Text(model.sentence) for model in report.exploitability)))
-    for title, notes in (("Notes", report.notes), ("Not shown", _absent(report))):
+    absent = [sentence for section in found for sentence in section.absent]
+    for title, notes in (("Notes", report.notes), ("Not shown", absent)):
         if notes:
             parts.append(Group(Text(title, style="bold"), *(Text(f"- {note}") for note in notes)))
     return parts
-
-
-def _sheets(report: Report) -> list[Sheet]:
-    shown = [section for section in sections(report) if not section.background]
-    return [sheet for section in shown for sheet in section.sheets if not sheet.code]
-
-
-def _absent(report: Report) -> list[str]:
-    return [sentence for section in sections(report) for sentence in section.absent]
 
 
 def _verdict(report: Report) -> list[RenderableType]:

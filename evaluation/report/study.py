@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
 from rich.console import RenderableType
 from rich.text import Text
 
 from evaluation.formatting import lines, number, percent
 from evaluation.plots import plot_spreads
-from evaluation.report.document import plain
+from evaluation.report.document import json_text, plain
 from evaluation.report.elements import (
     NARROW,
     WIDE,
     Drawing,
+    DrawingPair,
     Finding,
     Headline,
-    Panel,
     Picture,
     Section,
     Sheet,
@@ -31,6 +29,7 @@ from evaluation.report.elements import (
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.terminal import findings_lines, to_rich
+from evaluation.report.save import write_text
 from evaluation.study.figures import (
     CHOSEN,
     HINDSIGHT,
@@ -47,7 +46,9 @@ from evaluation.study.figures import (
 )
 from evaluation.study.results import StudyResults
 from evaluation.study.study import group_name, label_of
-from sysid_evo.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CONTROLLER_NOTE = (
     "share: achieved on the robot, of the best that is achieved there by any controller of the study (its yardstick). "
@@ -457,7 +458,7 @@ def _picture(key: str, title: str, drawn: Drawn, label: str, caption: str, line:
             name, f"{title}, for each name and group, with intervals", draw, width, height, keyed=len(drawn) > 1
         )
 
-    panel = Panel(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
+    panel = DrawingPair(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
     return Picture(title, f"{caption} {BARS if bars else NO_BARS}", (panel,))
 
 
@@ -468,15 +469,11 @@ def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
     """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
     story = study_story(results)
     texts = {
-        DOCUMENT: json.dumps(study_document(results), indent=1, allow_nan=False, ensure_ascii=False) + "\n",
+        DOCUMENT: json_text(study_document(results)),
         MARKDOWN: story_to_markdown(_short(story)),
         PAGE: page_of(story),
     }
-    return tuple(_written(Path(folder) / name, text) for name, text in texts.items())
-
-
-def _written(path: Path, text: str) -> Path:
-    return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+    return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
 
 
 def _short(story: Story) -> Story:

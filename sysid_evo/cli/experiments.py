@@ -313,6 +313,7 @@ def report(
     ] = None,
 ) -> None:
     """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
+    from evaluation.report.report import story_of
     from evaluation.report.save import FORMATS, write_format
     from sysid_evo.errors import InvalidArgument, InvalidData
 
@@ -325,7 +326,7 @@ def report(
         raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
     print_report(made, run, json=json, verbose=verbose)
     for name in formats or ():
-        if files := write_format(made, name, run):  # one without figures has none as svg
+        if files := write_format(story_of(made), name, run):  # one without figures has none as svg
             tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
 
 

@@ -11,7 +11,7 @@ import pytest
 from evaluation.report import Report, verdict
 from evaluation.report.elements import Sheet
 from evaluation.report.render.markdown import sheet_to_markdown
-from evaluation.report.report import sections, to_markdown
+from evaluation.report.report import sections, story_of, to_markdown
 from evaluation.report.save import write_format
 from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
@@ -46,7 +46,7 @@ def test_every_table_and_answer_of_the_report_is_in_markdown(report: Report) -> 
 
 
 def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report: Report, tmp_path: Path) -> None:
-    text, *figures = write_format(report, "markdown", tmp_path)
+    text, *figures = write_format(story_of(report), "markdown", tmp_path)
     shown = re.findall(r"!\[.*\]\((.*)\)", text.read_text())
     assert sorted(shown) == sorted(figure.relative_to(tmp_path).as_posix() for figure in figures)
     for figure in figures:
@@ -59,4 +59,4 @@ def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report:
 
 def test_an_unknown_form_is_refused(report: Report, tmp_path: Path) -> None:
     with pytest.raises(InvalidArgument, match="markdown, svg, got 'word'"):
-        write_format(report, "word", tmp_path)
+        write_format(story_of(report), "word", tmp_path)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from evaluation.report.elements import Replay
-from evaluation.report.sections.replay import _packed, parting, replay
+from evaluation.report.sections.replay import packed, parting, replay
 from evaluation.transfer import Cell, Trace, TransferMatrix, transfer
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
@@ -79,7 +79,7 @@ def test_every_controller_is_shown_everywhere_the_robot_first_then_where_it_was_
 
 def test_numbers_are_kept_to_a_small_part_of_their_range_and_what_is_none_stays_none() -> None:
     values = np.array([[0.0, 1e6, 3.0], [np.nan, 1.0, 3.0], [2.0, np.inf, 3.0], [1e-3, 0.0, 3.0]])
-    again = unpacked(_packed(values))
+    again = unpacked(packed(values))
     known = np.isfinite(values)
     assert (np.isfinite(again) == known).all()
     assert (

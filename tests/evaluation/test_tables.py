@@ -11,6 +11,7 @@ from evaluation.exploitability import ModelExploitability, ProbeResult
 from evaluation.formatting import number, three_digits
 from evaluation.report import Report
 from evaluation.report.elements import Picture
+from evaluation.report.render.svg import drawn
 from evaluation.report.sections.controllers import ONE_SEED, claims_picture, controller_sheet
 from evaluation.report.sections.evolution import fitness_picture
 from evaluation.report.sections.exploitability import probe_sheet
@@ -178,7 +179,7 @@ def test_numbers_have_three_digits_and_keep_their_leading_zero(value: float, tex
 
 def ticks(picture: Picture) -> int:
     """Return how many seeds are marked in the first drawing, behind its axes and legend."""
-    return picture.panels[0].svg.count("<use")
+    return drawn(picture.panels[0]).wide.count("<use")
 
 
 def test_the_picture_of_claims_marks_the_champion_of_every_evolution_seed() -> None:
@@ -210,9 +211,10 @@ def test_the_free_run_shows_the_best_models_and_says_how_many_can_be_switched_on
     whole = make_report({f"model{i}": fitted(Known()) for i in range(SHOWN_MODELS + 1)}, robot=False).prediction
     assert whole is not None
     picture = free_run_picture(whole)
-    assert [key.label for key in picture.legend] == ["measured", *(f"model{i}" for i in range(SHOWN_MODELS + 1))]
-    assert picture.off == {f"model{SHOWN_MODELS}"}
+    pair, shown = picture.panels[0], drawn(picture.panels[0])
+    assert [key.label for key in shown.legend] == ["measured", *(f"model{i}" for i in range(SHOWN_MODELS + 1))]
+    assert pair.wide.off == {f"model{SHOWN_MODELS}"}
     assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models are switched on" in picture.caption
     for channel in ("forward_speed (m/s)", "lateral_speed (m/s)", "yaw_rate (rad/s)", "time (s)"):
-        assert channel in picture.panels[0].svg
-        assert channel in picture.panels[0].narrow
+        assert channel in shown.wide
+        assert channel in shown.narrow

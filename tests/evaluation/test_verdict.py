@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from evaluation.report import Report, tells_nothing, verdict
-from evaluation.report.sections.prediction import main_horizon
 from sysid_evo.registry import Spec
 from tests.evaluation.made_up import matrix, prediction, report
 
@@ -208,7 +207,7 @@ def test_the_verdict_stands_at_the_longest_horizon_of_at_most_one_second(
     horizons: tuple[int, ...], chosen: int | None
 ) -> None:
     made = prediction(GOOD)
-    assert main_horizon(replace(made, cases=replace(made.cases, horizons=horizons))) == chosen
+    assert replace(made.cases, horizons=horizons).main_horizon == chosen
 
 
 def test_n_is_spelled_out_where_it_first_stands() -> None:

@@ -14,6 +14,7 @@ from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.plots import plot_state, plotted_places
 from evaluation.report import Report, save_report, to_json
+from evaluation.report.render.svg import drawn
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import measure_sheet
@@ -60,7 +61,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tupl
     picture, sheet = traces_picture(found.matrix), measure_sheet(found.matrix)
     assert picture is not None
     assert len(picture.panels) == 4
-    assert found.data.system.states[0].name in picture.panels[0].svg
+    assert found.data.system.states[0].name in drawn(picture.panels[0]).wide
     assert sheet is not None
     assert sheet.columns[2:] == ("settled\n(%\nof\ntrials)", "settling\ntime\n(s)", "overshoot\n(%)")
     assert len(sheet.rows) == 4

@@ -1,1 +1,1 @@
-"""The report in other forms: Markdown, and every figure as an SVG file."""
+"""A story in its forms: an HTML page, Markdown, tables for a terminal, and every figure as SVG."""

@@ -6,6 +6,7 @@ import re
 
 from evaluation.plot_style import style_sheet
 from evaluation.report.elements import Cards, Picture, Replay, Story
+from evaluation.report.render.svg import drawn
 
 TEMPLATE = "page.html.j2"
 
@@ -14,7 +15,7 @@ JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 
 
 def page_of(story: Story) -> str:
-    """Return the page that tells a story."""
+    """Return the page that tells a story; it holds no link and no source outside itself."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
 
@@ -25,6 +26,7 @@ def page_of(story: Story) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["drawn"] = drawn
     environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
     environment.filters["raw"] = Markup
     environment.tests["picture"] = lambda item: isinstance(item, Picture)

@@ -1,4 +1,4 @@
-"""The report as Markdown: answers, tables, and links to the figures beside it."""
+"""A story as Markdown: answers, tables, and links to the figures beside it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
 
 
 def story_to_markdown(story: Story, *, figures: str = "") -> str:
-    """Return a story as Markdown, see `to_markdown`."""
+    """Return a story as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
     return "\n\n".join(_parts(story, figures)) + "\n"
 
 

@@ -1,4 +1,7 @@
-"""A figure as SVG, with the values that a reader can point at."""
+"""A figure as SVG, with the values that a reader can point at.
+
+Inside the page a drawing is small, has the page's fonts, and colours that follow its theme; as a file it is whole.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,21 @@ import json
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
-from matplotlib.container import ErrorbarContainer
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.typing import ColorType
 
-from evaluation.plot_style import THEME, Band, to_svg
+from evaluation.plot_style import DASHES, THEME, Band, bands, new_figure, style, to_svg
+from evaluation.report.elements import Drawing, DrawingPair
 from sysid_evo.types import Array
 
-DASHES = {"-": "", "--": "5 3", ":": "1.5 2.5"}
-
-DIGITS = 4
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.typing import ColorType
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,66 @@ class Key:
     colour: str
     dashes: str = ""
     dot: str = ""
+
+
+@dataclass(frozen=True)
+class DrawnPair:
+    """A pair of drawings as the page shows it: two elements, a legend, and a document for its script.
+
+    ``narrow`` is empty where the ``wide`` one does for a phone, too. The ``legend`` has an entry for each named series
+    of a keyed drawing. ``chart`` is JSON to read values off both; empty where nothing is named.
+    """
+
+    wide: str
+    narrow: str
+    legend: tuple[Key, ...]
+    chart: str
+
+
+def drawn(pair: DrawingPair) -> DrawnPair:
+    """Draw both forms for the page."""
+    wide = _figure(pair.wide)
+    narrow = None if pair.for_phone is None else _figure(pair.for_phone)
+    return DrawnPair(
+        _element(pair.wide, wide),
+        "" if narrow is None or pair.for_phone is None else _element(pair.for_phone, narrow),
+        legend_of(wide) if pair.wide.keyed else (),
+        chart_document(wide, narrow) if names_of(wide) else "",  # after both are drawn, and so laid out
+    )
+
+
+def svg_file(drawing: Drawing) -> str:
+    """Return a drawing as an SVG file of its own, on no background, its legend inside."""
+    figure = _on_paper(drawing)
+    if drawing.keyed and not any(ax.get_legend() for ax in figure.axes):
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        with style():
+            figure.legend(handles, labels, loc="outside upper center", ncols=max(1, round(drawing.width / 1.6)))
+    return to_svg(figure)
+
+
+def _on_paper(drawing: Drawing) -> Figure:
+    with style():
+        figure = new_figure(drawing.width, drawing.height)
+        drawing.draw(figure)
+    return figure
+
+
+def _figure(drawing: Drawing) -> Figure:
+    """Return the figure of the page: its series are marked, and the legend of a keyed one stands outside."""
+    figure = _on_paper(drawing)
+    if drawing.keyed:
+        for ax in figure.axes:
+            if (legend := ax.get_legend()) is not None:
+                legend.remove()
+    mark_series(figure)
+    return figure
+
+
+def _element(drawing: Drawing, figure: Figure) -> str:
+    off = [number for number, name in enumerate(names_of(figure)) if name in drawing.off]
+    with style():
+        return inline_svg(figure, drawing.key, drawing.label, off)
 
 
 @dataclass(frozen=True)
@@ -54,15 +115,9 @@ class Series:
 
 def series_of(ax: Axes) -> list[Series]:
     """Return the named series of one axes, in the order in which they were drawn."""
-    bands = {band.name: band for band in ax.collections if isinstance(band, Band)}
-    bars = [container for container in ax.containers if isinstance(container, ErrorbarContainer)]
-    found = [_of_line(line, bands.get(str(line.get_label()))) for line in ax.get_lines() if _is_named(line)]
-    return [*found, *(_of_bars(container) for container in bars)]
-
-
-def is_sideways(ax: Axes) -> bool:
-    """Whether the values lie along the x-axis, a row of names along the other."""
-    return any(isinstance(container, ErrorbarContainer) for container in ax.containers)
+    named = [line for line in ax.get_lines() if not str(line.get_label()).startswith("_")]
+    found = bands(ax)
+    return [*(_of_line(line, found.get(str(line.get_label()))) for line in named), *map(_of_bars, _error_bars(ax))]
 
 
 def names_of(figure: Figure) -> tuple[str, ...]:
@@ -85,6 +140,43 @@ def legend_of(figure: Figure) -> tuple[Key, ...]:
     return tuple(keys[name] for name in names_of(figure))
 
 
+def _error_bars(ax: Axes) -> list[ErrorbarContainer]:
+    """Return rows of points with bars to the side; where there are any, values lie along the x-axis."""
+    from matplotlib.container import ErrorbarContainer
+
+    return [container for container in ax.containers if isinstance(container, ErrorbarContainer)]
+
+
+def _of_line(line: Line2D, band: Band | None) -> Series:
+    at, value = (np.asarray(values, dtype=float) for values in line.get_data())
+    key = Key(str(line.get_label()), _variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
+    artists = (line,) if band is None else (line, band.shape)
+    low, high = (None, None) if band is None else (band.low, band.high)
+    return Series(key.label, at, value, low, high, key, artists)
+
+
+def _of_bars(container: ErrorbarContainer) -> Series:
+    points, caps, bars = container.lines
+    assert points is not None
+    value, at = (np.asarray(values, dtype=float) for values in points.get_data())
+    ends = np.array([segment[:, 0] for segment in bars[0].get_segments()])
+    filled = str(points.get_markerfacecolor()) != "none"
+    key = Key(str(container.get_label()), _variable(points.get_markeredgecolor()), dot="filled" if filled else "ring")
+    return Series(key.label, np.round(at), value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
+
+
+def _variable(colour: ColorType) -> str:
+    """Return a colour of the theme as the variable of the page's style sheet, any other as it is."""
+    from matplotlib.colors import to_hex
+
+    value = to_hex(colour)
+    return VARIABLES.get(value, value)
+
+
+DIGITS = 4
+"""Digits of a value that a reader can point at."""
+
+
 def chart_document(figure: Figure, narrow: Figure | None) -> str:
     """Return what the page's script needs to read values off a figure, as JSON for a script element.
 
@@ -103,7 +195,7 @@ def chart_document(figure: Figure, narrow: Figure | None) -> str:
 
 
 def _axes(ax: Axes, names: Sequence[str]) -> dict[str, Any]:
-    sideways = is_sideways(ax)
+    sideways = bool(_error_bars(ax))
     named = [label.get_text().replace("\n", "") for label in ax.get_yticklabels()] if sideways else None
     value, place = (ax.get_xlabel(), ax.get_ylabel()) if sideways else (ax.get_ylabel(), ax.get_xlabel())
     if not place:
@@ -116,10 +208,10 @@ def _axes(ax: Axes, names: Sequence[str]) -> dict[str, Any]:
         "series": [
             {
                 "n": names.index(series.name),
-                "at": _short(series.at),
-                "value": _short(series.value),
-                "low": None if series.low is None else _short(series.low),
-                "high": None if series.high is None else _short(series.high),
+                "at": _rounded(series.at),
+                "value": _rounded(series.value),
+                "low": None if series.low is None else _rounded(series.low),
+                "high": None if series.high is None else _rounded(series.high),
             }
             for series in series_of(ax)
         ],
@@ -132,64 +224,26 @@ def _frame(ax: Axes, figure: Figure) -> dict[str, Any]:
     box = ax.get_position()
     return {
         "box": [round(v, 2) for v in (box.x0 * width, (1.0 - box.y1) * height, box.width * width, box.height * height)],
-        "x": {"ends": _short(np.array(ax.get_xlim())), "log": ax.get_xscale() == "log"},
-        "y": {"ends": _short(np.array(ax.get_ylim())), "log": ax.get_yscale() == "log"},
+        "x": {"ends": _rounded(np.array(ax.get_xlim())), "log": ax.get_xscale() == "log"},
+        "y": {"ends": _rounded(np.array(ax.get_ylim())), "log": ax.get_yscale() == "log"},
     }
 
 
-def _is_named(line: Line2D) -> bool:
-    return not str(line.get_label()).startswith("_")
-
-
-def _of_line(line: Line2D, band: Band | None) -> Series:
-    at, value = (np.asarray(values, dtype=float) for values in line.get_data())
-    key = Key(str(line.get_label()), variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
-    artists = (line,) if band is None else (line, band)
-    low, high = (None, None) if band is None else (band.low, band.high)
-    return Series(key.label, at, value, low, high, key, artists)
-
-
-def _of_bars(container: ErrorbarContainer) -> Series:
-    points, caps, bars = container.lines
-    assert points is not None
-    value, at = (np.asarray(values, dtype=float) for values in points.get_data())
-    ends = np.array([segment[:, 0] for segment in bars[0].get_segments()])
-    filled = str(points.get_markerfacecolor()) != "none"
-    key = Key(str(container.get_label()), variable(points.get_markeredgecolor()), dot="filled" if filled else "ring")
-    return Series(key.label, np.round(at), value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
-
-
-def variable(colour: ColorType) -> str:
-    """Return a colour of the theme as the variable of the page's style sheet, any other as it is."""
-    value = to_hex(colour)
-    return VARIABLES.get(value, value)
-
-
-def _short(values: Array) -> list[float | None]:
+def _rounded(values: Array) -> list[float | None]:
     """Return numbers with few digits; what is no number is None."""
     return [float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None for value in values]
 
 
 VARIABLES = {colour.light: colour.variable for colour in THEME}
-
 LEFT_OUT = re.compile(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", re.DOTALL)
-
 FONT = re.compile(r" font-family: [^;\"]*;")
-
 PAINT = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
-
 MARK = "series-"
-
 MARKED = re.compile(r' id="series-(\d+)"')
-
 NAMED = re.compile(r' id="([^"]*)"')
-
 MENTIONED = re.compile(r'(?:href="#|url\(#)([^")]*)')
-
 PATH = re.compile(r' d="([^"]*)"')
-
 DECIMALS = re.compile(r"(\.\d\d)\d+")
-
 SPACE = re.compile(r">\s+<")
 
 
@@ -205,10 +259,10 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     text = FONT.sub("", text)
     text = PAINT.sub(lambda found: f"{found[1]}: {VARIABLES.get(found[2], found[2])}", text)
     mentioned = set(MENTIONED.findall(text))
-    text = MARKED.sub(lambda found: _series(int(found[1]), off), text)
+    text = MARKED.sub(lambda found: _numbered(int(found[1]), off), text)
     text = NAMED.sub(lambda found: f' id="{key}-{found[1]}"' if found[1] in mentioned else "", text)
     text = MENTIONED.sub(lambda found: found[0].replace("#", f"#{key}-"), text)
-    text = PATH.sub(lambda found: f' d="{_inline_short(found[1])}"', text)
+    text = PATH.sub(lambda found: f' d="{_short(found[1])}"', text)
     text = SPACE.sub("><", text).strip()
     box = re.search(r'viewBox="[^"]*"', text)
     assert box is not None
@@ -216,9 +270,9 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     return start + text[text.index(">") + 1 :]
 
 
-def _inline_short(path: str) -> str:
+def _numbered(series: int, off: Collection[int]) -> str:
+    return f' data-series="{series}"' + (' class="off"' if series in off else "")
+
+
+def _short(path: str) -> str:
     return " ".join(DECIMALS.sub(r"\1", path).split())
-
-
-def _series(number: int, off: Collection[int]) -> str:
-    return f' data-series="{number}"' + (' class="off"' if number in off else "")

@@ -1,4 +1,4 @@
-"""The report for a terminal of 80 columns or more."""
+"""Answers and tables for a terminal of 80 columns or more."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
 def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:
     """Return questions and their answers."""
     return [
-        Group(Text(finding.question, style="bold cyan"), *(_indented(answer) for answer in finding.answers))
+        Group(Text(finding.question, style="bold cyan"), *(indented(answer) for answer in finding.answers))
         for finding in findings
     ]
 
 
-def _indented(text: str) -> Padding:
+def indented(text: str) -> Padding:
     return Padding(Text(text), (0, 0, 0, 2))
 
 

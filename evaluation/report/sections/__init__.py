@@ -1,9 +1,6 @@
-"""The sections of a report, in the order in which they are read; a further one is a module and a line here."""
+"""The sections of a report, each from what stands in its data to tables, figures, sentences and JSON.
 
-from __future__ import annotations
-
-from evaluation.report.elements import Section
-
-__all__ = [
-    "Section",
-]
+A section is a module here with ``section(report)``, which returns its part of the page, None without anything to show.
+To add one, write it, give it a line in ``SECTIONS`` of `evaluation.report.report`, and test it: page, Markdown and
+terminal show it then. What of it stands in ``report.json`` has a key in ``to_json`` there, and in the schema.
+"""

@@ -1,4 +1,4 @@
-"""What each controller does, in words and numbers."""
+"""How each controller goes about its task, in words and numbers."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _cell(manner: Manner, name: str) -> str:
     return number(manner.value(name), 2 if name == "speed" else 1) if unit_of(name) else percent(manner.value(name))
 
 
-def _behaviour(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
+def behaviour_to_json(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
     """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
     sentences = described(found, matrix.robot)
     rows = []

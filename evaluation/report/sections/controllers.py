@@ -1,4 +1,4 @@
-"""Controllers: expected, claimed and achieved, in one table; which one to use."""
+"""What is expected of controllers, what they claim and what they achieve; which one to use."""
 
 from __future__ import annotations
 
@@ -9,29 +9,101 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.formatting import few, folded, lines, listed, number, percent, plus_minus, three_digits, within
+from evaluation.formatting import (
+    few,
+    folded,
+    horizon_name,
+    lines,
+    listed,
+    number,
+    percent,
+    plus_minus,
+    three_digits,
+    with_interval,
+    within,
+)
 from evaluation.plots import plot_claims
 from evaluation.prediction.scores import Prediction
-from evaluation.report.elements import (
-    NARROW,
-    WIDE,
-    Drawing,
-    Headline,
-    Panel,
-    Picture,
-    Section,
-    Sheet,
-    of_each_run,
-    present,
-)
-from evaluation.report.sections.prediction import N_IN_WORDS, horizon_name, main_horizon
+from evaluation.report.elements import NARROW, WIDE, Drawing, DrawingPair, Headline, Picture, Section, Sheet, present
+from evaluation.report.sections.prediction import N_IN_WORDS
 from evaluation.results import Report
-from evaluation.transfer.forecast import RULE, Forecast
+from evaluation.transfer.forecast import RULE, Forecast, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerScores, ControllerSummary, TransferSummary
 from evaluation.transfer.uncertainty import Estimate
 
-EXPLOITED = {True: "yes", False: "no", None: "–"}
+
+def section(report: Report) -> Section | None:
+    """Return the forecasts of controllers and models; None where no controller has one."""
+    items = present(forecast_sheet(report), model_forecast_sheet(report))
+    return Section("Forecast", items) if items else None
+
+
+EXPLAINED = (
+    "forecast: expected on the robot, the median of all models; a model weighs as the inverse square of its prediction "
+    "error, half as much in a family that the controller was evolved in. Nothing measured on the robot is in it but "
+    "the recordings. In brackets: the 90 % interval, calibrated on emulated cars."
+)
+
+
+def forecast_sheet(report: Report) -> Sheet | None:
+    """What is expected of every controller on the robot, beside what was claimed and achieved; None for nobody."""
+    if report.transfer is None or report.matrix is None or not report.forecasts:
+        return None
+    with_robot = report.matrix.robot is not None
+    known = [one for one in report.transfer.controllers if one.name in report.forecasts]
+    known.sort(key=lambda one: -report.forecasts[one.name].value)
+    rows = [_forecast_row(one, report, with_robot) for one in known]
+    heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
+    judged = [report.forecasts[one.name].holds(one.achieved) for one in known if one.achieved is not None]
+    held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
+    return Sheet(
+        title=f"Forecast for the robot ({report.matrix.unit or 'fitness'})",
+        columns=heads,
+        rows=tuple(rows),
+        note=f"{EXPLAINED}{held}",
+    )
+
+
+def _forecast_row(controller: ControllerSummary, report: Report, with_robot: bool) -> tuple[str, ...]:
+    found = report.forecasts[controller.name]
+    chosen = report.transfer is not None and controller.name == report.transfer.pick
+    row = [lines(controller.name, "(chosen)" if chosen else ""), plus_minus(controller.claimed), forecast_text(found)]
+    if with_robot:
+        inside = "–" if controller.achieved is None else ("yes" if found.holds(controller.achieved) else "no")
+        row += [plus_minus(controller.achieved), inside]
+    return tuple(row)
+
+
+def forecast_text(found: Forecast | ModelForecast) -> str:
+    """Return a forecast with its interval."""
+    return with_interval(found.value, found.low, found.high)
+
+
+def model_forecast_sheet(report: Report) -> Sheet | None:
+    """What is expected of the controllers evolved in each model; None where no model has any."""
+    if not report.model_forecasts:
+        return None
+    rows = []
+    for name, found in report.model_forecasts.items():
+        kept = found.kept
+        share = "–" if kept is None else f"{percent(kept[0])} ({percent(kept[1])} to {percent(kept[2])})"
+        weight = report.forecasts[found.controllers[0]].weights.get(name)
+        rows.append(
+            (
+                lines(name, "" if found.controllers == (name,) else f"({listed(found.controllers)})"),
+                number(found.claimed),
+                forecast_text(found),
+                share,
+                "–" if weight is None else percent(weight),
+            )
+        )
+    return Sheet(
+        title="Forecast for models: what becomes of a claim made in them",
+        columns=("model", "claimed", "forecast", "share of\nthe claim", "own\nweight"),
+        rows=tuple(rows),
+        note="Means over the controllers evolved in each model alone. own weight: how much it counts in that.",
+    )
 
 
 def overview_sheet(report: Report) -> Sheet | None:
@@ -47,7 +119,8 @@ def overview_sheet(report: Report) -> Sheet | None:
     with_robot = report.matrix is not None and report.matrix.robot is not None
     heads: list[str] = ["model" if not controllers else "model or\ncontroller"]
     if prediction is not None:
-        heads.append(f"N, {_where(prediction)}")
+        main = horizon_name(prediction.cases.main_horizon, prediction.cases.system.dt)
+        heads.append("N, " + main.replace(" (", "\n("))
     if controllers:
         heads += ["claimed", "on the\nrobot" if with_robot else "on other\nmodels", "exploited"]
     rows = []
@@ -66,31 +139,6 @@ def overview_sheet(report: Report) -> Sheet | None:
     return Sheet("In short", tuple(heads), tuple(rows), note=" ".join(notes))
 
 
-def drive_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
-    """Return the command that runs a controller on the robot, None where its file is not known.
-
-    Nor is there one for the recordings of a system without a motion: only an emulated robot or an environment can be
-    driven without a tracker. ``folder`` is the run folder as seen from where the command is typed.
-    """
-    path, robot = report.controllers.get(controller), report.settings.get("robot")
-    if path is None or (report.data.system.motion is None and not robot):
-        return None
-    plugins = [word for plugin in report.settings.get("plugins", ()) for word in ("--plugin", str(plugin))]
-    command = ["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT")]
-    return shlex.join([*command, *plugins])
-
-
-def command_sheet(report: Report) -> Sheet | None:
-    """The command that runs each controller on the robot; None if no file is known."""
-    rows = [(name, command) for name in report.controllers if (command := drive_command(report, name)) is not None]
-    if not rows:
-        return None
-    note = "" if report.settings.get("robot") else "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one."
-    return Sheet(
-        "Run a controller, in the folder of this report", ("controller", "command"), tuple(rows), note, code=True
-    )
-
-
 def _controllers(report: Report) -> dict[str, ControllerSummary]:
     """Return the controllers by the name of their row."""
     if report.transfer is None:
@@ -103,19 +151,15 @@ def _controllers(report: Report) -> dict[str, ControllerSummary]:
     return named
 
 
-def _where(prediction: Prediction) -> str:
-    name = horizon_name(prediction, main_horizon(prediction))
-    return name.replace(" (", "\n(")
-
-
 def _n(prediction: Prediction, name: str) -> str:
     if name not in prediction.names:
         return "–"
     model = prediction.model(name)
-    score = model.score(main_horizon(prediction))
-    if model.failed:
-        return "failed"
-    return "–" if score is None else three_digits(score.n)
+    score = model.score(prediction.cases.main_horizon)
+    return "failed" if model.failed else three_digits(None if score is None else score.n)
+
+
+EXPLOITED = {True: "yes", False: "no", None: "–"}
 
 
 def _controller_cells(controller: ControllerSummary | None) -> list[str]:
@@ -138,94 +182,27 @@ def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[s
     return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth and two standard errors."]
 
 
-EXPLAINED = (
-    "forecast: expected on the robot, the median of all models; a model weighs as the inverse square of its prediction "
-    "error, half as much in a family that the controller was evolved in. Nothing measured on the robot is in it but "
-    "the recordings. In brackets: the 90 % interval, calibrated on emulated cars."
-)
+def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
+    """Claimed and achieved fitness of each controller."""
 
-
-def forecast_text(found: Forecast) -> str:
-    """Return a forecast with its interval."""
-    return f"{number(found.value)} ({number(found.low)} to {number(found.high)})"
-
-
-def why_chosen(report: Report) -> str | None:
-    """Say by what the controller to drive was chosen, and what was achieved; None where no forecast chose it."""
-    summary = report.transfer
-    found = None if summary is None or summary.pick is None else report.forecasts.get(summary.pick)
-    if summary is None or found is None:
-        return None
-    unit = f" {report.matrix.unit}" if report.matrix is not None and report.matrix.unit else ""
-    picked = summary.controller(found.controller)
-    count = sum(one.name in report.forecasts and bool(one.against) for one in summary.controllers)
-    rivals = f"the highest of {count} forecasts" if count > 1 else "the only one with a forecast"
-    said = f"Chosen without the robot: {found.controller}, {rivals}: {forecast_text(found)}{unit} are expected of it"
-    if picked.achieved is None:
-        return f"{said}."
-    inside = "as forecast" if found.holds(picked.achieved) else "outside the interval"
-    return f"{said}; it achieves {picked.achieved.value:.1f} on the robot, {inside}."
-
-
-def forecast_sheet(report: Report) -> Sheet | None:
-    """What is expected of every controller on the robot, beside what was claimed and achieved; None for nobody."""
-    if report.transfer is None or report.matrix is None or not report.forecasts:
-        return None
-    with_robot = report.matrix.robot is not None
-    known = [one for one in report.transfer.controllers if one.name in report.forecasts]
-    known.sort(key=lambda one: -report.forecasts[one.name].value)
-    rows = [_row(one, report, with_robot) for one in known]
-    heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
-    judged = [report.forecasts[one.name].holds(one.achieved) for one in known if one.achieved is not None]
-    held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
-    return Sheet(
-        title=f"Forecast for the robot ({report.matrix.unit or 'fitness'})",
-        columns=heads,
-        rows=tuple(rows),
-        note=f"{EXPLAINED}{held}",
-    )
-
-
-def model_forecast_sheet(report: Report) -> Sheet | None:
-    """What is expected of the controllers evolved in each model; None where no model has any."""
-    if not report.model_forecasts:
-        return None
-    rows = []
-    for name, found in report.model_forecasts.items():
-        kept = found.kept
-        share = "–" if kept is None else f"{percent(kept[0])} ({percent(kept[1])} to {percent(kept[2])})"
-        weight = report.forecasts[found.controllers[0]].weights.get(name)
-        rows.append(
-            (
-                lines(name, "" if found.controllers == (name,) else f"({listed(found.controllers)})"),
-                number(found.claimed),
-                f"{number(found.value)} ({number(found.low)} to {number(found.high)})",
-                share,
-                "–" if weight is None else percent(weight),
-            )
+    def drawing(key: str, width: float, name_width: int) -> Drawing:
+        rows = max(folded(controller.name, name_width).count("\n") + 1 for controller in summary.controllers)
+        return Drawing(
+            key,
+            "claimed and achieved fitness of each controller",
+            lambda figure: plot_claims(summary, figure.add_subplot(), unit=matrix.unit, name_width=name_width),
+            width,
+            1.4 + (0.2 + 0.1 * rows) * len(summary.controllers),
+            keyed=True,
         )
-    return Sheet(
-        title="Forecast for models: what becomes of a claim made in them",
-        columns=("model", "claimed", "forecast", "share of\nthe claim", "own\nweight"),
-        rows=tuple(rows),
-        note="Means over the controllers evolved in each model alone. own weight: how much it counts in that.",
+
+    several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
+    ticks = " Ticks: the champion of each evolution run." if several else ""
+    return Picture(
+        "Claimed and achieved",
+        f"Bars are 90 % intervals over trials, those of the table below.{ticks}",
+        (DrawingPair(drawing("claims", WIDE, 26), drawing("claims-narrow", NARROW, 13)),),
     )
-
-
-def _row(controller: ControllerSummary, report: Report, with_robot: bool) -> tuple[str, ...]:
-    found = report.forecasts[controller.name]
-    chosen = report.transfer is not None and controller.name == report.transfer.pick
-    row = [lines(controller.name, "(chosen)" if chosen else ""), plus_minus(controller.claimed), forecast_text(found)]
-    if with_robot:
-        inside = "–" if controller.achieved is None else ("yes" if found.holds(controller.achieved) else "no")
-        row += [plus_minus(controller.achieved), inside]
-    return tuple(row)
-
-
-def section(report: Report) -> Section | None:
-    """Return the forecasts of controllers and models; None where no controller has one."""
-    items = present(forecast_sheet(report), model_forecast_sheet(report))
-    return Section("Forecast", items) if items else None
 
 
 def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
@@ -274,18 +251,112 @@ def _share(kept: Estimate | None) -> str:
     return f"{100 * kept.value:.0f}{error}"
 
 
+def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
+    """Claimed and achieved fitness, and the gaps between them."""
+    robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
+    rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
+    each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
+    unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
+    return Sheet(
+        title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
+        columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
+        rows=tuple(rows),
+        note=(
+            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {each}"
+            "other families: median over the models of families it was not evolved against. "
+            "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
+            f"chosen: without the robot, by its forecast.{unknown}"
+        ),
+    )
+
+
+def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
+    row = [
+        lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
+        lines(plus_minus(controller.claimed), of_each_run(controller)),
+        plus_minus(controller.others),
+        plus_minus(controller.exploitation_gap),
+        plus_minus(controller.other_families),
+    ]
+    if robot:
+        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
+    return tuple(row)
+
+
+def of_each_run(controller: ControllerSummary) -> str:
+    """Return the fitness of the champion of each evolution run, three a line; empty for fewer than two runs."""
+    found = [f"{fitness:.1f}" for fitness in controller.seed_fitness]
+    return "\n".join(", ".join(found[i : i + 3]) for i in range(0, len(found), 3)) if len(found) > 1 else ""
+
+
+def drive_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+    """Return the command that runs a controller on the robot, None where its file is not known.
+
+    Nor is there one for the recordings of a system without a motion: only an emulated robot or an environment can be
+    driven without a tracker. ``folder`` is the run folder as seen from where the command is typed.
+    """
+    path, robot = report.controllers.get(controller), report.settings.get("robot")
+    if path is None or (report.data.system.motion is None and not robot):
+        return None
+    plugins = [word for plugin in report.settings.get("plugins", ()) for word in ("--plugin", str(plugin))]
+    command = ["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT")]
+    return shlex.join([*command, *plugins])
+
+
+def command_sheet(report: Report) -> Sheet | None:
+    """The command that runs each controller on the robot; None if no file is known."""
+    rows = [(name, command) for name in report.controllers if (command := drive_command(report, name)) is not None]
+    if not rows:
+        return None
+    note = "" if report.settings.get("robot") else "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one."
+    return Sheet(
+        "Run a controller, in the folder of this report", ("controller", "command"), tuple(rows), note, code=True
+    )
+
+
+def headline(report: Report) -> Headline:
+    """Say at first sight which controller to take."""
+    question, summary = "Which controller to take?", report.transfer
+    if summary is None:
+        return Headline(question, "None", "No controller was evolved.", "open")
+    if summary.pick is None:
+        return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
+    pick = summary.controller(summary.pick)
+    command = drive_command(report, pick.name) or ""
+    return Headline(question, pick.name, _worth(pick, report), "bad" if pick.exploited else "good", command)
+
+
+def _worth(pick: ControllerSummary, report: Report) -> str:
+    assert report.matrix is not None
+    unit = f" {report.matrix.unit}" if report.matrix.unit else ""
+    shown = pick.shown
+    claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
+    found = report.forecasts.get(pick.name)
+    claim += "" if found is None else f", forecast {forecast_text(found)}"
+    if "achieved" in shown:
+        return f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
+    if "others" in shown:
+        return f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
+    return f"{claim}. Nothing was run on the robot."
+
+
+def _better(pick: ControllerSummary, report: Report) -> str:
+    """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
+    assert report.transfer is not None
+    others = [c for c in report.transfer.controllers if c.against and not c.on_robot and c.name != pick.name]
+    reached = [(c.shown["achieved"], c.name) for c in others if "achieved" in c.shown]
+    best = max(reached, key=lambda one: one[0].value, default=None)
+    if best is None or not best[0].low > pick.shown["achieved"].high:
+        return ""
+    return f" {best[1]} does better there: {sized(best[0])}."
+
+
 KEPT = 0.9
 """A claim is kept from this share of it on."""
 
 LOST = 0.5
 """A claim is lost below this share of it."""
-
-ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
-
-POLISHED = (
-    "{} was polished once, from the best of all searches and seeds together: how far another polish would end from it "
-    "is unknown."
-)
 
 
 def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
@@ -296,33 +367,6 @@ def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tup
         return ("No controller could be run anywhere.",)
     unit = f" {matrix.unit}" if matrix.unit else ""
     return _on_models(summary, unit) if matrix.robot is None else _on_robot(summary, unit)
-
-
-def recommended(matrix: TransferMatrix, summary: TransferSummary, why: str | None) -> tuple[str, ...]:
-    """Answer what to use; ``why`` says by what the controller to drive was chosen."""
-    answers = [why or "No controller can be judged by models of other families; add a family to choose by."]
-    if matrix.robot is not None:
-        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
-        best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
-        if best is not None and best.achieved is not None and best.name != summary.pick:
-            answers.append(f"Chosen with the robot: {best.name}, {best.achieved.value:.1f} on it.")
-        answers += [
-            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
-            f"({correlation.controllers} controllers)."
-            for correlation in summary.correlations
-            if correlation.value is not None
-        ]
-    return tuple(answers)
-
-
-def unknown(summary: TransferSummary) -> tuple[str, ...]:
-    """Say what the claims leave open."""
-    claiming = [c for c in summary.controllers if c.claimed is not None]
-    answers = [said] if (said := seeds_unknown(summary)) else []
-    single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
-    if single:
-        answers.append(f"A single trial on the robot has no error and judges no claim: {', '.join(single)}.")
-    return tuple(answers)
 
 
 def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
@@ -359,14 +403,6 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     return tuple(answers)
 
 
-def seeds_unknown(summary: TransferSummary) -> str:
-    """Say of which controllers it is not known how far evolution seeds differ, and why; empty if it is of all."""
-    single = [c for c in summary.controllers if c.claimed is not None and len(c.seed_fitness) < 2]
-    if any(not c.polished for c in single):
-        return ONE_SEED
-    return POLISHED.format(", ".join(c.name for c in single)) if single else ""
-
-
 def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     pairs = [(c.name, c.claimed.value, c.others.value) for c in summary.controllers if c.claimed and c.others]
     if not pairs:
@@ -392,37 +428,85 @@ def sized(estimate: Estimate) -> str:
     """Return a value with its 90 % interval, alone where it has none."""
     if not estimate.low < estimate.high:
         return number(estimate.value)
-    return f"{number(estimate.value)} ({number(estimate.low)} to {number(estimate.high)})"
+    return with_interval(estimate.value, estimate.low, estimate.high)
 
 
-NO_ROBOT = (
-    "Nothing was run on a robot, so what is achieved there is not known: the other models stand for it. Name one with "
-    "--robot, or drive and run the report again."
+def recommended(matrix: TransferMatrix, summary: TransferSummary, why: str | None) -> tuple[str, ...]:
+    """Answer what to use; ``why`` says by what the controller to drive was chosen."""
+    answers = [why or "No controller can be judged by models of other families; add a family to choose by."]
+    if matrix.robot is not None:
+        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
+        best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
+        if best is not None and best.achieved is not None and best.name != summary.pick:
+            answers.append(f"Chosen with the robot: {best.name}, {best.achieved.value:.1f} on it.")
+        answers += [
+            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
+            f"({correlation.controllers} controllers)."
+            for correlation in summary.correlations
+            if correlation.value is not None
+        ]
+    return tuple(answers)
+
+
+def why_chosen(report: Report) -> str | None:
+    """Say by what the controller to drive was chosen, and what was achieved; None where no forecast chose it."""
+    summary = report.transfer
+    found = None if summary is None or summary.pick is None else report.forecasts.get(summary.pick)
+    if summary is None or found is None:
+        return None
+    unit = f" {report.matrix.unit}" if report.matrix is not None and report.matrix.unit else ""
+    picked = summary.controller(found.controller)
+    count = sum(one.name in report.forecasts and bool(one.against) for one in summary.controllers)
+    rivals = f"the highest of {count} forecasts" if count > 1 else "the only one with a forecast"
+    said = f"Chosen without the robot: {found.controller}, {rivals}: {forecast_text(found)}{unit} are expected of it"
+    if picked.achieved is None:
+        return f"{said}."
+    inside = "as forecast" if found.holds(picked.achieved) else "outside the interval"
+    return f"{said}; it achieves {picked.achieved.value:.1f} on the robot, {inside}."
+
+
+ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
+
+POLISHED = (
+    "{} was polished once, from the best of all searches and seeds together: how far another polish would end from it "
+    "is unknown."
 )
 
 
-def without_controllers(report: Report) -> str:
-    """Say why there is no controller."""
-    only = report.settings.get("only")
-    if only:
-        return f"No controller was evolved, since only {only!r} was asked for: transfer is not known."
-    return "No controller was evolved, so transfer is not known."
+def unknown(summary: TransferSummary) -> tuple[str, ...]:
+    """Say what the claims leave open."""
+    claiming = [c for c in summary.controllers if c.claimed is not None]
+    answers = [said] if (said := seeds_unknown(summary)) else []
+    single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
+    if single:
+        answers.append(f"A single trial on the robot has no error and judges no claim: {', '.join(single)}.")
+    return tuple(answers)
 
 
-def _summary(summary: TransferSummary) -> dict[str, Any]:
+def seeds_unknown(summary: TransferSummary) -> str:
+    """Say of which controllers it is not known how far evolution seeds differ, and why; empty if it is of all."""
+    single = [c for c in summary.controllers if c.claimed is not None and len(c.seed_fitness) < 2]
+    if any(not c.polished for c in single):
+        return ONE_SEED
+    return POLISHED.format(", ".join(c.name for c in single)) if single else ""
+
+
+def summary_to_json(summary: TransferSummary) -> dict[str, Any]:
+    """Return what the document holds under ``controllers``."""
     return {
-        "controllers": [_controller(controller) for controller in summary.controllers],
+        "controllers": [_controller_to_json(controller) for controller in summary.controllers],
         "pick": summary.pick,
         "best_on": summary.best_on,
         "correlations": [asdict(correlation) for correlation in summary.correlations],
     }
 
 
-def _controller(controller: ControllerSummary) -> dict[str, Any]:
+def _controller_to_json(controller: ControllerSummary) -> dict[str, Any]:
     return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
-def _forecast(report: Report) -> dict[str, Any]:
+def forecast_to_json(report: Report) -> dict[str, Any]:
+    """Return what the document holds under ``forecast``."""
     achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
     return {
         "rule": asdict(RULE),
@@ -436,97 +520,3 @@ def _forecast(report: Report) -> dict[str, Any]:
         ],
         "models": [{**asdict(one), "kept": one.kept} for one in report.model_forecasts.values()],
     }
-
-
-def _taken(report: Report) -> Headline:
-    question, summary = "Which controller to take?", report.transfer
-    if summary is None:
-        return Headline(question, "None", "No controller was evolved.", "open")
-    if summary.pick is None:
-        return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
-    pick = summary.controller(summary.pick)
-    command = drive_command(report, pick.name) or ""
-    return Headline(question, pick.name, _worth(pick, report), "bad" if pick.exploited else "good", command)
-
-
-def _worth(pick: ControllerSummary, report: Report) -> str:
-    assert report.matrix is not None
-    unit = f" {report.matrix.unit}" if report.matrix.unit else ""
-    shown = pick.shown
-    claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
-    found = report.forecasts.get(pick.name)
-    claim += "" if found is None else f", forecast {forecast_text(found)}"
-    if "achieved" in shown:
-        return f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
-    if "others" in shown:
-        return f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
-    return f"{claim}. Nothing was run on the robot."
-
-
-def _better(pick: ControllerSummary, report: Report) -> str:
-    """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
-    assert report.transfer is not None
-    others = [c for c in report.transfer.controllers if c.against and not c.on_robot and c.name != pick.name]
-    reached = [(c.shown["achieved"], c.name) for c in others if "achieved" in c.shown]
-    best = max(reached, key=lambda one: one[0].value, default=None)
-    if best is None or not best[0].low > pick.shown["achieved"].high:
-        return ""
-    return f" {best[1]} does better there: {sized(best[0])}."
-
-
-def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
-    """Claimed and achieved fitness of each controller."""
-    names = [controller.name for controller in summary.controllers]
-
-    def drawn(key: str, width: float, name_width: int) -> Drawing:
-        lines = max(folded(name, name_width).count("\n") + 1 for name in names)
-        height = 1.4 + (0.2 + 0.1 * lines) * len(names)
-        return Drawing(
-            key,
-            "claimed and achieved fitness of each controller",
-            lambda figure: plot_claims(summary, figure.add_subplot(), unit=matrix.unit, name_width=name_width),
-            width,
-            height,
-            keyed=True,
-        )
-
-    several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
-    ticks = " Ticks: the champion of each evolution run." if several else ""
-    return Picture(
-        "Claimed and achieved",
-        f"Bars are 90 % intervals over trials, those of the table below.{ticks}",
-        (Panel(drawn("claims", WIDE, 26), drawn("claims-narrow", NARROW, 13)),),
-    )
-
-
-def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
-    """Claimed and achieved fitness, and the gaps between them."""
-    robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
-    rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
-    runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
-    each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
-    unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
-    return Sheet(
-        title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
-        columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
-        rows=tuple(rows),
-        note=(
-            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {each}"
-            "other families: median over the models of families it was not evolved against. "
-            "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            f"chosen: without the robot, by its forecast.{unknown}"
-        ),
-    )
-
-
-def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
-    row = [
-        lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-        lines(plus_minus(controller.claimed), of_each_run(controller)),
-        plus_minus(controller.others),
-        plus_minus(controller.exploitation_gap),
-        plus_minus(controller.other_families),
-    ]
-    if robot:
-        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
-    return tuple(row)

@@ -1,4 +1,4 @@
-"""Where errors are and what they still hold: regions, residuals, episodes, channels."""
+"""Where errors are and what they still hold: regions, residuals, episodes, channels. A part of Prediction."""
 
 from __future__ import annotations
 
@@ -7,32 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.formatting import lines, number, percent, three_digits
+from evaluation.formatting import horizon_name, lines, number, percent, three_digits
 from evaluation.prediction.regions import worst_region
 from evaluation.prediction.residuals import AHEAD, LAGS, LEVEL, Residuals
 from evaluation.prediction.scores import EpisodeError, ModelPrediction, Prediction
 from evaluation.report.elements import Sheet
-from evaluation.report.sections.prediction import horizon_name, main_horizon
 from sysid_evo.system import System
-
-SHOWN_EPISODES = 40
-
-
-def residual_sheet(prediction: Prediction) -> Sheet | None:
-    """What one-step errors still hold: whether they are white, and which earlier controls show; None without any."""
-    system, models = prediction.cases.system, [m for m in prediction.models if m.residuals is not None]
-    if not models:
-        return None
-    rows = [(m.name, *(_left(m, prediction, channel) for channel in range(system.nx))) for m in models]
-    return Sheet(
-        "What is left one step ahead",
-        ("model", *system.state_names),
-        tuple(rows),
-        note="White: nothing in the one-step error foretells the next one. Not white: the correlation with an earlier "
-        "error. A control and a time: what it was set to that long before the step still shows in the error, with the "
-        f"correlation; both at {100 * LEVEL:g} %, all lags together.",
-        details=True,
-    )
 
 
 def region_sheet(prediction: Prediction) -> Sheet | None:
@@ -53,16 +33,54 @@ def region_sheet(prediction: Prediction) -> Sheet | None:
         "Where the error is largest",
         ("model", "windows that start at", "times N\nof all", "share"),
         tuple(rows),
-        note=f"N after {horizon_name(prediction, steps)} of the windows that start with this state or control, divided "
-        "by that of all windows. Of every channel the lowest and highest fifth are looked at, and that farthest from "
-        "neutral; intervals allow for looking at all of them.",
+        note=f"N after {horizon_name(steps, prediction.cases.system.dt)} of the windows that start with this state or "
+        "control, divided by that of all windows. Of every channel the lowest and highest fifth are looked at, and "
+        "that farthest from neutral; intervals allow for looking at all of them.",
         details=True,
     )
 
 
+def residual_sheet(prediction: Prediction) -> Sheet | None:
+    """What one-step errors still hold: whether they are white, and which earlier controls show; None without any."""
+    system, models = prediction.cases.system, [m for m in prediction.models if m.residuals is not None]
+    if not models:
+        return None
+    rows = [(m.name, *(_left(m, prediction, channel) for channel in range(system.nx))) for m in models]
+    return Sheet(
+        "What is left one step ahead",
+        ("model", *system.state_names),
+        tuple(rows),
+        note="White: nothing in the one-step error foretells the next one. Not white: the correlation with an earlier "
+        "error. A control and a time: what it was set to that long before the step still shows in the error, with the "
+        f"correlation; both at {100 * LEVEL:g} %, all lags together.",
+        details=True,
+    )
+
+
+def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
+    found, dt = model.residuals, prediction.cases.system.dt
+    assert found is not None
+    if not np.isfinite(found.white_p[channel]):
+        return "–"
+    colour = "white"
+    if not found.white[channel]:
+        lag = found.largest_lag(channel)
+        colour = lines("not white", f"{found.autocorrelation[lag - 1, channel]:+.2f} after {lag * dt:g} s")
+    shown = []
+    for place, control in enumerate(prediction.cases.system.control_names):
+        if found.cross_p[place, channel] < LEVEL / prediction.cases.system.nu:
+            lag = found.control_lag(place, channel)
+            shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+.2f}")
+    return lines(colour, *shown)
+
+
+SHOWN_EPISODES = 40
+"""Test episodes that a table lists; ``report.json`` has them all."""
+
+
 def episode_error_sheet(prediction: Prediction) -> Sheet | None:
     """N of every model in each test episode; None with fewer than two episodes."""
-    horizon, models = main_horizon(prediction), [m for m in prediction.models if m.episodes]
+    horizon, models = prediction.cases.main_horizon, [m for m in prediction.models if m.episodes]
     if horizon is None or not models or len(models[0].episodes) < 2:
         return None
     place = prediction.cases.horizons.index(horizon)
@@ -71,7 +89,7 @@ def episode_error_sheet(prediction: Prediction) -> Sheet | None:
         for row, episode in enumerate(models[0].episodes[:SHOWN_EPISODES])
     ]
     return Sheet(
-        f"N of each test episode, {horizon_name(prediction, horizon)}",
+        f"N of each test episode, {horizon_name(horizon, prediction.cases.system.dt)}",
         ("episode", *(model.name for model in models)),
         tuple(rows),
         note="In units of the standard deviation of the whole test set, so that episodes can be compared.",
@@ -96,23 +114,6 @@ def fit_sheet(prediction: Prediction) -> Sheet | None:
     )
 
 
-def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
-    found, dt = model.residuals, prediction.cases.system.dt
-    assert found is not None
-    if not np.isfinite(found.white_p[channel]):
-        return "–"
-    colour = "white"
-    if not found.white[channel]:
-        lag = found.largest_lag(channel)
-        colour = lines("not white", f"{found.autocorrelation[lag - 1, channel]:+.2f} after {lag * dt:g} s")
-    shown = []
-    for place, control in enumerate(prediction.cases.system.control_names):
-        if found.cross_p[place, channel] < LEVEL / prediction.cases.system.nu:
-            lag = found.control_lag(place, channel)
-            shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+.2f}")
-    return lines(colour, *shown)
-
-
 def _clipped(model: ModelPrediction) -> str:
     """Say in how many free runs a model reached its clip, and when."""
     times = () if model.divergence is None else model.divergence.free_run_times
@@ -128,7 +129,8 @@ def _fit(values: np.ndarray) -> str:
     return lines(number(float(known.mean())), spread)
 
 
-def _residuals(found: Residuals, system: System) -> dict[str, Any]:
+def residuals_to_json(found: Residuals, system: System) -> dict[str, Any]:
+    """Return what the document holds of a model's one-step errors."""
     channels = {
         name: {
             "white": found.white[i],
@@ -149,7 +151,8 @@ def _residuals(found: Residuals, system: System) -> dict[str, Any]:
     return {"samples": found.samples, "control_lags": list(range(-AHEAD, LAGS + 1)), "channels": channels}
 
 
-def _episode(episode: EpisodeError, horizons: Sequence[int], system: System) -> dict[str, Any]:
+def episode_to_json(episode: EpisodeError, horizons: Sequence[int], system: System) -> dict[str, Any]:
+    """Return what the document holds of a model's errors in one test episode."""
     return {
         "name": episode.name,
         "n": {str(horizon): n for horizon, n in zip(horizons, episode.n, strict=True)},

@@ -1,22 +1,19 @@
-"""How controllers were found: fitness curves, seeds, kinds of behaviour."""
+"""How controllers were found: fitness over generations, kinds of behaviour. A part of Transfer."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from evaluation.formatting import lines, number
 from evaluation.plots import plot_fitness
-from evaluation.report.elements import THIRD, Drawing, Panel, Picture, Sheet
+from evaluation.report.elements import THIRD, Drawing, DrawingPair, Picture, Sheet
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion, Finalist, worth
 
-
-def _champion(champion: Champion) -> dict[str, Any]:
-    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
-    return {**known, "parameters": champion.parameters, "history": champion.history}
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def fitness_picture(matrix: TransferMatrix) -> Picture | None:
@@ -26,7 +23,7 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
         return None
     everything = np.concatenate([champion.history for champion in champions])
     margin = 0.05 * (float(np.ptp(everything)) or 1.0)
-    panels: list[Panel] = []
+    panels: list[DrawingPair] = []
     for place, champion in enumerate(champions):
 
         def draw(figure: Figure, champion: Champion = champion) -> None:
@@ -34,7 +31,8 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
             ax.set_ylim(everything.min() - margin, everything.max() + margin)
 
         label = f"fitness of {champion.name} over generations"
-        panels.append(Panel(Drawing(f"fitness-{place}", label, draw, THIRD, 2.1, keyed=True), title=champion.name))
+        drawing = Drawing(f"fitness-{place}", label, draw, THIRD, 2.1, keyed=True)
+        panels.append(DrawingPair(drawing, title=champion.name))
     return Picture(
         "Fitness over generations",
         "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
@@ -68,3 +66,9 @@ def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
             "starts. forecast: what all models say of it together, by which it was chosen."
         ),
     )
+
+
+def champion_to_json(champion: Champion) -> dict[str, Any]:
+    """Return what the document holds of a controller under ``champions``."""
+    known = {name: value for name, value in champion.to_dict().items() if name != "system"}
+    return {**known, "parameters": champion.parameters, "history": champion.history}

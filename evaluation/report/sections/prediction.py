@@ -1,15 +1,14 @@
-"""How well each model predicts: errors, intervals, differences, curves."""
+"""How well each model predicts: errors, intervals, differences, curves; which models predict at all."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from evaluation.formatting import NAMED, few, lines, number, percent, three_digits
+from evaluation.formatting import few, horizon_name, lines, number, percent, three_digits
 from evaluation.plots import plot_free_run, plot_horizon_curve
 from evaluation.prediction.scores import (
     PERSISTENCE,
@@ -20,21 +19,31 @@ from evaluation.prediction.scores import (
     ModelPrediction,
     Prediction,
 )
-from evaluation.report.elements import Headline, Picture, Section, Sheet, _both, present
+from evaluation.report.elements import Headline, Picture, Section, Sheet, present, wide_and_narrow
+from evaluation.report.sections.error_analysis import (
+    episode_error_sheet,
+    episode_to_json,
+    fit_sheet,
+    region_sheet,
+    residual_sheet,
+    residuals_to_json,
+)
 from evaluation.results import Report
 from sysid_evo.system import System
 from sysid_evo.validation.measures import mean_over_channels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 LOW_ERROR = "A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."
 
 
 def section(report: Report) -> Section:
     """Return errors, their curves, and where they are; without any, why."""
-    from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
-
     prediction = report.prediction
     if prediction is None:
-        return Section("Prediction", absent=of_prediction(report))
+        return Section("Prediction", absent=_absent(report))
     scored = [model for model in prediction.models if not model.failed]
     return Section(
         "Prediction",
@@ -52,27 +61,271 @@ def section(report: Report) -> Section:
             *(channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)),
         ),
         [LOW_ERROR] if report.matrix is not None else [],
-        absent=of_prediction(report),
+        absent=_absent(report),
     )
+
+
+def _absent(report: Report) -> list[str]:
+    """Say what is not known of prediction errors."""
+    prediction = report.prediction
+    if prediction is None:
+        return ["No prediction error was computed, so it is not known which models predict."]
+    found = []
+    if not prediction.cases.horizons:
+        found.append("No horizon fits into the test set: there is no error over the horizon. Record longer episodes.")
+    if not prediction.cases.free_runs:
+        found.append("No episode of the test set is long enough for a free run.")
+    if not any(model.coverage for model in prediction.models):
+        found.append("No model gives a spread, so no interval can be checked; some families do with stochastic=true.")
+    return found
 
 
 N_IN_WORDS = "the mean error in standard deviations"
 
+
+def prediction_sheet(prediction: Prediction) -> Sheet:
+    """N of every model at every horizon and in free run, with intervals."""
+    horizons = prediction.horizons
+    leaders: dict[int | None, set[str]] = {}
+    for horizon in horizons:
+        ranking = prediction.ranking(horizon)
+        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
+        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
+    rows = [
+        (
+            lines(model.name, _divergence(model)),
+            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
+        )
+        for model in prediction.models
+    ]
+    protocol = prediction.cases.protocol
+    return Sheet(
+        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
+        columns=("model", *_heads(prediction, horizons)),
+        rows=tuple(rows),
+        note=(
+            "N: RMSE / standard deviation of the truth, mean over channels. "
+            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
+            f"free run: each whole episode from sample {protocol.first}. "
+            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
+            "clip: windows in which the simulation reached its clip, and the median time until then."
+        ),
+    )
+
+
+def _heads(prediction: Prediction, horizons: Sequence[int | None]) -> list[str]:
+    return [horizon_name(horizon, prediction.cases.system.dt).replace(" (", "\n(") for horizon in horizons]
+
+
+def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
+    if model.failed:
+        return "failed"
+    if score is None:
+        return "–"
+    low, high = score.interval
+    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+
+
+def _divergence(model: ModelPrediction) -> str:
+    found = model.divergence
+    if found is None or found.share == 0:
+        return ""
+    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
+
+
+def coverage_sheet(prediction: Prediction) -> Sheet | None:
+    """How much the intervals of every model with a spread hold; None if there is no such model."""
+    horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
+    if not models:
+        return None
+    rows = []
+    for model in models:
+        found = {held.horizon: held for held in model.coverage}
+        cells = [found.get(horizon) for horizon in horizons]
+        rows.append((model.name, *("–" if held is None else _coverage_cell(held) for held in cells)))
+    aim = percent(models[0].coverage[0].share)
+    return Sheet(
+        title=f"What {aim} intervals hold",
+        columns=("model", *_heads(prediction, horizons)),
+        rows=tuple(rows),
+        note=(
+            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over channels; "
+            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: too narrow "
+            "if lower, wider than need be if higher."
+        ),
+    )
+
+
+def _coverage_cell(held: Coverage) -> str:
+    each = ", ".join(f"{100 * share:.0f}" for share in held.inside)
+    return lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each)
+
+
+def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
+    """N within and across conditions, side by side; None if none was left out."""
+    found = next(iter(conditions.values()), ())
+    if not found:
+        return None
+    return Sheet(
+        title="Error N within and across conditions",
+        columns=("model", *(errors.condition or "no name" for errors in found)),
+        rows=tuple(
+            (label, *(f"{three_digits(errors.within)} → {three_digits(errors.across)}" for errors in of_model))
+            for label, of_model in conditions.items()
+        ),
+        note=(
+            f"After {found[0].horizon} steps, in the test part of each condition. Left: learned from the training "
+            "parts of all conditions; right: of all but this one."
+        ),
+    )
+
+
+def difference_sheet(prediction: Prediction) -> Sheet | None:
+    """Each model against the best at every horizon, with the interval of the difference; None with fewer than two."""
+    horizons = prediction.horizons
+    rankings = {horizon: prediction.ranking(horizon) for horizon in horizons}
+    if not horizons or max(len(ranking) for ranking in rankings.values()) < 2:
+        return None
+    compared = {h: {d.first: d for d in prediction.differences(h)} for h in horizons}
+    main = rankings[prediction.cases.main_horizon]
+    names = [model.name for model in main] + [name for name in prediction.names if name not in {m.name for m in main}]
+    rows = [
+        (name, *(_against(compared[h].get(name), bool(rankings[h]) and rankings[h][0].name == name) for h in horizons))
+        for name in names
+    ]
+    confidence = percent(prediction.cases.protocol.confidence)
+    return Sheet(
+        "N above the best",
+        ("model", *_heads(prediction, horizons)),
+        tuple(rows),
+        note=f"N minus that of the best model there, with its {confidence} interval by paired block bootstrap: both "
+        "meet the same windows in every draw. An interval that holds 0 is no significant difference.",
+    )
+
+
+def _against(difference: Difference | None, best: bool) -> str:
+    if difference is None:
+        return "best" if best else "–"
+    low, high = difference.interval
+    between = f"{_signed(low)} to {_signed(high)}"
+    return lines(
+        _signed(difference.difference), between, "" if difference.significant else "no significant\ndifference"
+    )
+
+
+def _signed(value: float) -> str:
+    return f"{'-' if value < 0.0 else '+'}{three_digits(abs(value))}"
+
+
+def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
+    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
+    system = prediction.cases.system
+    heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
+    rows = []
+    for model in prediction.models:
+        score = model.score(horizon)
+        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
+        rows.append((model.name, *cells))
+    start = "from sample" if horizon is None else "from measured states,"
+    protocol = prediction.cases.protocol
+    begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
+    return Sheet(
+        title=f"Error per channel, {horizon_name(horizon, prediction.cases.system.dt)}",
+        columns=("model", *heads),
+        rows=tuple(rows),
+        note=(
+            f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
+            f"truth). Simulated {start} {begin}; moving samples only."
+        ),
+        details=horizon is not None,
+    )
+
+
+def _channel_cells(score: ErrorScore) -> list[str]:
+    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
+    return [
+        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
+    ]
+
+
+def horizon_picture(prediction: Prediction) -> Picture:
+    """N over the horizon."""
+
+    def draw(figure: Figure) -> None:
+        plot_horizon_curve(prediction, figure.add_subplot())
+
+    return Picture(
+        "Error over the horizon",
+        "N at every step of a free run under recorded controls from measured states "
+        f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
+        "lines: the horizons of the table.",
+        (wide_and_narrow("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9),),
+    )
+
+
+SHOWN_MODELS = 5
+"""Models whose free run is shown at once; a reader may switch on the others."""
+
+
+def free_run_picture(prediction: Prediction) -> Picture:
+    """Measured and predicted states in free run, one plot for each channel."""
+    ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
+    parts = ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
+    best, rest = ([name for name in prediction.names if name in part] for part in parts)
+    run, nx = _liveliest(prediction), prediction.cases.system.nx
+
+    def draw(figure: Figure) -> None:
+        plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
+        for channel, ax in enumerate(plots):
+            plot_free_run(prediction, channel, models=best, besides=rest, run=run, ax=ax)
+            ax.label_outer()
+        figure.align_ylabels(plots)
+
+    label = "states in free run, measured and predicted"
+    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
+    return Picture(
+        "Predicted and measured",
+        f"Free run of {prediction.cases.free_runs[run].episode!r} from its sample {prediction.cases.protocol.first}, "
+        f"under its recorded controls; at most 15 s from the first movement{left_out}.",
+        (wide_and_narrow("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
+    )
+
+
+def _liveliest(prediction: Prediction) -> int:
+    """Return the free run whose states vary most, in the scale of the test set."""
+    cases = prediction.cases
+    spread = [
+        mean_over_channels(run.states.std(axis=0) / np.where(cases.std > 0, cases.std, np.nan))
+        for run in cases.free_runs
+    ]
+    return int(np.argmax(spread))
+
+
+def headline(report: Report) -> Headline:
+    """Say at first sight which models predict."""
+    question, prediction = "Which models predict?", report.prediction
+    if prediction is None:
+        return Headline(question, "Not known", "No prediction was made.", "open")
+    horizon = prediction.cases.main_horizon
+    models = scored(prediction, horizon) if prediction.horizons else ()
+    if not models:
+        return Headline(question, "Not known", "No model has a score; the notes and failures say why.", "open")
+    best = models[0]
+    score = _score(best, horizon)
+    size = f"N {three_digits(score.n)} ({three_digits(score.interval.low)} to {three_digits(score.interval.high)})"
+    where = horizon_name(horizon, prediction.cases.system.dt)
+    good = [model.name for model in models if predicts(prediction, model, horizon)]
+    if not good:
+        return Headline(question, "None", f"The lowest error, {size} at {where}, is that of {best.name}.", "bad")
+    equal = [m.name for m in models[1:] if m.name in good and _no_worse(prediction, m, best, horizon)]
+    leaders = [best.name, *equal]
+    more = f"; {len(good)} of {len(models)} predict" if len(models) > 1 else ""
+    alike = ", no significant difference between them" if len(leaders) > 1 else ""
+    return Headline(question, few(leaders), f"Best at {where}: {size}{alike}{more}.", "good")
+
+
 USELESS = 1.0
 """The N of the mean of what was measured, as a prediction."""
-
-
-def main_horizon(prediction: Prediction) -> int | None:
-    """Return the longest scored horizon of at most one second, in steps; None (free run) without any."""
-    return prediction.cases.main_horizon
-
-
-def horizon_name(prediction: Prediction, horizon: int | None) -> str:
-    """Return ``20 steps (1 s)``, or ``free run`` over whole episodes."""
-    if horizon is None:
-        return "free run"
-    seconds = horizon * prediction.cases.system.dt
-    return f"{horizon} {'step' if horizon == 1 else 'steps'} ({seconds:g} s)"
 
 
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:
@@ -90,7 +343,7 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
     """Answer which models predict."""
     if not prediction.horizons:
         return ("The test set is too short to say: no horizon and no free run fits into it.",)
-    horizon = main_horizon(prediction)
+    horizon = prediction.cases.main_horizon
     models = scored(prediction, horizon)
     if not models:
         return ("No model could be scored.",)
@@ -133,14 +386,14 @@ def intervals_hold(prediction: Prediction, model: ModelPrediction) -> str:
         narrow = held.mean < held.share
         amount = f"{'only ' if narrow else ''}{percent(held.mean)}"
         verdict = "too narrow" if narrow else "wider than they need be"
-        parts.append(f"hold {amount} after {horizon_name(prediction, held.horizon)}: {verdict}")
+        parts.append(f"hold {amount} after {horizon_name(held.horizon, prediction.cases.system.dt)}: {verdict}")
     return f"The {aim} intervals of {model.name} {'; they '.join(parts)}."
 
 
 def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: int | None) -> str:
     best, score = models[0], _score(models[0], horizon)
     still = prediction.model(PERSISTENCE).score(horizon)
-    where = "in free run" if horizon is None else f"at {horizon_name(prediction, horizon)}"
+    where = "in free run" if horizon is None else f"at {horizon_name(horizon, prediction.cases.system.dt)}"
     size = f"{score.n:.3f} ({score.interval.low:.3f} to {score.interval.high:.3f})"
     beside = f"; persistence has {still.n:.3f}" if still else ""
     if any(predicts(prediction, model, horizon) for model in models):
@@ -181,150 +434,8 @@ def _beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: 
     return difference is not None and difference.significant and difference.difference < 0
 
 
-def prediction_sheet(prediction: Prediction) -> Sheet:
-    """N of every model at every horizon and in free run, with intervals."""
-    horizons = prediction.horizons
-    leaders: dict[int | None, set[str]] = {}
-    for horizon in horizons:
-        ranking = prediction.ranking(horizon)
-        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
-        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
-    rows = [
-        (
-            lines(model.name, _divergence(model)),
-            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
-        )
-        for model in prediction.models
-    ]
-    protocol = prediction.cases.protocol
-    return Sheet(
-        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
-        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
-        rows=tuple(rows),
-        note=(
-            "N: RMSE / standard deviation of the truth, mean over channels. "
-            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
-            f"free run: each whole episode from sample {protocol.first}. "
-            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
-            "clip: windows in which the simulation reached its clip, and the median time until then."
-        ),
-    )
-
-
-def coverage_sheet(prediction: Prediction) -> Sheet | None:
-    """How much the intervals of every model with a spread hold; None if there is no such model."""
-    horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
-    if not models:
-        return None
-    rows = []
-    for model in models:
-        found = {held.horizon: held for held in model.coverage}
-        cells = [found.get(horizon) for horizon in horizons]
-        rows.append((model.name, *("–" if held is None else _coverage_cell(held) for held in cells)))
-    aim = percent(models[0].coverage[0].share)
-    return Sheet(
-        title=f"What {aim} intervals hold",
-        columns=("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
-        rows=tuple(rows),
-        note=(
-            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over channels; "
-            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: too narrow "
-            "if lower, wider than need be if higher."
-        ),
-    )
-
-
-def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
-    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
-    system = prediction.cases.system
-    heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
-    rows = []
-    for model in prediction.models:
-        score = model.score(horizon)
-        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
-        rows.append((model.name, *cells))
-    start = "from sample" if horizon is None else "from measured states,"
-    protocol = prediction.cases.protocol
-    begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
-    return Sheet(
-        title=f"Error per channel, {horizon_name(prediction, horizon)}",
-        columns=("model", *heads),
-        rows=tuple(rows),
-        note=(
-            f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
-            f"truth). Simulated {start} {begin}; moving samples only."
-        ),
-        details=horizon is not None,
-    )
-
-
-def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
-    """N within and across conditions, side by side; None if none was left out."""
-    found = next(iter(conditions.values()), ())
-    if not found:
-        return None
-    return Sheet(
-        title="Error N within and across conditions",
-        columns=("model", *(errors.condition or "no name" for errors in found)),
-        rows=tuple(
-            (label, *(f"{_known(errors.within)} → {_known(errors.across)}" for errors in of_model))
-            for label, of_model in conditions.items()
-        ),
-        note=(
-            f"After {found[0].horizon} steps, in the test part of each condition. Left: learned from the training "
-            "parts of all conditions; right: of all but this one."
-        ),
-    )
-
-
-def _known(value: float | None) -> str:
-    return "–" if value is None else three_digits(value)
-
-
-def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
-    if model.failed:
-        return "failed"
-    if score is None:
-        return "–"
-    low, high = score.interval
-    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
-
-
-def _coverage_cell(held: Coverage) -> str:
-    each = ", ".join(f"{100 * share:.0f}" for share in held.inside)
-    return lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each)
-
-
-def _divergence(model: ModelPrediction) -> str:
-    found = model.divergence
-    if found is None or found.share == 0:
-        return ""
-    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
-
-
-def _channel_cells(score: ErrorScore) -> list[str]:
-    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
-    return [
-        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
-    ]
-
-
-def of_prediction(report: Report) -> list[str]:
-    """Say what is not known of prediction errors."""
-    prediction = report.prediction
-    if prediction is None:
-        return ["No prediction error was computed, so it is not known which models predict."]
-    found = []
-    if not prediction.cases.horizons:
-        found.append("No horizon fits into the test set: there is no error over the horizon. Record longer episodes.")
-    if not prediction.cases.free_runs:
-        found.append("No episode of the test set is long enough for a free run.")
-    if not any(model.coverage for model in prediction.models):
-        found.append("No model gives a spread, so no interval can be checked; some families do with stochastic=true.")
-    return found
-
-
-def _prediction(prediction: Prediction) -> dict[str, Any]:
+def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
+    """Return what the document holds under ``prediction``."""
     cases = prediction.cases
     return {
         "protocol": asdict(cases.protocol),
@@ -332,34 +443,34 @@ def _prediction(prediction: Prediction) -> dict[str, Any]:
         "windows": len(cases.windows),
         "std": dict(zip(cases.system.state_names, cases.std, strict=True)),
         "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
-        "models": [_model(model, cases.horizons, cases.system) for model in prediction.models],
+        "models": [_model_to_json(model, cases.horizons, cases.system) for model in prediction.models],
         "differences": [
-            _difference(difference) for horizon in prediction.horizons for difference in prediction.differences(horizon)
+            _difference_to_json(difference)
+            for horizon in prediction.horizons
+            for difference in prediction.differences(horizon)
         ],
     }
 
 
-def _model(model: ModelPrediction, horizons: Sequence[int], system: System) -> dict[str, Any]:
-    from evaluation.report.sections.error_analysis import _episode, _residuals
-
+def _model_to_json(model: ModelPrediction, horizons: Sequence[int], system: System) -> dict[str, Any]:
     return {
         "name": model.name,
         "family": model.family,
         "reason": model.reason or None,
-        "horizons": [_document_score(score, system) for score in model.at],
-        "free_run": None if model.free_run is None else _document_score(model.free_run, system),
+        "horizons": [_score_to_json(score, system) for score in model.at],
+        "free_run": None if model.free_run is None else _score_to_json(model.free_run, system),
         "curve": model.curve,
         "curve_interval": model.curve_interval,
-        "residuals": None if model.residuals is None else _residuals(model.residuals, system),
+        "residuals": None if model.residuals is None else residuals_to_json(model.residuals, system),
         "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
-        "episodes": [_episode(episode, horizons, system) for episode in model.episodes],
+        "episodes": [episode_to_json(episode, horizons, system) for episode in model.episodes],
         "divergence": None if model.divergence is None else asdict(model.divergence),
-        "coverage": [_coverage(held, system) for held in model.coverage],
+        "coverage": [_coverage_to_json(held, system) for held in model.coverage],
         "notes": model.notes,
     }
 
 
-def _document_score(score: ErrorScore, system: System) -> dict[str, Any]:
+def _score_to_json(score: ErrorScore, system: System) -> dict[str, Any]:
     channels = {
         channel.name: {
             "unit": channel.unit,
@@ -382,7 +493,7 @@ def _document_score(score: ErrorScore, system: System) -> dict[str, Any]:
     }
 
 
-def _coverage(held: Coverage, system: System) -> dict[str, Any]:
+def _coverage_to_json(held: Coverage, system: System) -> dict[str, Any]:
     return {
         "steps": held.horizon,
         "seconds": held.horizon * system.dt,
@@ -394,7 +505,7 @@ def _coverage(held: Coverage, system: System) -> dict[str, Any]:
     }
 
 
-def _difference(difference: Difference) -> dict[str, Any]:
+def _difference_to_json(difference: Difference) -> dict[str, Any]:
     return {
         "first": difference.first,
         "second": difference.second,
@@ -403,120 +514,3 @@ def _difference(difference: Difference) -> dict[str, Any]:
         "interval": list(difference.interval),
         "verdict": difference.verdict,
     }
-
-
-def _predicting(report: Report) -> Headline:
-    question, prediction = "Which models predict?", report.prediction
-    if prediction is None:
-        return Headline(question, "Not known", "No prediction was made.", "open")
-    horizon = main_horizon(prediction)
-    models = scored(prediction, horizon) if prediction.horizons else ()
-    if not models:
-        return Headline(question, "Not known", "No model has a score; the notes and failures say why.", "open")
-    best = models[0]
-    score = best.score(horizon)
-    assert score is not None
-    size = f"N {three_digits(score.n)} ({three_digits(score.interval.low)} to {three_digits(score.interval.high)})"
-    where = horizon_name(prediction, horizon)
-    good = [model.name for model in models if predicts(prediction, model, horizon)]
-    if not good:
-        return Headline(question, "None", f"The lowest error, {size} at {where}, is that of {best.name}.", "bad")
-    compared = {other.name: prediction.compare(other.name, best.name, horizon) for other in models[1:]}
-    equal = [name for name in good if (found := compared.get(name)) is not None and not found.significant]
-    leaders = [best.name, *equal]
-    more = f"; {len(good)} of {len(models)} predict" if len(models) > 1 else ""
-    alike = ", no significant difference between them" if len(leaders) > 1 else ""
-    return Headline(question, few(leaders, NAMED), f"Best at {where}: {size}{alike}{more}.", "good")
-
-
-SHOWN_MODELS = 5
-
-
-def horizon_picture(prediction: Prediction) -> Picture:
-    """N over the horizon."""
-
-    def draw(figure: Figure) -> None:
-        plot_horizon_curve(prediction, figure.add_subplot())
-
-    return Picture(
-        "Error over the horizon",
-        "N at every step of a free run under recorded controls from measured states "
-        f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
-        "lines: the horizons of the table.",
-        (_both("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9),),
-    )
-
-
-def free_run_picture(prediction: Prediction) -> Picture:
-    """Measured and predicted states in free run, one plot for each channel."""
-    ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
-    best, rest = ([name for name in prediction.names if name in part] for part in _parted(ranked))
-    run, nx = _liveliest(prediction), prediction.cases.system.nx
-
-    def draw(figure: Figure) -> None:
-        plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
-        for channel, ax in enumerate(plots):
-            plot_free_run(prediction, channel, models=best, besides=rest, run=run, ax=ax)
-            ax.label_outer()
-        figure.align_ylabels(plots)
-
-    label = "states in free run, measured and predicted"
-    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
-    return Picture(
-        "Predicted and measured",
-        f"Free run of {prediction.cases.free_runs[run].episode!r} from its sample {prediction.cases.protocol.first}, "
-        f"under its recorded controls; at most 15 s from the first movement{left_out}.",
-        (_both("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
-    )
-
-
-def _parted(ranked: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    """Return the models that are shown at once, and those that a reader may switch on."""
-    return ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
-
-
-def _liveliest(prediction: Prediction) -> int:
-    """Return the free run whose states vary most, in the scale of the test set."""
-    cases = prediction.cases
-    spread = [
-        mean_over_channels(run.states.std(axis=0) / np.where(cases.std > 0, cases.std, np.nan))
-        for run in cases.free_runs
-    ]
-    return int(np.argmax(spread))
-
-
-def difference_sheet(prediction: Prediction) -> Sheet | None:
-    """Each model against the best at every horizon, with the interval of the difference; None with fewer than two."""
-    horizons = prediction.horizons
-    rankings = {horizon: prediction.ranking(horizon) for horizon in horizons}
-    if not horizons or max(len(ranking) for ranking in rankings.values()) < 2:
-        return None
-    compared = {h: {d.first: d for d in prediction.differences(h)} for h in horizons}
-    main = rankings[main_horizon(prediction)]
-    names = [model.name for model in main] + [name for name in prediction.names if name not in {m.name for m in main}]
-    rows = [
-        (name, *(_against(compared[h].get(name), bool(rankings[h]) and rankings[h][0].name == name) for h in horizons))
-        for name in names
-    ]
-    confidence = percent(prediction.cases.protocol.confidence)
-    return Sheet(
-        "N above the best",
-        ("model", *(horizon_name(prediction, h).replace(" (", "\n(") for h in horizons)),
-        tuple(rows),
-        note=f"N minus that of the best model there, with its {confidence} interval by paired block bootstrap: both "
-        "meet the same windows in every draw. An interval that holds 0 is no significant difference.",
-    )
-
-
-def _against(difference: Difference | None, best: bool) -> str:
-    if difference is None:
-        return "best" if best else "–"
-    low, high = difference.interval
-    between = f"{_signed(low)} to {_signed(high)}"
-    return lines(
-        _signed(difference.difference), between, "" if difference.significant else "no significant\ndifference"
-    )
-
-
-def _signed(value: float) -> str:
-    return f"{'-' if value < 0.0 else '+'}{three_digits(abs(value))}"

@@ -1,17 +1,26 @@
-"""One trial of each controller on every system, to watch."""
+"""One trial of each controller on every system, to watch side by side; its trace in its own model and on the robot."""
 
 from __future__ import annotations
 
 import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from evaluation.plots import plot_state, plot_trace, plotted_places
-from evaluation.report.elements import QUARTER, THIRD, Drawing, Panel, Picture, Replay, Section, present, trial_name
+from evaluation.report.elements import (
+    QUARTER,
+    THIRD,
+    Drawing,
+    DrawingPair,
+    Picture,
+    Replay,
+    Section,
+    present,
+    trial_name,
+)
 from evaluation.report.sections.exploitability import worst_trials
 from evaluation.results import Report
 from evaluation.transfer.matrix import Trace, TransferMatrix
@@ -20,13 +29,30 @@ from sysid_evo.evolution import Champion
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
-MOST_NUMBERS = 1_200_000
-"""Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-NO_NUMBER = 65535
 
-APART = 0.1
-"""Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
+def section(report: Report) -> Section | None:
+    """Return the replay and the traces; None without controllers."""
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None:
+        return None
+    shown = replay(matrix, first=summary.pick, watched=worst_trials(report.exploitability, matrix))
+    items = [] if shown is None else present(shown, traces_picture(matrix))
+    return Section("Replay", items, absent=_absent(report, shown))
+
+
+def _absent(report: Report, shown: Replay | None) -> list[str]:
+    """Say what cannot be watched."""
+    if shown is None:
+        return ["Nothing can be replayed: no trial of any controller was kept (traces in experiment.toml)."]
+    found = []
+    if report.matrix is not None and report.matrix.robot is None:
+        found.append("There is no robot beside the models, and so no moment where they part.")
+    if not shown.paths:
+        found.append("There is no path to watch, since nothing moves on a plane here: states are shown over time.")
+    return found
 
 
 ON_A_PLANE = (
@@ -40,6 +66,9 @@ OVER_TIME = (
 )
 
 CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named."
+
+MOST_NUMBERS = 1_200_000
+"""Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
 
 
 def replay(
@@ -85,7 +114,9 @@ def replay(
         "runs": runs,
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return Replay(tuple(rows), text.replace("<", "\\u003c"), paths, left_out)
+    fewer = f" {left_out} trials on other models are left out to keep the page small." if left_out else ""
+    caption = (ON_A_PLANE if paths else OVER_TIME) + CONTROLS + fewer
+    return Replay(tuple(rows), text.replace("<", "\\u003c"), paths, caption)
 
 
 def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
@@ -111,6 +142,10 @@ def is_planar(trace: Trace) -> bool:
     """Tell whether the trial has the pose of a body on a plane."""
     pose = trace.trajectory.pose
     return pose is not None and pose.shape[1] == 3
+
+
+APART = 0.1
+"""Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
 
 
 def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
@@ -158,14 +193,14 @@ def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
     return {
         "dt": trajectory.dt,
         "fitness": round(trace.fitness, 4) if np.isfinite(trace.fitness) else None,
-        "states": None if paths else _packed(trajectory.states),
-        "controls": _packed(trajectory.controls),
-        "pose": _packed(trajectory.pose) if paths and trajectory.pose is not None else None,
+        "states": None if paths else packed(trajectory.states),
+        "controls": packed(trajectory.controls),
+        "pose": packed(trajectory.pose) if paths and trajectory.pose is not None else None,
         "markers": trace.waypoints.round(3).tolist(),
         "radius": trace.waypoint_radius,
         "walls": [wall.round(3).tolist() for wall in trace.walls],
         "targets": [
-            {"place": target.place, "tolerance": target.tolerance, "values": _packed(target.values)}
+            {"place": target.place, "tolerance": target.tolerance, "values": packed(target.values)}
             for target in trace.targets
         ],
     }
@@ -177,11 +212,14 @@ def _numbers(trace: Trace, *, paths: bool) -> int:
     return int(shown.size + trajectory.controls.size)
 
 
-def _packed(values: Array) -> dict[str, Any]:
+NO_NUMBER = 65535
+"""The highest number of 16 bits: it stands for what is no number."""
+
+
+def packed(values: Array) -> dict[str, Any]:
     """Return numbers (n, k) as k columns of n steps from the lowest, 16 bit each in base 64, little-endian.
 
-    A number is that many times ``step`` above ``low``, to a 65534th of the range of its column; the highest number
-    stands for what is no number.
+    A number is that many times ``step`` above ``low``, to a 65534th of the range of its column; see `NO_NUMBER`.
     """
     table = np.asarray(values, dtype=np.float64)
     table = table[:, None] if table.ndim == 1 else table
@@ -195,34 +233,11 @@ def _packed(values: Array) -> dict[str, Any]:
     return {"low": low, "step": step, "data": data}
 
 
-def section(report: Report) -> Section | None:
-    """Return the replay and the traces; None without controllers."""
-    matrix, summary = report.matrix, report.transfer
-    if matrix is None or summary is None:
-        return None
-    shown = replay(matrix, first=summary.pick, watched=worst_trials(report.exploitability, matrix))
-    items = [] if shown is None else present(shown, traces_picture(matrix))
-    return Section("Replay", items, absent=of_replay(report, shown))
-
-
-def of_replay(report: Report, shown: Replay | None) -> list[str]:
-    """Say what cannot be watched."""
-    if shown is None:
-        return ["Nothing can be replayed: no trial of any controller was kept (traces in experiment.toml)."]
-    found = []
-    if report.matrix is not None and report.matrix.robot is None:
-        found.append("There is no robot beside the models, and so no moment where they part.")
-    if not shown.paths:
-        found.append("There is no path to watch, since nothing moves on a plane here: states are shown over time.")
-    return found
-
+SHOWN_TRACES = 24
+"""Drawings of traces on a page, two for each controller."""
 
 SQUARE = (0.19, 0.17, 0.79, 0.79)
 """Left, bottom, width and height of the axes of a trace, as shares of its drawing."""
-
-SHOWN_TRACES = 24
-
-PICTURES_OVER_TIME = "Blue: what the states did, grey: what they were to do, with the tolerance"
 
 
 def traces_picture(matrix: TransferMatrix) -> Picture | None:
@@ -235,15 +250,35 @@ def traces_picture(matrix: TransferMatrix) -> Picture | None:
     for number, (name, column, trace) in enumerate(found[:SHOWN_TRACES]):
         label = f"{name} on {column}"
         drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
-        panels.append(Panel(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
+        panels.append(DrawingPair(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
-    drawn = _path_words([trace for _, _, trace in found]) if paths else PICTURES_OVER_TIME
+    drawn = _path_words([trace for _, _, trace in found])
+    if not paths:
+        drawn = "Blue: what the states did, grey: what they were to do, with the tolerance"
     return Picture(
         "Traces",
         f"{drawn}; the first trial, the same for all.{left_out}",
         tuple(panels),
         columns=4 if paths else 3,
     )
+
+
+def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
+    """Return the first trace of a champion on a model it was evolved against, and on the robot."""
+    champion = _champion(name, matrix)
+
+    def first(column: str) -> Trace | None:
+        traces = matrix.cell(name, column).traces
+        shown = bool(traces) and (is_planar(traces[0]) or champion.system is not None)
+        return traces[0] if shown else None
+
+    own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
+    columns = [column for column in (own, matrix.robot) if column is not None]
+    return [(column, trace) for column in columns if (trace := first(column)) is not None]
+
+
+def _champion(name: str, matrix: TransferMatrix) -> Champion:
+    return next(champion for champion in matrix.champions if champion.name == name)
 
 
 def _path_words(traces: Sequence[Trace]) -> str:
@@ -272,21 +307,3 @@ def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> Dra
 
     height = 0.5 + 1.3 * len(places)
     return Drawing(f"trace-{number}", f"states of {label} over time", draw, THIRD, height)
-
-
-def _champion(name: str, matrix: TransferMatrix) -> Champion:
-    return next(champion for champion in matrix.champions if champion.name == name)
-
-
-def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
-    """Return the first trace of a champion on a model it was evolved against, and on the robot."""
-    champion = _champion(name, matrix)
-
-    def first(column: str) -> Trace | None:
-        traces = matrix.cell(name, column).traces
-        shown = bool(traces) and (is_planar(traces[0]) or champion.system is not None)
-        return traces[0] if shown else None
-
-    own = next((column for column in champion.against if column in matrix.models and first(column) is not None), None)
-    columns = [column for column in (own, matrix.robot) if column is not None]
-    return [(column, trace) for column in columns if (trace := first(column)) is not None]

@@ -1,4 +1,4 @@
-"""How the run was made: failures, settings, versions, times."""
+"""How the run was made: what failed, and why; models, settings, versions, times."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from evaluation.formatting import listed
 from evaluation.report.elements import Section, Sheet
-from evaluation.report.sections.models import model_sheet
 from evaluation.results import Report
 
 SHORTEST = 0.05
@@ -16,29 +16,31 @@ SHORTEST = 0.05
 
 def section(report: Report) -> Section | None:
     """Return models, settings, versions and times; None if none is known."""
+    timings = {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
     named = (
         ("Settings", report.settings),
         ("Versions", report.versions),
-        (f"Timings (s) from {SHORTEST:g} s", _timings(report)),
+        (f"Timings (s) from {SHORTEST:g} s", timings),
     )
     sheets = [model_sheet(report)] if report.models else []
     sheets += [key_sheet(title, values) for title, values in named if values]
     return Section("Settings", sheets, background=True) if sheets else None
 
 
-def _timings(report: Report) -> dict[str, float]:
-    return {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
-
-
-def failures_section(report: Report) -> Section | None:
-    """Return what failed, and why; None if nothing did."""
-    return Section("Failures", [failure_sheet(report)]) if report.all_failures else None
-
-
-def failure_sheet(report: Report) -> Sheet:
-    """What could not be computed, and why."""
+def failures(report: Report) -> Section | None:
+    """Return what could not be computed, and why; None if nothing failed."""
     rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
-    return Sheet("Failed", ("what", "reason"), rows, prose=True)
+    return Section("Failures", [Sheet("Failed", ("what", "reason"), rows, prose=True)]) if rows else None
+
+
+def model_sheet(report: Report) -> Sheet:
+    """The models and their hyper-parameters."""
+    rows = [
+        (model.name, model.family, model.knowledge, listed([f"{k} = {v}" for k, v in model.parameters.items()]))
+        for model in report.models
+    ]
+    heads = ("model", "family", "knowledge", "hyper-parameters")
+    return Sheet("Models", heads, tuple(rows), details=True, prose=True)
 
 
 def key_sheet(title: str, values: Mapping[str, Any]) -> Sheet:

@@ -1,13 +1,19 @@
-"""First screen: title, facts, the three answers, what failed."""
+"""The first screen: three answers at first sight, then the same in sentences, what is not known, and what failed."""
 
 from __future__ import annotations
 
 from evaluation.report.elements import Finding, Headline
+from evaluation.report.sections import controllers, exploitability, prediction
 from evaluation.report.sections.advice import limits_question
-from evaluation.report.sections.controllers import _taken, recommended, transferring, unknown, why_chosen
-from evaluation.report.sections.exploitability import _trusted
-from evaluation.report.sections.prediction import _predicting, predicting, scored
+from evaluation.report.sections.controllers import recommended, transferring, unknown, why_chosen
+from evaluation.report.sections.prediction import predicting, scored
 from evaluation.results import Report
+
+
+def headlines(report: Report) -> tuple[Headline, ...]:
+    """Return the three answers that the page begins with."""
+    return prediction.headline(report), exploitability.headline(report), controllers.headline(report)
+
 
 SAID = 2
 """Remarks of the advice that the verdict repeats."""
@@ -39,8 +45,8 @@ def verdict(report: Report) -> tuple[Finding, ...]:
 
 def tells_nothing(report: Report) -> bool:
     """Whether no model has a score and no controller was run anywhere."""
-    prediction, matrix = report.prediction, report.matrix
-    has_score = prediction is not None and any(scored(prediction, horizon) for horizon in prediction.horizons)
+    found, matrix = report.prediction, report.matrix
+    has_score = found is not None and any(scored(found, horizon) for horizon in found.horizons)
     return not has_score and (matrix is None or all(cell.failed for cell in matrix.cells.values()))
 
 
@@ -49,8 +55,3 @@ def _nothing(report: Report) -> str:
         return "Nothing was compared."
     both = "" if report.matrix is None else " and no controller could be run"
     return f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
-
-
-def headlines(report: Report) -> tuple[Headline, ...]:
-    """Return the three answers that the page begins with."""
-    return _predicting(report), _trusted(report), _taken(report)

@@ -1,4 +1,4 @@
-"""Transfer matrix: every controller on every system; the paper's table."""
+"""Every controller on every system: the transfer matrix, further measures, the paper's Table 2."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.formatting import folded, lines, number, percent
+from evaluation.formatting import folded, lines, number, percent, plus_minus
 from evaluation.report.elements import Heat, Section, Sheet, present
 from evaluation.report.sections.controllers import (
-    NO_ROBOT,
     claims_picture,
     command_sheet,
     controller_sheet,
     standing_sheet,
     unknown,
-    without_controllers,
 )
 from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
 from evaluation.results import Report
@@ -25,14 +23,12 @@ from evaluation.transfer.summary import Figures, judges_of
 from evaluation.transfer.uncertainty import SHARE, PairedEstimate
 from sysid_evo.evolution import Champion
 
-WORDS = "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere."
-
 
 def section(report: Report) -> Section:
     """Return the transfer matrix and what it says of each controller; without controllers, why."""
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
-        return Section("Transfer", absent=of_transfer(report))
+        return Section("Transfer", absent=_absent(report))
     return Section(
         "Transfer",
         present(
@@ -46,9 +42,29 @@ def section(report: Report) -> Section:
             command_sheet(report),
             fitness_picture(matrix),
         ),
-        [WORDS, *unknown(summary)],
-        absent=of_transfer(report),
+        [
+            "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere.",
+            *unknown(summary),
+        ],
+        absent=_absent(report),
     )
+
+
+def _absent(report: Report) -> list[str]:
+    """Say what is not known of controllers."""
+    matrix = report.matrix
+    if matrix is None or report.transfer is None:
+        only = report.settings.get("only")
+        why = f", since only {only!r} was asked for: transfer" if only else ", so transfer"
+        return [f"No controller was evolved{why} is not known."]
+    if matrix.robot is None:
+        return [
+            "Nothing was run on a robot, so what is achieved there is not known: the other models stand for it. Name "
+            "one with --robot, or drive and run the report again."
+        ]
+    if all(matrix.cell(row, matrix.robot).failed for row in matrix.rows):
+        return [f"No controller could be run on {matrix.robot}: what is achieved there is not known."]
+    return []
 
 
 CONSENSUS = "other\nfamilies"
@@ -67,7 +83,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         (
             champion.name,
             *(
-                _consensus_cell(medians[champion.name])
+                plus_minus(medians[champion.name])
                 if c is None
                 else _fitness_cell(matrix.cell(champion.name, c), c in champion.against)
                 for c in places
@@ -104,6 +120,36 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
     )
 
 
+def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
+    """Return the columns with None for the consensus of other families, before the robots, if these are several."""
+    families = {matrix.families[column] for column in matrix.models}
+    robots = tuple(column for column in matrix.columns if column not in matrix.models)
+    return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
+
+
+def _value(figure: PairedEstimate | None) -> float:
+    return float("nan") if figure is None else figure.value
+
+
+def _fitness_cell(cell: Cell, own: bool) -> str:
+    if cell.failed:
+        return "–" if cell.reason == NOT_RUN else "failed"
+    return lines(
+        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
+        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
+        f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
+        f"{len(cell.missing)} missing" if cell.missing else "",
+    )
+
+
+def _trials(matrix: TransferMatrix) -> str:
+    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
+    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
+    if len(counts) > 1:
+        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
+    return f"{matrix.trials} fresh trials, the same in every cell."
+
+
 def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
     """What the task tells beside the fitness, where each controller was evolved and on the robot; None if nothing."""
     rows, names = [], list(dict.fromkeys(name for cell in matrix.cells.values() for name in cell.measures))
@@ -121,40 +167,6 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
         columns=("controller", "on", *(name.replace(" ", "\n") for name in names)),
         rows=tuple(rows),
         note="Means over the trials that have the number; the first model that it was evolved on, and the robot.",
-    )
-
-
-def _trials(matrix: TransferMatrix) -> str:
-    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
-    counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
-    if len(counts) > 1:
-        return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
-    return f"{matrix.trials} fresh trials, the same in every cell."
-
-
-def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
-    """Return the columns with None for the consensus of other families, before the robots, if these are several."""
-    families = {matrix.families[column] for column in matrix.models}
-    robots = tuple(column for column in matrix.columns if column not in matrix.models)
-    return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
-
-
-def _value(figure: PairedEstimate | None) -> float:
-    return float("nan") if figure is None else figure.value
-
-
-def _consensus_cell(figure: PairedEstimate | None) -> str:
-    return "–" if figure is None else f"{number(figure.value)} ±{number(figure.standard_error)}"
-
-
-def _fitness_cell(cell: Cell, own: bool) -> str:
-    if cell.failed:
-        return "–" if cell.reason == NOT_RUN else "failed"
-    return lines(
-        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
-        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
-        f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
-        f"{len(cell.missing)} missing" if cell.missing else "",
     )
 
 
@@ -189,7 +201,7 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
         if known is not None and set(champion.against) <= set(columns.values()):
             name, published = known
             cells = [matrix.cell(champion.name, place) for place in places]
-            rows.append((name, *(_cell(cell, there) for cell, there in zip(cells, published, strict=False))))
+            rows.append((name, *(_paper_cell(cell, there) for cell, there in zip(cells, published, strict=False))))
     driven = [champion for champion in matrix.champions if champion.controller == BY_HAND]
     rows += [(champion.name, *_by_hand(matrix, champion, places)) for champion in driven]
     return Sheet(
@@ -204,7 +216,7 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
     )
 
 
-def _cell(cell: Cell, published: float) -> str:
+def _paper_cell(cell: Cell, published: float) -> str:
     there = f"paper {published:g}"
     if cell.failed:
         return lines("–", there)
@@ -216,19 +228,8 @@ def _by_hand(matrix: TransferMatrix, champion: Champion, places: list[str]) -> l
     return [number(matrix.cell(champion.name, place).mean) for place in places]
 
 
-def of_transfer(report: Report) -> list[str]:
-    """Say what is not known of controllers."""
-    matrix = report.matrix
-    if matrix is None or report.transfer is None:
-        return [without_controllers(report)]
-    if matrix.robot is None:
-        return [NO_ROBOT]
-    if all(matrix.cell(row, matrix.robot).failed for row in matrix.rows):
-        return [f"No controller could be run on {matrix.robot}: what is achieved there is not known."]
-    return []
-
-
-def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
+def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
+    """Return what the document holds under ``transfer``."""
     figures = Figures(matrix)
     return {
         "unit": matrix.unit,
@@ -239,24 +240,12 @@ def _matrix(matrix: TransferMatrix) -> dict[str, Any]:
         "other_robots": matrix.other_robots,
         "families": matrix.families,
         "interval": SHARE,
-        "cells": [
-            _document_cell(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns
-        ],
-        "consensus": [_consensus(champion, figures) for champion in matrix.champions],
+        "cells": [_cell_to_json(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
+        "consensus": [_consensus_to_json(champion, figures) for champion in matrix.champions],
     }
 
 
-def _consensus(champion: Champion, figures: Figures) -> dict[str, Any]:
-    median = figures.consensus(champion)
-    return {
-        "champion": champion.name,
-        "models": judges_of(champion, figures.matrix),
-        "median": None if median is None else median.value,
-        "interval": None if median is None else median.interval(),
-    }
-
-
-def _document_cell(cell: Cell, figures: Figures) -> dict[str, Any]:
+def _cell_to_json(cell: Cell, figures: Figures) -> dict[str, Any]:
     figure = figures.singles.get((cell.champion, cell.column))
     return {
         "champion": cell.champion,
@@ -272,4 +261,14 @@ def _document_cell(cell: Cell, figures: Figures) -> dict[str, Any]:
         "fitness": cell.fitness,
         "reason": cell.reason or None,
         "missing": cell.missing,
+    }
+
+
+def _consensus_to_json(champion: Champion, figures: Figures) -> dict[str, Any]:
+    median = figures.consensus(champion)
+    return {
+        "champion": champion.name,
+        "models": judges_of(champion, figures.matrix),
+        "median": None if median is None else median.value,
+        "interval": None if median is None else median.interval(),
     }
