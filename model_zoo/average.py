@@ -1,4 +1,4 @@
-"""The mean of families that somebody names, none of them weighed: what `auto` is without its choice."""
+"""Family average: the mean of named families with equal weights, what `auto` is without its choice."""
 
 from __future__ import annotations
 
@@ -13,11 +13,9 @@ from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
-from sysid_evo.validation.folds import folds_of
+from sysid_evo.validation.folds import FOLDS, folds_of
 
 FAMILIES = ("narx", "k_neighbours")
-
-FOLDS = 3
 
 PARTS = 100
 """Parts in which the fit of one family is told."""

@@ -12,10 +12,10 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import Weights
 from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.kernels import network_predictor, with_angles
+from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Progress
-from sysid_evo.types import Array
+from sysid_evo.types import Array, IntArray
 
 
 @register_model("evolved3")
@@ -83,25 +83,31 @@ class Evolved3(DynamicsModel):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]
 
-    def kernel(self) -> DynamicsKernel | None:
-        compiled = self._kernels(self.parameters_[None])
-        return None if compiled is None else compiled[0]
+    def predictor(self) -> Predictor:
+        return self._predictor(self.parameters_)
+
+    def _predictor(self, parameters: Array) -> Predictor:
+        """Return the compiled form of the networks with ``parameters`` (n,)."""
+        nx, n = self.system.nx, len(self.centre_)
+        first, first_bias, last, last_bias = np.split(parameters, self._cut)
+        weights = first.reshape(n, nx * self.hidden) / self.scale_[:, None]
+        own = np.repeat(np.eye(nx), self.hidden, axis=0)
+        layers = [
+            (weights, first_bias - self.centre_ @ weights),
+            (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
+        ]
+        seen = Features(self.system, self.lags).n_carry
+        return with_angles(network_predictor([layers], seen, self.system.nu), self.system, self.lags)
+
+    @property
+    def _cut(self) -> IntArray:
+        """Where a parameter vector is cut into first weights, their biases, last weights, and their biases."""
+        nx = self.system.nx
+        return np.cumsum([nx * self.hidden * len(self.centre_), nx * self.hidden, nx * self.hidden])
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel, if there is one, and its flat parameters (P, m) for parameter vectors (P, n)."""
-        nx, n, hidden = self.system.nx, len(self.centre_), self.hidden
-        cut = np.cumsum([nx * hidden * n, nx * hidden, nx * hidden])
-        own = np.repeat(np.eye(nx), hidden, axis=0)
-        predictors, seen = [], Features(self.system, self.lags).n_carry
-        for one in parameters:
-            first, first_bias, last, last_bias = np.split(one, cut)
-            weights = first.reshape(n, nx * hidden) / self.scale_[:, None]
-            layers = [
-                (weights, first_bias - self.centre_ @ weights),
-                (own * last[:, None] * self.output_scale_, last_bias * self.output_scale_),
-            ]
-            networks = network_predictor([layers], seen, self.system.nu)
-            predictors.append(with_angles(networks, self.system, self.lags))
+        predictors = [self._predictor(one) for one in parameters]
         kernel = self.stepping(predictors[0])
         if kernel is None:
             return None
@@ -110,8 +116,7 @@ class Evolved3(DynamicsModel):
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Step parameter vectors (P, n) from carries (P, B, n_carry) under controls (B, nu)."""
         p, nx, n = len(parameters), self.system.nx, len(self.centre_)
-        cut = np.cumsum([nx * self.hidden * n, nx * self.hidden, nx * self.hidden])
-        first, first_bias, last, last_bias = np.split(parameters, cut, axis=1)
+        first, first_bias, last, last_bias = np.split(parameters, self._cut, axis=1)
         held = np.broadcast_to(control, (p, *control.shape))
         inputs = (Features(self.system, self.lags)(carry, held) - self.centre_) / self.scale_
         hidden = np.tanh(inputs @ first.reshape(p, n, nx * self.hidden) + first_bias[:, None])

@@ -1,4 +1,4 @@
-"""Family gaussian_process: sparse GP, its likelihood, inducing points and conditioning."""
+"""Family gaussian_process: a sparse Gaussian process, its conditioning, inducing points and likelihood."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ from sysid_evo.validation.intervals import conformal_scale
 from sysid_evo.validation.simulation_error import judging_windows
 
 JITTER = 1e-6
+"""What the covariance of the inducing points has more on its diagonal, as a share of the amplitude's square."""
 
 LINEAR_RIDGE = 1e-3
 
 TRIAL_INDUCING = 120
+"""Inducing points, at most, where lags are chosen."""
 
 SUBSETS = 3
 """Random parts of the data that tell the hyper-parameters: one alone says other ones than the next."""

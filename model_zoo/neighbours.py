@@ -1,4 +1,4 @@
-"""Families nearest_neighbour (paper 4.3) and k_neighbours."""
+"""Families nearest_neighbour (paper, section 4.3) and k_neighbours, which repairs it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.base import clone
 
 from model_zoo.control_grid import CommandCells
 from model_zoo.features import Features
 from model_zoo.neighbours_kernel import plane_predictor
 from model_zoo.scaling import Standard, deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
-from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.kernels import neighbour_predictor, on_top, with_angles
+from sysid_evo.models.kernels import Predictor, neighbour_predictor, on_top, with_angles
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
@@ -23,8 +21,10 @@ from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 
 NEIGHBOURS = (8, 20)
+"""What is tried where their number is left open."""
 
 RIDGE = 0.03
+"""Of the plane, as a share of the sum of the weights."""
 
 
 @register_model("k_neighbours")
@@ -71,8 +71,8 @@ class KNeighbours(Uncertain):
         blocks = HeldOut.of(dataset)
 
         def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
-            trial = clone(self).set_params(neighbours=count, state_lags=pair[0], control_lags=pair[1], stochastic=False)
-            return trial.fit(part, rng=rng)
+            own = {"neighbours": count, "state_lags": pair[0], "control_lags": pair[1]}
+            return self.unfitted().set_params(**own, stochastic=False).fit(part, rng=rng)
 
         self.neighbours_, chosen = best(
             settings,
@@ -115,10 +115,7 @@ class KNeighbours(Uncertain):
         inside = np.clip(state, self.low_, self.high_)
         return inside + np.clip(plane, targets.min(axis=1), targets.max(axis=1))
 
-    @cached_property
-    def _stepping_kernel(self) -> DynamicsKernel | None:
-        if self.timed:
-            return self._disturbed_kernel()
+    def predictor(self) -> Predictor:
         change = plane_predictor(
             self.points_,
             self.changes_,
@@ -128,7 +125,7 @@ class KNeighbours(Uncertain):
             n_carry=Features(self.system, self.lags).n_carry,
         )
         inside = with_angles(change, self.system, self.lags)
-        return self.stepping(on_top(inside, np.ones(self.system.nx, dtype=bool), low=self.low_, high=self.high_))
+        return on_top(inside, np.ones(self.system.nx, dtype=bool), low=self.low_, high=self.high_)
 
     @cached_property
     def _tree(self) -> Any:
@@ -181,11 +178,7 @@ class NearestNeighbour(DynamicsModel):
                 result[asked] = self.accelerations_[rows][nearest]
         return result
 
-    def kernel(self) -> DynamicsKernel | None:
-        return self._compiled
-
-    @cached_property
-    def _compiled(self) -> DynamicsKernel | None:
+    def predictor(self) -> Predictor:
         cells, tables, serving = self._tables
         place = {number: i for i, number in enumerate(tables)}
         predictor = neighbour_predictor(
@@ -195,7 +188,7 @@ class NearestNeighbour(DynamicsModel):
             cells.exact,
             self.points_.shape[1] - len(cells.exact),
         )
-        return self.stepping(with_angles(predictor, self.system, self.lags))
+        return with_angles(predictor, self.system, self.lags)
 
     @cached_property
     def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:

@@ -1,1 +1,1 @@
-"""Choice among families by free runs on what was held out, for the mean of those that are kept (`auto`)."""
+"""Family auto: a choice among families by simulation of held-out data, and the mean of those that are kept."""

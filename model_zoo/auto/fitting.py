@@ -36,7 +36,7 @@ PARTS = 10
 
 
 @dataclass(frozen=True)
-class Task:
+class FitTask:
     """One fit: the model to make, what it learns from, the seed, and the trial in which it is judged, if it is.
 
     ``key`` is by whom its outcome is known, ``cost`` about how many seconds it takes.
@@ -53,7 +53,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a `Task`: the fitted model, what it simulated in the trial, and why there is none."""
+    """What became of a `FitTask`: the fitted model, what it simulated in the trial, and why there is none."""
 
     model: DynamicsModel | None = None
     simulated: Array | None = None
@@ -69,7 +69,7 @@ class Stopped(BaseException):
         self.cause = cause
 
 
-def fitted(task: Task, progress: Progress | None = None) -> Outcome:
+def fitted(task: FitTask, progress: Progress | None = None) -> Outcome:
     """Return what becomes of ``task``. Raises only `Stopped`, and what stops a program."""
     try:
         with warnings.catch_warnings(), threadpool_limits(1, user_api="blas"):
@@ -91,7 +91,7 @@ class Work:
         self._progress = progress
         self._total, self._done = max(1, round(PARTS * seconds)), 0.0
 
-    def outcomes(self, tasks: Sequence[Task]) -> dict[tuple[int, int], Outcome]:
+    def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], Outcome]:
         """Return the outcome of each task by its key: the same ones for any number of processes."""
         seconds = sum(task.cost for task in tasks)
         processes = min(available_processors(), int(seconds / WORTH), len(tasks))
@@ -119,7 +119,7 @@ class Work:
         self._done += PARTS * seconds
         self._tell(self._done)
 
-    def _part(self, task: Task) -> Progress:
+    def _part(self, task: FitTask) -> Progress:
         def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
             self._tell(self._done + PARTS * task.cost * done / max(1, total))
 
@@ -134,12 +134,12 @@ class Work:
             raise Stopped(error) from None
 
 
-def _importable(task: Task) -> bool:
+def _importable(task: FitTask) -> bool:
     """Whether another process finds the family by its name: not where a file was loaded that is not installed."""
     return models.module(task.name).partition(".")[0] == __name__.partition(".")[0]
 
 
-def _side_by_side(tasks: Sequence[Task], processes: int) -> Generator[tuple[Task, Outcome], None, None]:
+def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, Outcome], None, None]:
     """Yield the outcomes of ``tasks`` as they come; closed before the last, it ends what is still computed."""
     if not tasks:
         return
@@ -173,5 +173,5 @@ def load(libraries: Sequence[str]) -> None:
             importlib.import_module(name)
 
 
-def _numbered(number: int, task: Task) -> tuple[int, Outcome]:
+def _numbered(number: int, task: FitTask) -> tuple[int, Outcome]:
     return number, fitted(task)

@@ -11,7 +11,7 @@ import numpy as np
 
 from model_zoo.auto.candidates import PROCESSORS, SHARE, Candidate, named, offered, plugins, structure_of, unusable
 from model_zoo.auto.fitting import Work
-from model_zoo.auto.selection import Choice, Choosing, weights_of
+from model_zoo.auto.selection import CandidateChoice, Choosing, weights_of
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.adaptation import held_out_error
@@ -92,8 +92,8 @@ class Auto(MeanOfMembers):
         shares = weights_of([structure_of(own[0]) for own in choice.models])
         each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]
         self.become([model for own in choice.models for model in own], np.concatenate(each))
-        standing = Standing.of(choice, tried, shares, left_out=left_out, horizons=horizons, pairs=pairs)
-        for name, value in standing.learned().items():
+        ranking = CandidateRanking.of(choice, tried, shares, left_out=left_out, horizons=horizons, pairs=pairs)
+        for name, value in ranking.learned().items():
             setattr(self, name, value)
         means = [self._mean(list(models)) for models in zip(*choice.rough, strict=True)]
         cases = [(mean, held) for mean, (_, held) in zip(means, pairs, strict=True)]
@@ -122,17 +122,17 @@ class Auto(MeanOfMembers):
 
     def standing(self) -> list[dict[str, str]]:
         """Return a row for every candidate, the best first: its held-out error, its weight, and what it is."""
-        found = Standing.known_to(self)
+        found = CandidateRanking.known_to(self)
         return [] if found is None else found.rows()
 
     @property
     def fit_note(self) -> str:
-        found = Standing.known_to(self)
+        found = CandidateRanking.known_to(self)
         return "; ".join(filter(None, (super().fit_note, "" if found is None else found.sentence())))
 
 
 @dataclass(frozen=True)
-class Standing:
+class CandidateRanking:
     """The candidates that were judged, the best first, in what a stored model can hold.
 
     ``errors`` (n, H) at each of the ``horizons``, ``shares`` (n,) of the mean, 0 for those not kept, and a remark each.
@@ -155,7 +155,7 @@ class Standing:
     @classmethod
     def of(
         cls,
-        choice: Choice,
+        choice: CandidateChoice,
         candidates: Sequence[Candidate],
         weights: Array,
         *,

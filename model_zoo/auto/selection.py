@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from model_zoo.auto.candidates import Candidate, affordable
-from model_zoo.auto.fitting import Outcome, Task, Work
+from model_zoo.auto.fitting import FitTask, Outcome, Work
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
@@ -37,7 +37,7 @@ REFINED = "it is no better than what refines it"
 
 
 @dataclass(frozen=True)
-class Choice:
+class CandidateChoice:
     """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
 
     The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the
@@ -69,7 +69,7 @@ class Choosing:
     budget: float
     work: Work
 
-    def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> Choice:
+    def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
         """Return what is kept within ``gate``, whose mean is what ``mean`` makes of them.
 
         Raises `InvalidData` if no candidate can be used.
@@ -110,7 +110,9 @@ class Choosing:
                 beside = models(number) if self.candidates[number].committee else []
                 kept[number] = self._committee([outcome.model, *beside], gate) if beside else [outcome.model]
         self._expect(len(kept) > 0, reasons)
-        return Choice(errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept])
+        return CandidateChoice(
+            errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
+        )
 
     def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
@@ -183,11 +185,11 @@ class Choosing:
     def _cost(self, number: int) -> float:
         return self.candidates[number].cost(self.dataset.system, self.dataset.n_steps, len(self.pairs))
 
-    def _task(self, number: int, fold: int) -> Task:
+    def _task(self, number: int, fold: int) -> FitTask:
         """Return the fit of one candidate without one fold, or to all data after the last of them."""
         one, judging = self.candidates[number], fold < len(self.pairs)
         part = self.pairs[fold][0] if judging else self.dataset
-        return Task(
+        return FitTask(
             (number, fold),
             one.spec.name,
             {**one.spec.parameters, **(one.roughly if judging else {})},

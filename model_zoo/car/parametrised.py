@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -86,19 +85,21 @@ class Parametrised(CarFamily, Uncertain):
     def next_state(self, carry: Array, control: Array) -> Array:
         return self._next_states(self.parameters_, carry, control)
 
-    @cached_property
-    def _stepping_kernel(self) -> DynamicsKernel | None:
-        if self.timed:
-            return self._disturbed_kernel()
-        compiled = self._kernels(self.parameters_[None])
-        return None if compiled is None else compiled[0]
+    def predictor(self) -> Predictor:
+        return self._predictor(self.parameters_)
+
+    def _predictor(self, parameters: Array) -> Predictor:
+        """Return the compiled form of the equation with ``parameters`` (12,)."""
+        flat = np.concatenate([self.kernel_parameters(self._oldest_command), parameters])
+        return Predictor(equation_one, flat, n_scratch=0)
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
-        head = np.tile(self.kernel_parameters(self._oldest_command), (len(parameters), 1))
-        flat = np.concatenate([head, parameters], axis=1)
-        kernel = self.stepping(Predictor(equation_one, flat[0], 0))
-        return None if kernel is None else (kernel, kernel.of_candidates(flat))
+        predictors = [self._predictor(one) for one in parameters]
+        kernel = self.stepping(predictors[0])
+        if kernel is None:
+            return None
+        return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))
 
     @property
     def _oldest_command(self) -> int:

@@ -40,7 +40,7 @@ class CarFamily(DynamicsModel):
         return (*of_states, names.index(self.drive), names.index(self.steer))
 
     def kernel_parameters(self, oldest_command: int = 0) -> Array:
-        """Return the head of the parameters of both kernels of a car."""
+        """Return what the parameters of both kernels of a car begin with."""
         forward, lateral, yaw_rate, drive, steer = self.roles
         return HEAD.pack(
             forward=forward,
@@ -64,6 +64,7 @@ PHYSICAL = (
     ("yaw_drag_linear", "1/s"),
     ("yaw_drag_viscous", "1/rad"),
 )
+"""The parameters of the equation, and their units."""
 
 
 def accelerations(u: Any, r: Any, u1: Any, u2: Any, parameters: Sequence[Any]) -> tuple[Any, Any]:
@@ -86,22 +87,21 @@ def positive_part(value: Any) -> Any:
 
 
 HEAD = Layout("forward", "lateral", "yaw_rate", "drive", "steer", "nx", "dt", "oldest_command")
+"""What both kernels begin with; the parameters of the equation follow."""
 
-CAR_PHYSICAL = HEAD.size
-"""Where the parameters of the equation begin; what only one of the kernels has follows them."""
-
-OWN = CAR_PHYSICAL + 8
+OWN = HEAD.size + len(PHYSICAL)
+"""Where the parameters begin that only one of the kernels has."""
 
 
 def car_rate(x, u, p, y, scratch):
-    """Write the known part of dx/dt (a predictor, see `sysid_evo.models.kernels.stepping`)."""
+    """Write the known part of dx/dt of `HybridOde` (a predictor, see `sysid_evo.models.kernels.stepping`)."""
     forward, yaw_rate, lateral = (
         int(p[HEAD.forward]) * LANES,
         int(p[HEAD.yaw_rate]) * LANES,
         int(p[HEAD.lateral]) * LANES,
     )
     drive, steer = int(p[HEAD.drive]) * LANES, int(p[HEAD.steer]) * LANES
-    physical = view(p, CAR_PHYSICAL)
+    physical = view(p, HEAD.size)
     clear(y, int(p[HEAD.nx]))
     for lane in range(0, LANES, QUARTER):
         speed, turn = load_quarter(x, forward + lane), load_quarter(x, yaw_rate + lane)
@@ -113,11 +113,11 @@ def car_rate(x, u, p, y, scratch):
 
 
 def equation_one(x, u, p, y, scratch):
-    """Write the next state of the paper's Equation 1 (a predictor)."""
+    """Write the next state of `Parametrised`, the paper's Equation 1 (a predictor)."""
     forward, yaw_rate, oldest = int(p[HEAD.forward]) * LANES, int(p[HEAD.yaw_rate]) * LANES, p[HEAD.oldest_command]
     drive, steer = int(p[HEAD.drive]) * LANES, int(p[HEAD.steer]) * LANES
     acting = view(x, int(oldest) * LANES) if oldest > 0.0 else u
-    physical, dt = view(p, CAR_PHYSICAL), p[HEAD.dt]
+    physical, dt = view(p, HEAD.size), p[HEAD.dt]
     clear(y, int(p[HEAD.nx]))
     for lane in range(0, LANES, QUARTER):
         speed, turn = load_quarter(x, forward + lane), load_quarter(x, yaw_rate + lane)
@@ -135,12 +135,12 @@ def clear(y, rows):
 
 
 def speed_rate(speed, drive, p):
-    """Thrust and drag, as in `model_zoo.car.planar_car`."""
+    """Thrust and drag, as in `accelerations`."""
     return p[0] * max(drive, 0.0) - p[1] * max(-drive, 0.0) - speed * p[4] - speed * abs(speed) * p[5]
 
 
 def turn_rate(speed, turn, steer, p):
-    """Steering and drag, as in `model_zoo.car.planar_car`."""
+    """Steering and drag, as in `accelerations`."""
     return speed * (p[2] * max(steer, 0.0) - p[3] * max(-steer, 0.0)) - turn * p[6] - turn * abs(turn) * p[7]
 
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from model_zoo.grey_box.parameters import Box, Hidden, Parameter
-from sysid_evo.carry import REST_BAND, CarryLayout
+from sysid_evo.carry import CarryLayout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.laws import array_form
@@ -226,6 +226,58 @@ def delay_shares(delay: Array, longest: int) -> list[Array]:
     return [np.maximum(1.0 - np.abs(delay - lag), 0.0) for lag in range(longest + 1)]
 
 
+ROUNDS = 3
+"""Of Gauss and Newton, in which hidden states are estimated."""
+
+STEP = 1e-4
+"""Of the spread of a hidden state: the step of a difference quotient."""
+
+
+def observed(
+    structure: Structure, p: Array, states: Array, controls: Array, *, mean: Array, spread: Array, noise: Array
+) -> Array:
+    """Return the most likely hidden states (n, B) at the end of a history (B, L + 1, nx), (B, L, nu).
+
+    Those at its beginning are normal with ``mean`` and ``spread`` (n,) before anything is seen; a free run from there
+    is off what is measured by ``noise`` (nx,). Each row is found for itself.
+    """
+    n, batch, length = len(mean), len(states), controls.shape[1]
+    low, high = structure.extended.limits[:, structure.hidden_rows, None]
+    guess = np.zeros((n, batch))
+    p3 = p[:, None, None]
+    for _ in range(ROUNDS if length else 0):
+        moved = np.tile(guess[:, None], (1, 1 + n, 1))
+        moved[np.arange(n), 1 + np.arange(n)] += STEP
+        hidden = mean[:, None, None] + spread[:, None, None] * moved
+        carry = structure.start(p3, states[:, :1], controls[:, :1], hidden)
+        off = np.empty((length, 1 + n, batch, structure.system.nx))
+        for k in range(length):
+            carry = np.concatenate(structure.step(p3, carry, controls[:, k].T[:, None]))
+            reached = np.moveaxis(carry[: structure.system.nx], 0, -1)
+            off[k] = structure.system.difference(reached, np.broadcast_to(states[:, k + 1], reached.shape)) / noise
+        error = np.moveaxis(off[:, 0], 1, 0).reshape(batch, -1)
+        by = np.moveaxis((off[:, 1:] - off[:, :1]) / STEP, (1, 2), (-1, 0)).reshape(batch, -1, n)
+        error, by = np.nan_to_num(error), np.nan_to_num(by)
+        normal = np.swapaxes(by, 1, 2) @ by + np.eye(n)
+        gradient = np.einsum("bmi,bm->bi", by, error) + guess.T
+        guess = np.clip(guess - np.linalg.solve(normal, gradient[..., None])[..., 0].T, -4.0, 4.0)
+    began = np.clip(mean[:, None] + spread[:, None] * guess, low, high)
+    return follow(structure, p[:, None], states, controls, began)
+
+
+def follow(structure: Structure, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
+    """Return the hidden states (n, ..., B) after a history (B, L + 1, nx), (B, L, nu) from those at its beginning.
+
+    All other states are the measured ones at every sample; the first command counts as held before.
+    """
+    rows, rank = structure.hidden_rows, p.ndim
+    for k in range(controls.shape[1]):
+        carry = structure.start(p, states[:, : k + 1], controls[:, : max(k, 1)], hidden)
+        control = controls[:, k].T.reshape(structure.system.nu, *[1] * (rank - 2), -1)
+        hidden = structure.step(p, carry, control)[0][rows]
+    return hidden
+
+
 def structure_kernel(
     structure: Structure, p: Array, *, rest_band: Array | None = None, extra: Predictor | None = None
 ) -> DynamicsKernel | None:
@@ -265,82 +317,9 @@ def kernel_parameters(structure: Structure, p: Array) -> Array:
     return own if own.shape[1] else np.zeros((len(p), 1))
 
 
-ROUNDS = 3
-
-STEP = 1e-4
-"""Of the spread of a hidden state: the step of a difference quotient."""
-
-
-def follow(structure: Structure, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
-    """Return the hidden states (n, ..., B) after a history (B, L + 1, nx), (B, L, nu) from those at its beginning.
-
-    All other states are the measured ones at every sample; the first command counts as held before.
-    """
-    rows, rank = structure.hidden_rows, p.ndim
-    for k in range(controls.shape[1]):
-        carry = structure.start(p, states[:, : k + 1], controls[:, : max(k, 1)], hidden)
-        control = controls[:, k].T.reshape(structure.system.nu, *[1] * (rank - 2), -1)
-        hidden = structure.step(p, carry, control)[0][rows]
-    return hidden
-
-
-def observed(
-    structure: Structure, p: Array, states: Array, controls: Array, *, mean: Array, spread: Array, noise: Array
-) -> Array:
-    """Return the most likely hidden states (n, B) at the end of a history (B, L + 1, nx), (B, L, nu).
-
-    Those at its beginning are normal with ``mean`` and ``spread`` (n,) before anything is seen; a free run from there
-    is off what is measured by ``noise`` (nx,). Three rounds of Gauss and Newton, each row for itself.
-    """
-    n, batch, length = len(mean), len(states), controls.shape[1]
-    low, high = structure.extended.limits[:, structure.hidden_rows, None]
-    guess = np.zeros((n, batch))
-    p3 = p[:, None, None]
-    for _ in range(ROUNDS if length else 0):
-        moved = np.tile(guess[:, None], (1, 1 + n, 1))
-        moved[np.arange(n), 1 + np.arange(n)] += STEP
-        hidden = mean[:, None, None] + spread[:, None, None] * moved
-        carry = structure.start(p3, states[:, :1], controls[:, :1], hidden)
-        off = np.empty((length, 1 + n, batch, structure.system.nx))
-        for k in range(length):
-            carry = np.concatenate(structure.step(p3, carry, controls[:, k].T[:, None]))
-            reached = np.moveaxis(carry[: structure.system.nx], 0, -1)
-            off[k] = structure.system.difference(reached, np.broadcast_to(states[:, k + 1], reached.shape)) / noise
-        error = np.moveaxis(off[:, 0], 1, 0).reshape(batch, -1)
-        by = np.moveaxis((off[:, 1:] - off[:, :1]) / STEP, (1, 2), (-1, 0)).reshape(batch, -1, n)
-        error, by = np.nan_to_num(error), np.nan_to_num(by)
-        normal = np.swapaxes(by, 1, 2) @ by + np.eye(n)
-        gradient = np.einsum("bmi,bm->bi", by, error) + guess.T
-        guess = np.clip(guess - np.linalg.solve(normal, gradient[..., None])[..., 0].T, -4.0, 4.0)
-    began = np.clip(mean[:, None] + spread[:, None] * guess, low, high)
-    return follow(structure, p[:, None], states, controls, began)
-
-
-def held_at_rest(structure: Structure, band: Array | None, carry: Array, control: Array, after: Array) -> Array:
-    """Return the extended states ``after`` (B, n), neutral where nothing moves and nothing is commanded.
-
-    ``band`` (n,) is how near to neutral counts as rest, None for nowhere; see `DynamicsModel.held`.
-    """
-    if band is None:
-        return after
-    system, layout = structure.extended, structure.layout
-    idle = system.neutral_control
-    still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
-    still &= (control == idle).all(axis=1)
-    still &= (carry[:, layout.earlier_controls] == np.tile(idle, layout.control_lags)).all(axis=1)
-    return np.where(still[:, None], system.neutral_state, after)
-
-
-def extended_band(structure: Structure, band: Array) -> Array:
-    """Return how near to neutral each extended state counts as rest (n,), of ``band`` (nx,) for the measured ones."""
-    more = structure.extended.states[structure.system.nx :]
-    width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
-    return np.concatenate([band, REST_BAND * np.array(width)])
-
-
 @dataclass(frozen=True)
 class LawOverLanes:
-    """A predictor of d/dt of the extended state of a `model_zoo.grey_box.equation.Structure`.
+    """A predictor of d/dt of the extended state of a `Structure`: its law, a function of plain numbers, over lanes.
 
     Its parameters are those of the law, 1 / lag of every actuator, and the share of each sample of the delay.
     """

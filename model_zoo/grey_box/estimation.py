@@ -17,7 +17,6 @@ from sysid_evo.data import Dataset, Windows
 from sysid_evo.data.trajectory import recording
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
-from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
@@ -40,7 +39,7 @@ ROBUST_AT = 1.5
 
 
 @dataclass(frozen=True)
-class Estimate:
+class LeastSquaresFit:
     """Places in the cube of bounds (n,), hidden starts (nh, W), offsets (G, k), weighted errors and their Jacobian.
 
     ``errors`` (W, m) and ``jacobian`` (W, m, n) are those of the data alone, ``by_hidden`` (W, m, nh) likewise.
@@ -57,7 +56,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Errors of free runs in ``segments`` as a function of everything unknown.
+    """Errors of free runs in ``windows`` as a function of everything unknown.
 
     ``varied`` are the parameters that have an offset in each group, whose standard deviations ``spreads`` (k,) in the
     cube are given. Parameters with a ``spread`` of their own pull to their guess, an error counting as
@@ -65,7 +64,7 @@ class LeastSquares:
     """
 
     structure: Structure
-    segments: Segments
+    windows: FitWindows
     told: Callable[[], None]
     robust: bool = False
     varied: tuple[int, ...] = ()
@@ -80,7 +79,7 @@ class LeastSquares:
 
     @cached_property
     def n_groups(self) -> int:
-        return len(self.segments.groups) if self.varied else 0
+        return len(self.windows.groups) if self.varied else 0
 
     @property
     def _hidden_scale(self) -> tuple[Array, Array]:
@@ -99,17 +98,17 @@ class LeastSquares:
         """Return the mean square error (P,) at places (P, n), hidden states followed through the history."""
         self.told()
         p = self.structure.box.values(places).T[:, :, None]
-        errors = self._bounded(self.segments.errors(self.structure, p, self.segments.followed(self.structure, p)))
+        errors = self._bounded(self.windows.errors(self.structure, p, self.windows.followed(self.structure, p)))
         return np.asarray(np.mean(np.minimum(errors**2, 1.0), axis=(1, 2)))
 
-    def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> Estimate:
+    def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> LeastSquaresFit:
         """Return the least squares from a start; ``hidden`` (nh, W) are followed through the history unless given."""
         structure, box = self.structure, self.structure.box
         low, width = self._hidden_scale
         if hidden is None:
             p = box.values(places)[:, None, None]
             hidden = np.broadcast_to(
-                self.segments.followed(structure, p), (len(structure.hidden), 1, len(self.segments))
+                self.windows.followed(structure, p), (len(structure.hidden), 1, len(self.windows))
             )[:, 0]
         zeta = (hidden - low[:, None]) / width[:, None] if len(structure.hidden) else hidden
         no_offsets = np.zeros(self.n_groups * len(self.varied))
@@ -136,30 +135,30 @@ class LeastSquares:
             errors, jacobian = weight * errors, weight[..., None] * jacobian
             by_hidden = weight[..., None] * by_hidden
         own, offsets, zeta = self._split(found.x)
-        return Estimate(
+        return LeastSquaresFit(
             own, low[:, None] + width[:, None] * zeta, offsets, float(found.cost), errors, jacobian, by_hidden
         )
 
     def _typical(self, x: Array) -> float:
         """Return the deviation of the errors at ``x`` that outliers do not move: 1.48 median absolute ones."""
-        off = np.abs(self._values(x)[: self.segments.windows.states[0].size * len(self.segments)])
+        off = np.abs(self._values(x)[: self.windows.cut.states[0].size * len(self.windows)])
         return max(1.4826 * float(np.median(off)), 1e-9)
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
         """Return places (n,), offsets (G, k) and hidden starts (nh, W) in units of their width."""
         n, k = self.n, len(self.varied)
         end = n + self.n_groups * k
-        return x[:n], x[n:end].reshape(self.n_groups, k), x[end:].reshape(-1, len(self.segments))
+        return x[:n], x[n:end].reshape(self.n_groups, k), x[end:].reshape(-1, len(self.windows))
 
     def _run(self, places: Array, offsets: Array, zeta: Array) -> Array:
         """Return the errors (P, W, m) at places (n, P, 1), offsets (G, k), hidden starts (nh, P, W)."""
         self.told()
         low, width = (side[:, None, None] for side in self._hidden_scale)
         if len(self.varied):
-            places = np.repeat(places, len(self.segments), axis=2)
-            places[list(self.varied)] += offsets[self.segments.group].T[:, None, :]
+            places = np.repeat(places, len(self.windows), axis=2)
+            places[list(self.varied)] += offsets[self.windows.group].T[:, None, :]
         p = np.moveaxis(self.structure.box.values(np.moveaxis(places, 0, -1)), -1, 0)
-        return self._bounded(self.segments.errors(self.structure, p, low + width * zeta))
+        return self._bounded(self.windows.errors(self.structure, p, low + width * zeta))
 
     @staticmethod
     def _bounded(errors: Array) -> Array:
@@ -208,7 +207,7 @@ class LeastSquares:
         jacobian[..., :n] = by_places
         rows = np.arange(windows)
         for i in range(k):
-            jacobian[rows, :, n + self.segments.group * k + i] = by_places[..., self.varied[i]] if groups else 0.0
+            jacobian[rows, :, n + self.windows.group * k + i] = by_places[..., self.varied[i]] if groups else 0.0
         for i in range(nh):
             jacobian[rows, :, n + groups * k + i * windows + rows] = by_hidden[..., i]
         return np.concatenate([jacobian.reshape(-1, len(x)), self._prior_jacobian(x)])
@@ -223,106 +222,19 @@ class LeastSquares:
         return np.diag(np.concatenate(pulls))
 
 
-ROUNDS = 6
-
-FIRST_SPREAD = 0.05
-"""Standard deviation of the offsets in the cube that is assumed at first."""
-
-EVALUATIONS = 12
-
-LEAST = 1e-4
-"""Of the width of the bounds: a standard deviation that is none."""
-
-
-@dataclass(frozen=True)
-class Offsets:
-    """The estimate with offsets, their standard deviations ``spreads`` (k,) from group to group, in the cube."""
-
-    estimate: Estimate
-    spreads: Array
-
-
-def with_offsets(problem: LeastSquares, best: Estimate, sure: Sureness, varied: Sequence[int]) -> Offsets:
-    """Return the least squares in which some parameters have an offset in each group, normal around nothing.
-
-    How far they spread is found with them: the spread whose square is the mean of offset^2 + the variance of what is
-    left unknown of it, again and again (expectation, maximisation; Laird and Ware 1982). Few data of a group, or none
-    that depend on the parameter, leave its offset near zero. Errors that hang together count as ``sure.inflation``
-    times fewer.
-    """
-    spreads, found = np.full(len(varied), FIRST_SPREAD), best
-    for _ in range(ROUNDS):
-        varying = replace(problem, varied=tuple(varied), spreads=spreads, noise=sure.noise, inflation=sure.inflation)
-        found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
-        unknown = _unknown(varying, found)
-        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)
-    return Offsets(found, spreads)
-
-
-def _unknown(problem: LeastSquares, found: Estimate) -> Array:
-    """Return the variance (G, k) of each offset that the data of its group leave, each by itself."""
-    square = problem.noise**2 * problem.inflation
-    by = found.jacobian[..., list(problem.varied)]
-    each = np.sum(by**2, axis=1)  # (W, k)
-    information = np.zeros((problem.n_groups, by.shape[2]))
-    np.add.at(information, problem.segments.group, each / square)
-    return np.asarray(1.0 / (information + 1.0 / problem.spreads**2))
-
-
-SCREENED = 48
-"""Places of the cube that are looked at, the best of which are starts."""
-
-FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
-
-KEPT = 2
-"""Starts of the last fit: the best ends of the first one."""
-
-
-def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list[Array]:
-    """Return the guess and the best of many random places of the cube, ``count`` in all."""
-    box = first.structure.box
-    guess = box.places(np.array([parameter.guess for parameter in first.structure.parameters]))
-    drawn = rng.uniform(size=(SCREENED, len(guess)))
-    costs = np.concatenate([first.cost(part) for part in np.array_split(drawn, SCREENED // 8)])
-    return [guess, *drawn[np.argsort(costs, kind="stable")[: count - 1]]]
-
-
-def best_of(last: LeastSquares, begun: Sequence[Array]) -> Estimate:
-    """Return the best least squares from the best of these ends of the first fit."""
-    costs = [float(last.cost(place[None])[0]) for place in begun]
-    found: list[Estimate] = []
-    for i in np.argsort(costs, kind="stable"):
-        if all(np.abs(begun[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
-            found.append(last.solve(begun[i], evaluations=LAST_EVALUATIONS))
-    return min(found, key=lambda one: one.cost)
-
-
-def sureness_of(problem: LeastSquares, best: Estimate) -> Sureness:
-    """Return how sure the parameters are at the end of a fit."""
-    known = known_variances(problem.structure.parameters, best.places)
-    return sureness(best.errors, best.jacobian, best.by_hidden, problem.segments.order, known=known)
-
-
-def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
-    """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
-    slopes = Box.of(parameters).slopes(places)
-    spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
-    return np.minimum(spreads**2, 1.0 / 12.0)
-
-
 FEWEST = 60
 """Windows that a short recording is cut into, which then overlap."""
 
 
 @dataclass(frozen=True)
-class Segments:
+class FitWindows:
     """W windows of H steps with what is measured in them, and the ``group`` (condition, or recording) of each, (W,).
 
     ``scale`` (nx,) is the spread of every state, in which errors are counted; ``limits`` (2, nx) are where free runs
     are clipped; ``order`` (W,) is when each window begins, in steps since the first episode began.
     """
 
-    windows: Windows
+    cut: Windows
     scale: Array
     limits: Array
     group: IntArray
@@ -330,7 +242,7 @@ class Segments:
     order: IntArray
 
     @classmethod
-    def of(cls, dataset: Dataset, horizon: int, *, history: int, most: int, limits: Array) -> Segments:
+    def of(cls, dataset: Dataset, horizon: int, *, history: int, most: int, limits: Array) -> FitWindows:
         """Cut ``most`` windows or fewer, evenly over the recording, wherever the system moves; they overlap if few."""
         longest = max(len(episode) for episode in dataset.episodes) - history
         if longest < 1:
@@ -351,11 +263,11 @@ class Segments:
         return cls(windows, scale, limits, group[windows.episode], groups, begins[windows.episode] + windows.start)
 
     def __len__(self) -> int:
-        return len(self.windows)
+        return len(self.cut)
 
-    def __getitem__(self, rows: IntArray) -> Segments:
+    def __getitem__(self, rows: IntArray) -> FitWindows:
         """Return some of the windows."""
-        return replace(self, windows=self.windows[rows], group=self.group[rows], order=self.order[rows])
+        return replace(self, cut=self.cut[rows], group=self.group[rows], order=self.order[rows])
 
     def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
         """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
@@ -363,7 +275,7 @@ class Segments:
         Compiled where the motion has a compiled form. Where parameters differ from window to window, they are the same
         in all of a group.
         """
-        w = self.windows
+        w = self.cut
         if p.shape[2] > 1:
             out = np.empty((p.shape[1], *w.states.shape))
             for number in range(len(self.groups)):
@@ -374,7 +286,7 @@ class Segments:
         with np.errstate(all="ignore"):
             carry = structure.start(p, w.past_states, w.past_controls, hidden)
             carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
-            kernel = self._kernel(structure)
+            kernel = structure_kernel(structure, np.array([parameter.guess for parameter in structure.parameters]))
             if kernel is None:
                 return self._stepped(structure, p, carry)
         own = kernel_parameters(structure, p[:, :, 0].T)
@@ -389,13 +301,9 @@ class Segments:
             precision=kernel.precision,
         )
 
-    def _kernel(self, structure: Structure) -> DynamicsKernel | None:
-        guess = np.array([parameter.guess for parameter in structure.parameters])
-        return structure_kernel(structure, guess)
-
     def _stepped(self, structure: Structure, p: Array, carry: Array) -> Array:
         """Return the same in NumPy, from carries (n_carry, P, W)."""
-        controls, nx = self.windows.controls, structure.system.nx
+        controls, nx = self.cut.controls, structure.system.nx
         low, high = (side.reshape(-1, 1, 1) for side in self.limits)
         out = np.empty((*carry.shape[1:], controls.shape[1], nx))
         for k in range(controls.shape[1]):
@@ -407,7 +315,7 @@ class Segments:
 
     def errors(self, structure: Structure, p: Array, hidden: Array) -> Array:
         """Return the errors (P, W, H * nx) of these runs in units of ``scale``, of angles the shortest way round."""
-        off = structure.system.difference(self.runs(structure, p, hidden), self.windows.states) / self.scale
+        off = structure.system.difference(self.runs(structure, p, hidden), self.cut.states) / self.scale
         return off.reshape(*off.shape[:2], -1)
 
     def followed(self, structure: Structure, p: Array) -> Array:
@@ -415,9 +323,96 @@ class Segments:
 
         All other states are the measured ones throughout.
         """
-        w, rows = self.windows, structure.hidden_rows
+        w, rows = self.cut, structure.hidden_rows
         rest = np.array([hidden.initial for hidden in structure.hidden])[:, None, None]
         with np.errstate(all="ignore"):
             found = follow(structure, p, w.past_states, w.past_controls, rest)
         low, high = structure.extended.limits[:, rows, None, None]
         return np.clip(np.nan_to_num(found), low, high)
+
+
+SCREENED = 48
+"""Places of the cube that are looked at, the best of which are starts."""
+
+FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
+
+KEPT = 2
+"""Starts of the last fit: the best ends of the first one."""
+
+
+def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list[Array]:
+    """Return the guess and the best of many random places of the cube, ``count`` in all."""
+    box = first.structure.box
+    guess = box.places(np.array([parameter.guess for parameter in first.structure.parameters]))
+    drawn = rng.uniform(size=(SCREENED, len(guess)))
+    costs = np.concatenate([first.cost(part) for part in np.array_split(drawn, SCREENED // 8)])
+    return [guess, *drawn[np.argsort(costs, kind="stable")[: count - 1]]]
+
+
+def best_of(last: LeastSquares, begun: Sequence[Array]) -> LeastSquaresFit:
+    """Return the best least squares from the best of these ends of the first fit."""
+    costs = [float(last.cost(place[None])[0]) for place in begun]
+    found: list[LeastSquaresFit] = []
+    for i in np.argsort(costs, kind="stable"):
+        if all(np.abs(begun[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
+            found.append(last.solve(begun[i], evaluations=LAST_EVALUATIONS))
+    return min(found, key=lambda one: one.cost)
+
+
+def sureness_of(problem: LeastSquares, best: LeastSquaresFit) -> Sureness:
+    """Return how sure the parameters are at the end of a fit."""
+    known = known_variances(problem.structure.parameters, best.places)
+    return sureness(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
+
+
+def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
+    """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
+    slopes = Box.of(parameters).slopes(places)
+    spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
+    return np.minimum(spreads**2, 1.0 / 12.0)
+
+
+ROUNDS = 6
+
+FIRST_SPREAD = 0.05
+"""Standard deviation of the offsets in the cube that is assumed at first."""
+
+EVALUATIONS = 12
+
+LEAST = 1e-4
+"""Of the width of the bounds: a standard deviation that is none."""
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """The estimate with offsets, their standard deviations ``spreads`` (k,) from group to group, in the cube."""
+
+    estimate: LeastSquaresFit
+    spreads: Array
+
+
+def with_offsets(problem: LeastSquares, best: LeastSquaresFit, sure: Sureness, varied: Sequence[int]) -> Offsets:
+    """Return the least squares in which some parameters have an offset in each group, normal around nothing.
+
+    How far they spread is found with them: the spread whose square is the mean of offset^2 + the variance of what is
+    left unknown of it, again and again (expectation, maximisation; Laird and Ware 1982). Few data of a group, or none
+    that depend on the parameter, leave its offset near zero. Errors that hang together count as ``sure.inflation``
+    times fewer.
+    """
+    spreads, found = np.full(len(varied), FIRST_SPREAD), best
+    for _ in range(ROUNDS):
+        varying = replace(problem, varied=tuple(varied), spreads=spreads, noise=sure.noise, inflation=sure.inflation)
+        found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
+        unknown = _unknown(varying, found)
+        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)
+    return Offsets(found, spreads)
+
+
+def _unknown(problem: LeastSquares, found: LeastSquaresFit) -> Array:
+    """Return the variance (G, k) of each offset that the data of its group leave, each by itself."""
+    square = problem.noise**2 * problem.inflation
+    by = found.jacobian[..., list(problem.varied)]
+    each = np.sum(by**2, axis=1)  # (W, k)
+    information = np.zeros((problem.n_groups, by.shape[2]))
+    np.add.at(information, problem.windows.group, each / square)
+    return np.asarray(1.0 / (information + 1.0 / problem.spreads**2))

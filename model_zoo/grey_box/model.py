@@ -8,15 +8,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.grey_box.equation import Structure, extended_band, held_at_rest, observed, structure_kernel
+from model_zoo.grey_box.equation import Structure, observed, structure_kernel
 from model_zoo.grey_box.estimation import (
     FIRST_EVALUATIONS,
     KEPT,
     LAST_EVALUATIONS,
     SCREENED,
-    Estimate,
+    FitWindows,
     LeastSquares,
-    Segments,
+    LeastSquaresFit,
     best_of,
     known_variances,
     starts_of,
@@ -33,7 +33,7 @@ from model_zoo.grey_box.parameters import (
     parameter_rows,
 )
 from model_zoo.grey_box.residual import Residual, conditioned, inputs_of, learned_shape
-from sysid_evo.carry import CarryLayout
+from sysid_evo.carry import REST_BAND, CarryLayout, held_at_rest
 from sysid_evo.data import Dataset
 from sysid_evo.data.response import Measured, measured
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
@@ -50,7 +50,7 @@ SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""
 
 PAST = 20
-"""Samples before a segment from which its actuators and hidden states begin in a fit, if the episodes are so long."""
+"""Samples before a window from which its actuators and hidden states begin in a fit, if the episodes are so long."""
 
 SHARES = (0.0, 0.5, 1.0)
 """Of a residual, that may be kept."""
@@ -59,7 +59,7 @@ BETTER = 0.98
 """None of it is kept unless free runs are better by this factor."""
 
 HIDDEN_SHARE = 0.3
-"""Of the segments, if each has hidden states of its own to be estimated, which takes longer."""
+"""Share of the windows, if each has hidden states of its own to be estimated, which takes longer."""
 
 
 class GreyBox(DynamicsModel):
@@ -81,7 +81,7 @@ class GreyBox(DynamicsModel):
 
     The parameters are those of the least squares of free runs from measured states, of a fifth of ``seconds`` first,
     from ``starts`` starts inside the bounds, then of ``seconds`` (multiple shooting: of each of up to ``windows``
-    segments the hidden states at its start are estimated too). With ``robust`` errors beyond 1.5 deviations count
+    windows the hidden states at its start are estimated too). With ``robust`` errors beyond 1.5 deviations count
     linearly. Integrated by Runge and Kutta's method, ``substeps`` to a sample.
 
     With ``residual`` a radial network of ``residual_points`` bumps learns what the physics leave of each step; it is
@@ -234,11 +234,11 @@ class GreyBox(DynamicsModel):
         history = min(PAST, longest // 4) if self._remembers else 0
         history = max(structure.delay, self.history if self._remembers else 0, history)
         most = max(1, round(self.windows * HIDDEN_SHARE)) if structure.hidden else self.windows
-        segments = [
-            Segments.of(dataset, steps, history=history, most=most, limits=self.envelope_)
+        windows = [
+            FitWindows.of(dataset, steps, history=history, most=most, limits=self.envelope_)
             for steps in (-(-horizon // SHORT), horizon)
         ]
-        first, last = (LeastSquares(structure, some, told, self.robust) for some in segments)
+        first, last = (LeastSquares(structure, some, told, self.robust) for some in windows)
         begun = [
             first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in starts_of(first, self.starts, rng)
         ]
@@ -247,7 +247,7 @@ class GreyBox(DynamicsModel):
             sure = sureness_of(last, best)
             last = replace(last, noise=sure.noise, inflation=sure.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
-        if self.offsets is not None and len(last.segments.groups) > 1:
+        if self.offsets is not None and len(last.windows.groups) > 1:
             best = self._learn_offsets(last, best, sureness_of(last, best))
         self._learn(last, best)
         if self.residual:
@@ -259,17 +259,17 @@ class GreyBox(DynamicsModel):
         """Whether the carry holds what only the past says."""
         return bool(self.hidden) or self.actuator_lag
 
-    def _learn_offsets(self, problem: LeastSquares, best: Estimate, sure: Sureness) -> Estimate:
+    def _learn_offsets(self, problem: LeastSquares, best: LeastSquaresFit, sure: Sureness) -> LeastSquaresFit:
         """Return the estimate of what is common; keep what differs from recording to recording, in units."""
         box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
         varied = [names.index(name) for name in self.offsets or []]
         found = with_offsets(problem, best, sure, varied)
         common = box.values(found.estimate.places)
-        of_each = np.repeat(found.estimate.places[None], len(problem.segments.groups), axis=0)
+        of_each = np.repeat(found.estimate.places[None], len(problem.windows.groups), axis=0)
         of_each[:, varied] += found.estimate.offsets
         self.offsets_ = (box.values(of_each) - common)[:, varied]
         self.offset_spreads_ = found.spreads * box.slopes(found.estimate.places)[varied]
-        self.recordings_ = list(problem.segments.groups)
+        self.recordings_ = list(problem.windows.groups)
         return found.estimate
 
     def offsets_table(self) -> list[dict[str, Any]]:
@@ -277,7 +277,7 @@ class GreyBox(DynamicsModel):
         recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
         return offset_rows(self.declared(), recordings, self.offsets or [], offsets)
 
-    def _learn(self, problem: LeastSquares, best: Estimate) -> None:
+    def _learn(self, problem: LeastSquares, best: LeastSquaresFit) -> None:
         structure = problem.structure
         parameters, box = structure.parameters, structure.box
         known = known_variances(parameters, best.places)
@@ -291,7 +291,7 @@ class GreyBox(DynamicsModel):
             self.hidden_mean_, self.hidden_spread_ = best.hidden.mean(axis=1), best.hidden.std(axis=1) + 1e-9
         nx = structure.system.nx
         errors = best.errors.reshape(len(best.errors), -1, nx)
-        self.residual_spread_ = np.sqrt(np.mean(errors**2, axis=(0, 1))) * problem.segments.scale
+        self.residual_spread_ = np.sqrt(np.mean(errors**2, axis=(0, 1))) * problem.windows.scale
         self.parameters_ = box.values(best.places)
 
     def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
@@ -387,13 +387,19 @@ class GreyBox(DynamicsModel):
                 return residual(features(np.concatenate([x.T, held], axis=1), control)).T
 
         with np.errstate(all="ignore"):
-            after, past = structure.step(self.parameters_[:, None], carry.T, control.T, extra)
-        held_after = held_at_rest(structure, self._extended_band, carry, control, after.T)
-        return np.concatenate([held_after, past.T], axis=1)
+            states, past = (part.T for part in structure.step(self.parameters_[:, None], carry.T, control.T, extra))
+        if (band := self._extended_band) is not None:
+            states = held_at_rest(structure.extended, structure.layout, band, carry, control, states)
+        return np.concatenate([states, past], axis=1)
 
     @property
     def _extended_band(self) -> Array | None:
-        return None if self.rest_band is None else extended_band(self.integrated, self.rest_band)
+        """How near to neutral (n,) each extended state counts as rest; None without ``rest_hold``."""
+        if self.rest_band is None:
+            return None
+        more = self.integrated.extended.states[self.system.nx :]
+        width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
+        return np.concatenate([self.rest_band, REST_BAND * np.array(width)])
 
     def kernel(self) -> DynamicsKernel | None:
         structure, residual = self.integrated, self._residual

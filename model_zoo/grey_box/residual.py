@@ -11,13 +11,11 @@ from scipy.linalg import cho_solve
 from threadpoolctl import threadpool_limits
 
 from model_zoo.features import Features
-from model_zoo.gaussian_process import factor, most_likely, squared_exponential
+from model_zoo.gaussian_process import JITTER, factor, most_likely, squared_exponential
 from model_zoo.grey_box.equation import Structure
 from model_zoo.scaling import deviation, positive
 from sysid_evo.models.kernels import Predictor, gaussian_predictor, with_angles
 from sysid_evo.types import Array
-
-JITTER = 1e-6
 
 
 @dataclass(frozen=True)

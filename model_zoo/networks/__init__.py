@@ -1,1 +1,1 @@
-"""Networks as plain arrays, and their training on free runs."""
+"""Networks as plain arrays, trained through simulations."""

@@ -1,4 +1,7 @@
-"""Networks of standardised features as a model that runs free, trained on all but held-out blocks of time."""
+"""A simulation with networks in it, and its gradient back through time.
+
+The networks see standardised features, and are trained on all but held-out blocks of time.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from model_zoo.networks.network import Layers, Network, Single, random_network
-from model_zoo.networks.training import Plan, Shots, Trainings, judged, train
+from model_zoo.networks.training import Shots, Trainings, TrainingSchedule, judged, train
 from model_zoo.scaling import Mirror, Standard
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
@@ -133,7 +136,7 @@ class StandardisedModel(ABC):
     def learn(
         self,
         splits: Sequence[tuple[Dataset, Dataset]],
-        plan: Plan,
+        plan: TrainingSchedule,
         trainings: Trainings,
     ) -> tuple[Single, Array]:
         """Train each member on the first part of its split.
@@ -174,7 +177,7 @@ class StandardisedModel(ABC):
         flat = self.layers.flat(Network([first, *begun.weights[1:]], begun.biases))
         self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
 
-    def learn_further(self, dataset: Dataset, plan: Plan, trainings: Trainings) -> Single:
+    def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: Trainings) -> Single:
         """Train all members on the whole of ``dataset`` from where they are; return the parameters (M, P)."""
         shots = Shots.of(dataset, plan.horizon, self.layout.history)
         return train(

@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.features import Features
 from model_zoo.networks.backpropagation import StandardisedModel
 from model_zoo.networks.network import Network, Single
-from model_zoo.networks.training import Plan, Trainings
+from model_zoo.networks.training import Trainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
@@ -100,14 +100,16 @@ class MlpEnsemble(Uncertain):
     most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        final = Plan(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
+        final = TrainingSchedule(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
         one_step_updates, updates = np.minimum(SEARCH_UPDATES, (self.one_step_updates, self.updates)).tolist()
         search = replace(final, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         rough = rough_fits(dataset) if self.stochastic else 0
         counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
 
-        def trained(data: Dataset, lags: tuple[int, int], members: int, plan: Plan) -> tuple[Network, Array]:
+        def trained(
+            data: Dataset, lags: tuple[int, int], members: int, plan: TrainingSchedule
+        ) -> tuple[Network, Array]:
             return train_members(
                 data,
                 lags,
@@ -136,7 +138,7 @@ class MlpEnsemble(Uncertain):
         return self
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
-        plan = Plan.further(updates, self.horizon, self.input_noise)
+        plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
         mirror = Mirror.of(dataset.system, self.turning)
         network = train_further(self.network, dataset, self.lags, plan, rng, mirror=mirror)
         other = self.variant()
@@ -267,7 +269,7 @@ def train_members(
     hidden: tuple[int, ...],
     members: int,
     folds: int,
-    plan: Plan,
+    plan: TrainingSchedule,
     mirror: Mirror | None,
     trainings: Trainings,
 ) -> tuple[Network, Array]:
@@ -285,7 +287,7 @@ def train_further(
     network: Network,
     dataset: Dataset,
     lags: tuple[int, int],
-    plan: Plan,
+    plan: TrainingSchedule,
     rng: np.random.Generator,
     *,
     mirror: Mirror | None,

@@ -82,7 +82,7 @@ Single: TypeAlias = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Trace:
+class ActivationTrace:
     """What is kept of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients by every layer."""
 
     values: tuple[Single, ...]
@@ -90,7 +90,7 @@ class Trace:
     spare: tuple[Single, ...]
 
     @classmethod
-    def of(cls, sizes: Sequence[int], calls: int, members: int, batch: int) -> Trace:
+    def of(cls, sizes: Sequence[int], calls: int, members: int, batch: int) -> ActivationTrace:
         made = [np.empty((calls, members, batch, size), dtype=np.float32) for size in (*sizes[:-1], *sizes[1:])]
         spare = [np.empty((members, batch, size), dtype=np.float32) for size in sizes]
         return cls(tuple(made[: len(sizes) - 1]), tuple(made[len(sizes) - 1 :]), tuple(spare))
@@ -111,7 +111,7 @@ class Layers:
         self.per_scale: Single = (1.0 / scale[:, None]).astype(np.float32)
         self.offset: Single = (centre / scale).astype(np.float32)
         self.size = sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
-        self._traces: dict[tuple[int, int], Trace] = {}
+        self._traces: dict[tuple[int, int], ActivationTrace] = {}
 
     def flat(self, network: Network) -> Single:
         """Return the parameters (M, P) of a network of this shape."""
@@ -138,7 +138,7 @@ class Layers:
     def reserve(self, calls: int, batch: int) -> Single:
         """Prepare for so many calls with so many rows; return the inputs (C, M, B, n_in), to be filled."""
         if (calls, batch) not in self._traces:
-            self._traces[calls, batch] = Trace.of(self.sizes, calls, self.members, batch)
+            self._traces[calls, batch] = ActivationTrace.of(self.sizes, calls, self.members, batch)
         self.trace = self._traces[calls, batch]
         return self.trace.values[0]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.features import Features
 from model_zoo.networks.backpropagation import StandardisedModel
 from model_zoo.networks.network import Network, Single
-from model_zoo.networks.training import Plan, Trainings
+from model_zoo.networks.training import Trainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import register_model
 from sysid_evo.carry import CarryLayout
@@ -86,7 +86,7 @@ class NetworkRate(Uncertain):
     most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        plan = Plan(
+        plan = TrainingSchedule(
             self.one_step_updates,
             self.updates,
             self.horizon,
@@ -99,7 +99,7 @@ class NetworkRate(Uncertain):
         options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
         counter = Counter(progress, final.total + trials(options) * search.total)
 
-        def trained(lags: tuple[int, int], plan: Plan) -> FittedFlow:
+        def trained(lags: tuple[int, int], plan: TrainingSchedule) -> tuple[Network, Array, float]:
             return train_flow(
                 dataset,
                 lags,
@@ -111,17 +111,17 @@ class NetworkRate(Uncertain):
             )
 
         with Trainings.of(self, dataset, rng, counter.advance) as trainings:
-            lags = best(options, lambda lags: trained(lags, search).error)
-            fitted = trained(lags, final)
+            lags = best(options, lambda lags: trained(lags, search)[2])
+            network, physical, _ = trained(lags, final)
         self.keep_lags(lags)
-        self.weights_, self.biases_ = list(fitted.network.weights), list(fitted.network.biases)
+        self.weights_, self.biases_ = list(network.weights), list(network.biases)
         if len(self.initial):
-            self.physical_ = fitted.physical
+            self.physical_ = physical
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
-        plan = Plan.further(updates, self.horizon, self.input_noise)
+        plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
         physics, physical = self.physics(), self.physical_ if len(self.initial) else self.initial
         network, physical = train_flow_further(
             self.network, dataset, self.lags, plan, rng, physics=physics, physical=physical
@@ -154,6 +154,29 @@ class NetworkRate(Uncertain):
 
     def next_state(self, carry: Array, control: Array) -> Array:
         return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)
+
+
+@register_model("neural_ode")
+class NeuralOde(NetworkRate):
+    """dx/dt = network(x, u) + w(x), w the rotation of a planar body's frame (Chen et al. 2018).
+
+    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
+    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
+    """
+
+    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
+    presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}
+
+
+@register_model("neural_ode_history")
+class NeuralOdeHistory(NetworkRate):
+    """dx/dt = network(x, u, earlier controls and states) + w(x), w the rotation of a planar body's frame.
+
+    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
+    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
+    Earlier samples are held over a step; how many is chosen by the simulation error on held-out
+    blocks of time unless given.
+    """
 
 
 def flow_step(
@@ -191,28 +214,13 @@ def flow_predictor(
 
 
 FOLDS = 5
+"""Every fifth block of time is held out, to stop early."""
 
 NODES = 0.0, 0.5, 0.5, 1.0
 """Share of dt at which each rate of a step is asked for."""
 
 SHARES = 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0
 """Share of each of them in the step."""
-
-
-class Physics(Protocol):
-    """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
-
-    def hold(self, controls: Single, parameters: Single) -> None:
-        """Expect these ``controls`` (H, ..., nu) in the steps to come."""
-
-    def rate(self, step: int, state: Single) -> Single:
-        """Return the known part (..., nx) in one of the steps."""
-
-    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
-        """Return the gradient by the state, from that by the rate (..., nx)."""
-
-    def by_parameters(self, states: Single, gradients: Single) -> Single:
-        """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""
 
 
 class Flow(StandardisedModel):
@@ -279,13 +287,20 @@ class Flow(StandardisedModel):
         return np.concatenate([by_network, by_logarithms[None]], axis=1)
 
 
-@dataclass(frozen=True)
-class FittedFlow:
-    """The network of features of (carry, control) to rates, the physical parameters, and the validation error."""
+class Physics(Protocol):
+    """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
 
-    network: Network
-    physical: Array
-    error: float
+    def hold(self, controls: Single, parameters: Single) -> None:
+        """Expect these ``controls`` (H, ..., nu) in the steps to come."""
+
+    def rate(self, step: int, state: Single) -> Single:
+        """Return the known part (..., nx) in one of the steps."""
+
+    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+        """Return the gradient by the state, from that by the rate (..., nx)."""
+
+    def by_parameters(self, states: Single, gradients: Single) -> Single:
+        """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""
 
 
 def train_flow(
@@ -293,24 +308,27 @@ def train_flow(
     lags: tuple[int, int],
     *,
     hidden: Sequence[int],
-    plan: Plan,
+    plan: TrainingSchedule,
     trainings: Trainings,
     physics: Physics | None,
     physical: Array,
-) -> FittedFlow:
-    """Train one flow on all but the held-out blocks of time, and keep what simulates those best."""
+) -> tuple[Network, Array, float]:
+    """Train one flow on all but the held-out blocks of time, and keep what simulates those best.
+
+    Returns the network of features of (carry, control) to rates, the physical parameters, and the validation error.
+    """
     model = Flow(dataset, lags, hidden=hidden, rng=trainings.rng)
     if physics is not None:
         model.know(physics, physical)
     best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
-    return FittedFlow(model.network(best), _physical(model, best), float(errors[0]))
+    return model.network(best), _physical(model, best), float(errors[0])
 
 
 def train_flow_further(
     network: Network,
     dataset: Dataset,
     lags: tuple[int, int],
-    plan: Plan,
+    plan: TrainingSchedule,
     rng: np.random.Generator,
     *,
     physics: Physics | None,
@@ -332,26 +350,3 @@ def train_flow_further(
 def _physical(model: Flow, parameters: Single) -> Array:
     """Return the physical part (n,) of ``parameters`` (1, P)."""
     return np.asarray(np.exp(parameters[0, model.layers.size :].astype(np.float64)))
-
-
-@register_model("neural_ode")
-class NeuralOde(NetworkRate):
-    """dx/dt = network(x, u) + w(x), w the rotation of a planar body's frame (Chen et al. 2018).
-
-    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
-    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
-    """
-
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
-    presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}
-
-
-@register_model("neural_ode_history")
-class NeuralOdeHistory(NetworkRate):
-    """dx/dt = network(x, u, earlier controls and states) + w(x), w the rotation of a planar body's frame.
-
-    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
-    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
-    Earlier samples are held over a step; how many is chosen by the simulation error on held-out
-    blocks of time unless given.
-    """

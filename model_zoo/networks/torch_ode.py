@@ -9,7 +9,7 @@ import numpy as np
 
 from model_zoo.features import Features
 from model_zoo.networks.network import Network
-from model_zoo.networks.neural_ode import flow_predictor, flow_step
+from model_zoo.networks.neural_ode import HIDDEN, flow_predictor, flow_step
 from model_zoo.scaling import Standard
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     import torch
 
     from model_zoo.networks.torch_training import Equation
-
-HIDDEN = (32, 32)
 
 ACTIVATIONS = {"tanh": "Tanh", "silu": "SiLU", "gelu": "GELU", "elu": "ELU", "softplus": "Softplus", "relu": "ReLU"}
 

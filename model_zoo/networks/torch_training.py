@@ -15,7 +15,8 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchdiffeq import odeint, odeint_adjoint
 
-from model_zoo.networks.training import MOMENTUM, SPREAD, Batches, Plan, Shots, schedule, step_weights
+from model_zoo.networks.neural_ode import FOLDS
+from model_zoo.networks.training import MOMENTUM, SPREAD, Batches, Shots, TrainingSchedule, schedule, step_weights
 from model_zoo.scaling import Standard
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
@@ -36,8 +37,6 @@ MOST_STEPS = 10_000
 
 SOLVER_FAILED = AssertionError
 """What torchdiffeq raises where they would take more, or meet what is no number."""
-
-FOLDS = 5
 
 ON_SINGLE_STEPS = 2 / 3
 """Share of the updates, which take little time each."""
@@ -164,16 +163,16 @@ class Equation:
     ) -> None:
         """Train the module in place on all but the held-out blocks of time.
 
-        Every window is a shot of its own from a measured state (multiple shooting), as `Plan` says: first of one step,
-        then of ``horizon`` steps. What stays are, of the running means of the weights, those that simulate the held-out
-        blocks best over one second. ``told`` is called after each update.
+        Every window is a shot of its own from a measured state (multiple shooting), first of one step, then of
+        ``horizon`` steps, as `TrainingSchedule` says. What stays are, of the running means of the weights, those that
+        simulate the held-out blocks best over one second. ``told`` is called after each update.
         """
         learned, held = time_blocks(dataset, 0, FOLDS)
         history, module = self.layout.history, self.module
         shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
         batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
         single = round(ON_SINGLE_STEPS * updates)
-        plan = Plan(single, updates - single, horizon, learning_rate=learning_rate)
+        plan = TrainingSchedule(single, updates - single, horizon, learning_rate=learning_rate)
 
         def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:
             return torch.lerp(now, mean, min(plan.averaging, (int(count) + 1) / (int(count) + 10)))

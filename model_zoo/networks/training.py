@@ -114,7 +114,7 @@ class FreeRunning(Protocol):
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingSchedule:
     """How long and how hard to train.
 
     First ``one_step_updates`` on single steps with batches of 512, then ``updates`` on free runs of
@@ -134,7 +134,7 @@ class Plan:
     check_every: int = 100
 
     @classmethod
-    def further(cls, updates: int, horizon: int, input_noise: float) -> Plan:
+    def further(cls, updates: int, horizon: int, input_noise: float) -> TrainingSchedule:
         """Return how what has learned goes on for so many ``updates`` with other data."""
         single = round(SINGLE_STEPS * updates)
         return cls(single, updates - single, horizon, input_noise=input_noise)
@@ -147,7 +147,7 @@ class Plan:
 def train(
     model: FreeRunning,
     shots: Sequence[Shots],
-    plan: Plan,
+    plan: TrainingSchedule,
     *,
     state_scale: Array,
     change_scale: Array,
@@ -172,18 +172,18 @@ def train(
 def _trained(
     model: FreeRunning,
     shots: Sequence[Shots],
-    plan: Plan,
+    plan: TrainingSchedule,
     state_scale: Array,
     change_scale: Array,
     trainings: Trainings,
     judge: Callable[[Single], Array] | None,
 ) -> Single:
     rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.history)
-    standing = Standing.at(model.parameters)
+    state = TrainingState.at(model.parameters)
     scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
     longest = min(shot.horizon for shot in shots)
     present = slice(layout.history - layout.state_lags, layout.history + 1)
-    first = told = trainings.resume(standing)
+    first = told = trainings.resume(state)
     if first:
         trainings.report(first)
     for update in range(first, plan.total):
@@ -197,16 +197,16 @@ def _trained(
         off = (model.run(batch) - truth) / scale
         error = (off**2).mean(axis=(2, 3))
         off *= (2.0 / (off.shape[2] * off.shape[3]) * step_weights(error))[:, None, None, None] / scale
-        standing.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
-        standing.average(min(plan.averaging, (update + 1) / (update + 10)))
+        state.descend(model.gradient(off) + 2.0 * plan.weight_decay * model.parameters, rate)
+        state.average(min(plan.averaging, (update + 1) / (update + 10)))
         last = update + 1 == plan.total
         if judge is not None and (last or (update + 1) % plan.check_every == 0):
-            standing.keep(judge(standing.mean))
+            state.keep(judge(state.mean))
         if last or update % TOLD_EVERY == 0:
-            trainings.reached(update + 1, standing)
+            trainings.reached(update + 1, state)
             trainings.report(update + 1 - told)
             told = update + 1
-    found = standing.mean if judge is None else standing.best
+    found = state.mean if judge is None else state.best
     trainings.end(found)
     return found
 
@@ -239,7 +239,7 @@ def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def schedule(plan: Plan, update: int, longest: int) -> tuple[int, int, float]:
+def schedule(plan: TrainingSchedule, update: int, longest: int) -> tuple[int, int, float]:
     """Return the horizon, the number of windows and the learning rate of one update."""
     if update < plan.one_step_updates:
         share = update / plan.one_step_updates
@@ -258,7 +258,7 @@ MOMENTUM, SPREAD, TINY = 0.9, 0.99, 1e-8
 
 
 @dataclass
-class Standing:
+class TrainingState:
     """All that changes while one training goes on, in place; arrays are (M, P), one row for each member.
 
     ``first`` and ``second`` are Adam's moments of the gradient after so many ``steps`` (1,), ``mean`` is the running
@@ -303,7 +303,7 @@ class Standing:
         better = errors < self.lowest
         self.lowest[better], self.best[better] = errors[better], self.mean[better]
 
-    def state(self) -> dict[str, Array]:
+    def copies(self) -> dict[str, Array]:
         """Return copies of all of it by name, as float64 arrays, which hold single precision exactly."""
         return {name: np.array(value, dtype=np.float64) for name, value in vars(self).items()}
 
@@ -372,26 +372,26 @@ class Trainings:
         _set(self.rng, str(own[f"{number}/rng"]))
         return np.asarray(own[f"{number}/parameters"], dtype=np.float32)
 
-    def resume(self, standing: Standing) -> int:
-        """Bring ``standing`` to where the training was stopped; return the updates that it has behind it."""
+    def resume(self, state: TrainingState) -> int:
+        """Bring ``state`` to where the training was stopped; return the updates that it has behind it."""
         found = self._found
         if "updates" not in found or self._begun != int(found["ended"]) + 1:
             return 0
-        before = standing.state()
+        before = state.copies()
         try:
-            standing.restore({name.removeprefix("now/"): value for name, value in found.items()})
+            state.restore({name.removeprefix("now/"): value for name, value in found.items()})
             _set(self.rng, str(found["rng"]))
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(f"the checkpoint is ignored in this training: {error}", CheckpointWarning, stacklevel=2)
-            standing.restore(before)
+            state.restore(before)
             return 0
         return int(found["updates"])
 
-    def reached(self, updates: int, standing: Standing) -> None:
+    def reached(self, updates: int, state: TrainingState) -> None:
         """Keep how things stand after so many updates, if it is time to save."""
         if self.checkpoint is None:
             return
-        now: dict[str, Any] = {f"now/{name}": value for name, value in standing.state().items()}
+        now: dict[str, Any] = {f"now/{name}": value for name, value in state.copies().items()}
         ended = {name: value for name, value in self._state.items() if _of_ended(name)}
         self._state = {**ended, **now, "updates": updates, "rng": _text(self.rng)}
         self._saved = False

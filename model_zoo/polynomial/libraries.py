@@ -28,13 +28,9 @@ from sysid_evo.types import IntArray
 Term: TypeAlias = tuple[str, ...]
 """The factors of one candidate term, sorted: names of features, or functions as `FunctionOf.text`."""
 
-OF_X = re.compile(r"(?P<function>\w+)(?:\((?:(?P<factor>[-+.\deE]+)\s*\*\s*)?x\))?")
 
-ALIASES = {"x*abs(x)": "x_abs", "abs(x)*x": "x_abs", "sqrt(abs(x))": "sqrt_abs"}
-
-
-class Terms(Protocol):
-    """A library."""
+class TermLibrary(Protocol):
+    """A library: what gives candidate terms."""
 
     def terms(self, features: Features) -> list[Term]:
         """Return the candidate terms over ``features``, in the order of pysindy's library."""
@@ -131,55 +127,9 @@ class Custom:
         return found
 
 
-@dataclass(frozen=True)
-class Sum:
-    """pysindy's ConcatLibrary: the terms of all ``parts``, each once."""
+OF_X = re.compile(r"(?P<function>\w+)(?:\((?:(?P<factor>[-+.\deE]+)\s*\*\s*)?x\))?")
 
-    parts: tuple[Terms, ...]
-
-    def terms(self, features: Features) -> list[Term]:
-        return list(dict.fromkeys(term for part in self.parts for term in part.terms(features)))
-
-
-@dataclass(frozen=True)
-class Product:
-    """pysindy's TensoredLibrary: every product of one term of each of ``parts``."""
-
-    parts: tuple[Terms, ...]
-
-    def terms(self, features: Features) -> list[Term]:
-        found: list[Term] = [()]
-        for part in self.parts:
-            found = [tuple(sorted(left + right)) for left in found for right in part.terms(features)]
-        return list(dict.fromkeys(found))
-
-
-@dataclass(frozen=True)
-class WeakForm:
-    """How the weak form tests an equation: windows of half width ``H_xt`` s, test functions (1 - s^2)^``p``.
-
-    ``K`` windows, spread evenly over the data; None for one every quarter of a window.
-    """
-
-    H_xt: float = 0.5
-    p: int = 4
-    K: int | None = None
-
-
-@dataclass(frozen=True)
-class Named:
-    """What a text names: candidate terms, and the weak form if it asks for one."""
-
-    terms: Terms
-    weak: WeakForm | None = None
-
-
-@dataclass(frozen=True)
-class Basis:
-    """Terms as exponents (T, n) of features and of further ``functions`` of (carry, control), which follow them."""
-
-    functions: tuple[str, ...]
-    exponents: IntArray
+ALIASES = {"x*abs(x)": "x_abs", "abs(x)*x": "x_abs", "sqrt(abs(x))": "sqrt_abs"}
 
 
 def of_x(text: str) -> tuple[str, float]:
@@ -194,6 +144,45 @@ def of_x(text: str) -> tuple[str, float]:
     return found["function"], 1.0 if found["factor"] is None else float(found["factor"])
 
 
+@dataclass(frozen=True)
+class Sum:
+    """pysindy's ConcatLibrary: the terms of all ``parts``, each once."""
+
+    parts: tuple[TermLibrary, ...]
+
+    def terms(self, features: Features) -> list[Term]:
+        return list(dict.fromkeys(term for part in self.parts for term in part.terms(features)))
+
+
+@dataclass(frozen=True)
+class Product:
+    """pysindy's TensoredLibrary: every product of one term of each of ``parts``."""
+
+    parts: tuple[TermLibrary, ...]
+
+    def terms(self, features: Features) -> list[Term]:
+        found: list[Term] = [()]
+        for part in self.parts:
+            found = [tuple(sorted(left + right)) for left in found for right in part.terms(features)]
+        return list(dict.fromkeys(found))
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a text names: candidate terms, and the weak form if it asks for one."""
+
+    terms: TermLibrary
+    weak: WeakForm | None = None
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Terms as exponents (T, n) of features and of further ``functions`` of (carry, control), which follow them."""
+
+    functions: tuple[str, ...]
+    exponents: IntArray
+
+
 @lru_cache(maxsize=256)
 def basis_of(text: str, features: Features) -> Basis:
     """Return the terms that the library ``text`` has over ``features``."""
@@ -206,16 +195,6 @@ def basis_of(text: str, features: Features) -> Basis:
         for factor in term:
             row[place[factor]] += 1
     return Basis(tuple(function.text for function in functions), exponents)
-
-
-@lru_cache(maxsize=256)
-def read_library(text: str) -> Named:
-    """Return what ``text`` names. Raises `InvalidArgument` that says what is expected."""
-    try:
-        tree = ast.parse(text.strip(), mode="eval").body
-    except SyntaxError as error:
-        raise InvalidArgument(f"library: {text!r} cannot be read: {error.msg}; {EXAMPLE}") from error
-    return _read(text, tree)
 
 
 EXAMPLE = "expected NAME(parameter=value, ...), or several joined by + and *, such as 'polynomial(degree=2) + fourier'"
@@ -236,12 +215,22 @@ REFUSED: Mapping[str, str] = {
 Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 
 
+@lru_cache(maxsize=256)
+def read_library(text: str) -> Named:
+    """Return what ``text`` names. Raises `InvalidArgument` that says what is expected."""
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except SyntaxError as error:
+        raise InvalidArgument(f"library: {text!r} cannot be read: {error.msg}; {EXAMPLE}") from error
+    return _read(text, tree)
+
+
 def _read(text: str, node: ast.expr) -> Named:
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Add, ast.Mult)):
         sides = (_read(text, node.left), _read(text, node.right))
         if any(side.weak is not None for side in sides):
             raise InvalidArgument(f"library: the weak form goes around the whole library, got {text!r}")
-        join: Callable[[tuple[Terms, ...]], Terms] = Sum if isinstance(node.op, ast.Add) else Product
+        join: Callable[[tuple[TermLibrary, ...]], TermLibrary] = Sum if isinstance(node.op, ast.Add) else Product
         return Named(join((sides[0].terms, sides[1].terms)))
     if not isinstance(node, (ast.Call, ast.Name)):
         raise InvalidArgument(f"library: {text!r}: {EXAMPLE}")
@@ -261,7 +250,7 @@ def _read(text: str, node: ast.expr) -> Named:
     return Named(_made(spec, KINDS[name], {}))
 
 
-def _parts(spec: Spec) -> tuple[Terms, ...]:
+def _parts(spec: Spec) -> tuple[TermLibrary, ...]:
     parts = spec.parameters.get("libraries")
     if not isinstance(parts, list) or set(spec.parameters) != {"libraries"}:
         raise InvalidArgument(f"library: expected {spec.name}(libraries=[...]), got {spec.text!r}")
@@ -277,7 +266,7 @@ def _weak(spec: Spec) -> Named:
     return Named(inside.terms, weak)
 
 
-def _made(spec: Spec, kind: Kind, fixed: Mapping[str, Any]) -> Terms:
+def _made(spec: Spec, kind: Kind, fixed: Mapping[str, Any]) -> TermLibrary:
     given = dict(spec.parameters)
     if "inputs" in given:
         given["inputs"] = Inputs(_texts(spec, "inputs", given["inputs"]))
@@ -313,6 +302,18 @@ def _checked(spec: Spec, kind: type[Any], given: Mapping[str, Any]) -> Any:
         if not right or (isinstance(value, bool) and not isinstance(expected, bool)):
             raise InvalidArgument(f"library: {spec.name}: {name}={value!r} is of the wrong type")
     return kind(**given)
+
+
+@dataclass(frozen=True)
+class WeakForm:
+    """How the weak form tests an equation: windows of half width ``H_xt`` s, test functions (1 - s^2)^``p``.
+
+    ``K`` windows, spread evenly over the data; None for one every quarter of a window.
+    """
+
+    H_xt: float = 0.5
+    p: int = 4
+    K: int | None = None
 
 
 def testing_functions(sample: IntArray, dt: float, weak: WeakForm) -> csr_array:

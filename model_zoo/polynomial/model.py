@@ -175,8 +175,12 @@ def evaluate(inputs: Array, exponents: IntArray) -> Array:
 
 def term_name(exponents: IntArray, names: Sequence[str]) -> str:
     """Return one monomial in words, such as ``forward_speed^2 steer``; ``1`` for the constant."""
-    parts = [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
-    return " ".join(parts) or "1"
+    return " ".join(factors(exponents, names)) or "1"
+
+
+def factors(exponents: IntArray, names: Sequence[str]) -> list[str]:
+    """Return the factors of one monomial in words, such as ``forward_speed^2``."""
+    return [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
 
 
 def equation(

@@ -20,11 +20,12 @@ from model_zoo.polynomial.model import (
     PolynomialFamily,
     Regression,
     evaluate,
+    factors,
     library_size,
     monomials,
     term_name,
 )
-from model_zoo.polynomial.pysindy_objects import counts_rows, make_optimizer, read_optimizer, run
+from model_zoo.polynomial.optimizers import counts_rows, make_optimizer, read_optimizer, run
 from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
@@ -36,98 +37,6 @@ from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
 
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
-
-
-@dataclass(frozen=True)
-class Library:
-    """The monomials of a regression, with no more rows than that takes: least squares see only their products.
-
-    ``terms`` (R, T) and ``targets`` (R, nx) are the triangular factor of the QR decomposition of the monomials and
-    targets, of quantities divided by their root mean squares; the data themselves if they have fewer rows than terms.
-    """
-
-    terms: Array
-    targets: Array
-    exponents: IntArray
-    unit: Array
-    """What a coefficient of each term and target (T, nx) is measured in."""
-
-    @classmethod
-    def of(
-        cls, data: Regression, exponents: IntArray, *, weak: WeakForm | None = None, dt: float = 0.0, rows: bool = False
-    ) -> Library:
-        """Return the monomials with ``exponents``, perhaps in the weak form, with ``rows`` of the data as they are.
-
-        Raises `InvalidData` if there are fewer than two steps.
-        """
-        if len(data.regressors) < 2:
-            raise InvalidData("data set: a sparse regression needs at least two steps")
-        scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
-        terms, targets = evaluate(data.regressors / scale, exponents), data.targets / target_scale
-        unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
-        count = len(exponents)
-        if weak is not None and data.sample is not None:
-            tested = testing_functions(data.sample, dt, weak)
-            terms, targets = tested @ terms, tested @ targets
-        if not rows and len(terms) > count + targets.shape[1]:
-            factor: Array = np.asarray(np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r"))
-            terms, targets = factor[:count, :count], factor[:count, count:]
-        return cls(terms, targets, exponents, unit)
-
-    def coefficients(self, threshold: float, ridge: float) -> Array:
-        """Return the coefficients (T, nx) of the raw quantities that pysindy's STLSQ finds, zeros included.
-
-        ``threshold`` is a share of a target's size.
-        """
-        from pysindy.optimizers import STLSQ
-        from sklearn import config_context
-
-        start = np.ones((self.targets.shape[1], self.terms.shape[1]))  # nothing but that all terms are there counts
-        unchecked = {"check_input": False, "solver": "cholesky"}  # checks took longer than the regressions
-        search = STLSQ(threshold=threshold, alpha=ridge, initial_guess=start, ridge_kw=unchecked)
-        with warnings.catch_warnings(), config_context(assume_finite=True, skip_parameter_validation=True):
-            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
-            search.fit(self.terms, self.targets)
-        return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
-
-    def found_by(self, optimizer: str, seed: int) -> Array:
-        """Return the coefficients (T, nx) of the raw quantities that an optimiser of pysindy finds."""
-        return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
-
-    def found_within(self, optimizer: str, low: Array, high: Array, ridge: float, seed: int) -> Array:
-        """Return the coefficients (T, nx) between ``low`` and ``high`` of the terms that an optimiser finds.
-
-        An optimiser that takes constraints is given them; the terms that it leaves are fitted anew within the bounds.
-        """
-        low, high = low / self.unit, high / self.unit
-        found = np.zeros_like(low)
-        for state in range(self.targets.shape[1]):
-            least, most, target = low[:, state], high[:, state], self.targets[:, state : state + 1]
-            free = ~(least == most)
-            used = np.zeros(len(free), dtype=bool)
-            if free.any():
-                rest = target - self.terms @ np.where(free, 0.0, least)[:, None]
-                search = make_optimizer(optimizer, **_as_matrices(optimizer, least[free], most[free]))
-                used[free] = run(search, self.terms[:, free], rest, seed)[:, 0] != 0
-            found[:, state] = bounded_fit(self.terms, target[:, 0], least, most, used, ridge)
-        return found * self.unit
-
-
-def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
-    """Return the constraints of one equation as ConstrainedSR3 takes them; nothing for other optimisers."""
-    spec = read_optimizer(optimizer)
-    below, above = np.isfinite(high), np.isfinite(low)
-    if spec.name != "ConstrainedSR3" or not (below.any() or above.any()):
-        return {}
-    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty, and its solver more rounds
-    each = np.eye(len(low))
-    return {
-        "constraint_lhs": np.concatenate([each[below], -each[above]]),
-        "constraint_rhs": np.concatenate([high[below], -low[above]]),
-        "inequality_constraints": True,
-        **{name: value for name, value in usual.items() if name not in spec.parameters},
-    }
-
 
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
 """Degree (0 with a library of its own), threshold, lags."""
@@ -317,14 +226,9 @@ class SparsePolynomial(PolynomialFamily):
         """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
-        lags = self._lag_candidates()
-        every = list(
-            product(
-                (0,) if self.library is not None else degrees,
-                (0.0,) if self.optimizer is not None else thresholds,
-                lags,
-            )
-        )
+        degrees = (0,) if self.library is not None else degrees
+        thresholds = (0.0,) if self.optimizer is not None else thresholds
+        every = list(product(degrees, thresholds, self._lag_candidates()))
 
         def terms(setting: Setting) -> int:
             if self.library is not None:
@@ -336,6 +240,97 @@ class SparsePolynomial(PolynomialFamily):
     def _lag_candidates(self) -> list[tuple[int, int]]:
         offered = self.few_lags if self.lag_search == "few" else self.offered_lags
         return lag_candidates(self.state_lags, self.control_lags, offered)
+
+
+@dataclass(frozen=True)
+class Library:
+    """The monomials of a regression, with no more rows than that takes: least squares see only their products.
+
+    ``terms`` (R, T) and ``targets`` (R, nx) are the triangular factor of the QR decomposition of the monomials and
+    targets, of quantities divided by their root mean squares; the data themselves if they have fewer rows than terms.
+    """
+
+    terms: Array
+    targets: Array
+    exponents: IntArray
+    unit: Array
+    """What a coefficient of each term and target (T, nx) is measured in."""
+
+    @classmethod
+    def of(
+        cls, data: Regression, exponents: IntArray, *, weak: WeakForm | None = None, dt: float = 0.0, rows: bool = False
+    ) -> Library:
+        """Return the monomials with ``exponents``, perhaps in the weak form, with ``rows`` of the data as they are.
+
+        Raises `InvalidData` if there are fewer than two steps.
+        """
+        if len(data.regressors) < 2:
+            raise InvalidData("data set: a sparse regression needs at least two steps")
+        scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
+        terms, targets = evaluate(data.regressors / scale, exponents), data.targets / target_scale
+        unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
+        count = len(exponents)
+        if weak is not None and data.sample is not None:
+            tested = testing_functions(data.sample, dt, weak)
+            terms, targets = tested @ terms, tested @ targets
+        if not rows and len(terms) > count + targets.shape[1]:
+            factor: Array = np.asarray(np.linalg.qr(np.concatenate([terms, targets], axis=1), mode="r"))
+            terms, targets = factor[:count, :count], factor[:count, count:]
+        return cls(terms, targets, exponents, unit)
+
+    def coefficients(self, threshold: float, ridge: float) -> Array:
+        """Return the coefficients (T, nx) of the raw quantities that pysindy's STLSQ finds, zeros included.
+
+        ``threshold`` is a share of a target's size.
+        """
+        from pysindy.optimizers import STLSQ
+        from sklearn import config_context
+
+        start = np.ones((self.targets.shape[1], self.terms.shape[1]))  # nothing but that all terms are there counts
+        unchecked = {"check_input": False, "solver": "cholesky"}  # checks took longer than the regressions
+        search = STLSQ(threshold=threshold, alpha=ridge, initial_guess=start, ridge_kw=unchecked)
+        with warnings.catch_warnings(), config_context(assume_finite=True, skip_parameter_validation=True):
+            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+            search.fit(self.terms, self.targets)
+        return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
+
+    def found_by(self, optimizer: str, seed: int) -> Array:
+        """Return the coefficients (T, nx) of the raw quantities that an optimiser of pysindy finds."""
+        return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
+
+    def found_within(self, optimizer: str, low: Array, high: Array, ridge: float, seed: int) -> Array:
+        """Return the coefficients (T, nx) between ``low`` and ``high`` of the terms that an optimiser finds.
+
+        An optimiser that takes constraints is given them; the terms that it leaves are fitted anew within the bounds.
+        """
+        low, high = low / self.unit, high / self.unit
+        found = np.zeros_like(low)
+        for state in range(self.targets.shape[1]):
+            least, most, target = low[:, state], high[:, state], self.targets[:, state : state + 1]
+            free = ~(least == most)
+            used = np.zeros(len(free), dtype=bool)
+            if free.any():
+                rest = target - self.terms @ np.where(free, 0.0, least)[:, None]
+                search = make_optimizer(optimizer, **_as_matrices(optimizer, least[free], most[free]))
+                used[free] = run(search, self.terms[:, free], rest, seed)[:, 0] != 0
+            found[:, state] = bounded_fit(self.terms, target[:, 0], least, most, used, ridge)
+        return found * self.unit
+
+
+def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
+    """Return the constraints of one equation as ConstrainedSR3 takes them; nothing for other optimisers."""
+    spec = read_optimizer(optimizer)
+    below, above = np.isfinite(high), np.isfinite(low)
+    if spec.name != "ConstrainedSR3" or not (below.any() or above.any()):
+        return {}
+    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty, and its solver more rounds
+    each = np.eye(len(low))
+    return {
+        "constraint_lhs": np.concatenate([each[below], -each[above]]),
+        "constraint_rhs": np.concatenate([high[below], -low[above]]),
+        "inequality_constraints": True,
+        **{name: value for name, value in usual.items() if name not in spec.parameters},
+    }
 
 
 SENTENCE = re.compile(r"\s*(?P<what>.+?)\s*(?P<sign><=|>=|==|=)\s*(?P<number>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
@@ -398,7 +393,7 @@ def _meant(
 
 def _spellings(powers: IntArray, names: Sequence[str]) -> set[str]:
     """Return every way to write a term without blanks: its factors in any order."""
-    parts = [name if power == 1 else f"{name}^{power}" for name, power in zip(names, powers, strict=True) if power]
+    parts = factors(powers, names)
     return {re.sub(r"[\s*]", "", "".join(order)) for order in permutations(parts)} if parts else {"1"}
 
 

@@ -1,4 +1,4 @@
-"""Families sindy, sindy_bagged, sindy_discrete; how an equation continues outside the data."""
+"""Families sindy and sindy_discrete; how a differential equation continues outside the data."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Sindy(SparsePolynomial):
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         super().adopt(data, coefficients, exponents)
-        self.continuation_ = limits(data.states, data.targets, data.added)
+        self.continuation_ = continuation_limits(data.states, data.targets, data.added)
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
@@ -87,7 +87,7 @@ MARGIN = 0.1
 """Share of the range of a state within which what drives it further out fades away."""
 
 
-def limits(states: Array, rates: Array, endless: BoolArray) -> Array:
+def continuation_limits(states: Array, rates: Array, endless: BoolArray) -> Array:
     """Return what bounds the continuation (5, nx): lowest and highest state, 1 / margin, lowest and highest rate.
 
     ``states`` and ``rates`` (N, nx) are those of the training data; a state that is ``endless`` (nx,), such as a

@@ -73,10 +73,9 @@ class Lesson:
 
     def linear(self, order: int) -> Spaces:
         """Return the linear space that the subspace gives, made stable if it is not."""
-        found = linear_space(self.subspace, order)
-        rates = flowing(found.rates) if self.flow else found.rates
-        outer = rates / found.pace[:, None]
-        return stabilised(Spaces.linear(outer[None], found.pace, flow=self.flow))
+        rates, pace = linear_space(self.subspace, order)
+        rates = flowing(rates) if self.flow else rates
+        return stabilised(Spaces.linear((rates / pace[:, None])[None], pace, flow=self.flow))
 
     def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
@@ -280,8 +279,8 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) ->
     best = int(np.argmin(errors))
     closed = slope.copy()
     closed[:, :ny] -= gains[best]
-    radius = float(np.abs(np.linalg.eigvals(closed)).max())
-    memory = LONGEST if radius >= 1.0 else np.log(FORGOTTEN) / np.log(max(radius, 1e-3))
+    kept = float(np.abs(np.linalg.eigvals(closed)).max())  # of an error, from sample to sample
+    memory = LONGEST if kept >= 1.0 else np.log(FORGOTTEN) / np.log(max(kept, 1e-3))
     return Observer(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
 
 

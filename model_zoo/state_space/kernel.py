@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model_zoo.state_space.units import BOUND, SHARP
+from model_zoo.state_space.units import BOUND, SHARP_WIDTH
 from sysid_evo.kernels import (
     CACHE_LINE,
     LANES,
@@ -174,7 +174,7 @@ def advance(x, u, off, p, ny, nu, far, after, room):
         if kind == 0.0:
             store(room, j * LANES, math.tanh(inside))
         elif kind < 3.0:
-            wide = 1.0 if kind == 1.0 else SHARP
+            wide = 1.0 if kind == 1.0 else SHARP_WIDTH
             store(room, j * LANES, 0.5 * (math.sqrt(inside * inside + wide * wide) - wide))
         elif kind == 3.0:
             inside = min(max(inside, -BOUND), BOUND)

@@ -1,4 +1,4 @@
-"""A linear state space whose states are not measured: subspace start, output-error training, Kalman observer."""
+"""Family linear_state_space: subspace start, output-error training, Kalman observer."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from model_zoo.state_space.model import StateSpaceModel
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.folds import FOLDS, time_blocks
 from sysid_evo.validation.held_out import best, trials
 from sysid_evo.validation.simulation_error import judging_windows, simulation_error
 
 MOST = 8
-
-FOLDS = 3
+"""Order up to which is tried; two more than there are outputs if that is higher."""
 
 STEPS = 60
 """Of the free runs that choose the order."""

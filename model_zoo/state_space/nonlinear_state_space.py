@@ -18,8 +18,34 @@ from sysid_evo.data import Dataset
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.folds import FOLDS, time_blocks
 from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+
+FEWEST_STATES, MOST_STATES, ORDERS = 2, 6, 3
+"""Orders that are tried, so many in any case."""
+
+FINALISTS, FURTHER = 2, 3
+"""Orders whose networks are trained further, and how many of them go on to long runs."""
+
+WIDER = 3
+"""How often networks may become wider."""
+
+LIKELY = 4
+"""Mixtures of units of which more networks are begun, and networks of an order that are judged."""
+
+SHARPNESS = 40.0
+"""How fast a member counts less as its criterion, for each sample, is higher."""
+
+ASTRAY = 10.0
+"""What the criterion of a member that goes astray is higher."""
+
+NEGLIGIBLE = 0.08
+"""Weight, as a share of the largest, below which a member is left out."""
+
+FEW, BETTER = 600, 0.9
+"""A record of fewer samples is gated: on held-out blocks of time networks must be better by this factor."""
+
+LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_")
 
 
 class NetworkSpaces(StateSpaceModel):
@@ -55,7 +81,7 @@ class NetworkSpaces(StateSpaceModel):
         more = self._begun(lesson, begun.linear, list(islice(cycle(likely), 2 * self.members)), rng, counter)
         pool = joined(begun.networks, more)
         pool = lesson.learned(pool.spaces, pool.starts, 2 * self.trial, counter.advance)
-        trained = best(pool, lesson, self.members)
+        trained = best_networks(pool, lesson, self.members)
         trained = lesson.learned(trained.spaces, trained.starts, self.iterations, counter.advance)
         trained = lesson.lengthened(trained, begun.linear.spaces, self.iterations, counter.advance)
         trained = self._wide_enough(lesson, trained, likely, rng, counter)
@@ -82,7 +108,7 @@ class NetworkSpaces(StateSpaceModel):
         for order in orders:
             linear = lesson.linear_trained(order, self.trial, self.trial, counter.advance)
             own = self._begun(lesson, linear, mixtures, rng, counter)
-            tried.append(Beginning(linear, own, from_history(best(own, lesson, LIKELY), lesson)))
+            tried.append(Beginning(linear, own, from_history(best_networks(own, lesson, LIKELY), lesson)))
             if len(tried) - int(np.argmin([one.found for one in tried])) >= ORDERS:
                 break
         counter.advance(3 * self.trial * (len(orders) - len(tried)))
@@ -93,9 +119,9 @@ class NetworkSpaces(StateSpaceModel):
         finalists = tried[:FINALISTS] if len(tried) > 1 else []
         scores = []
         for one in finalists:
-            own = best(one.networks, lesson, LIKELY)
-            own = best(lesson.learned(own.spaces, own.starts, 2 * self.trial, counter.advance), lesson, FURTHER)
-            own = lesson.lengthened(own, one.linear.spaces, self.trial, counter.advance)
+            own = best_networks(one.networks, lesson, LIKELY)
+            own = lesson.learned(own.spaces, own.starts, 2 * self.trial, counter.advance)
+            own = lesson.lengthened(best_networks(own, lesson, FURTHER), one.linear.spaces, self.trial, counter.advance)
             scores.append(from_history(own, lesson))
         counter.advance(3 * self.trial * (FINALISTS - len(scores)))
         return finalists[int(np.argmin(scores))] if scores else tried[0]
@@ -199,31 +225,23 @@ class NonlinearStateSpace(NetworkSpaces):
     continuous: ClassVar[bool] = False
 
 
-FEWEST_STATES, MOST_STATES, ORDERS = 2, 6, 3
-"""Orders that are tried, so many in any case."""
+@register_model("latent_ode")
+class LatentOde(NetworkSpaces):
+    """dx/dt = A x + B u + c + W units(V (x, u, 1)), y = C x + d, the control held over a sample; + K (y - C x - d).
 
-FINALISTS, FURTHER = 2, 3
-"""Orders whose networks are trained further, and how many of them go on to long runs."""
+    A neural ODE (Chen et al. 2018) of which outputs alone are measured: of the states x the first are the outputs
+    without noise, the others are latent. One step of the classical Runge-Kutta method takes them from sample to sample.
+    It begins at linear differential equations of ascending orders, whose step is that of linear state spaces found by a
+    subspace method, and is trained, chosen and averaged as `NonlinearStateSpace` is: Levenberg-Marquardt on free runs
+    of 100 and at last of ``horizon`` steps through the derivatives of the Runge-Kutta steps, the initial state of each
+    run free (multiple shooting), a normal prior on W and V. An observer with the gain K of a Kalman predictor corrects
+    the states after each step where outputs are measured, and finds the first from the last samples.
+    """
 
-WIDER = 3
-"""How often networks may become wider."""
-
-LIKELY = 4
-"""Mixtures of units of which more networks are begun, and networks of an order that are judged."""
-
-SHARPNESS = 40.0
-"""How fast a member counts less as its criterion, for each sample, is higher."""
-
-ASTRAY = 10.0
-"""What the criterion of a member that goes astray is higher."""
-
-NEGLIGIBLE = 0.08
-"""Weight, as a share of the largest, below which a member is left out."""
-
-FEW, FOLDS, BETTER = 600, 3, 0.9
-"""A record of fewer samples is gated: on so many folds networks must be better by this factor."""
-
-LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "history_", "rest_")
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        "quick": {"members": 2, "mixtures": 3, "trial": 5, "iterations": 10, "horizon": 200, "most_steps": 3000}
+    }
+    continuous: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -243,7 +261,7 @@ class Beginning:
         return [MIXTURES[i] for i in np.argsort(scores)[:LIKELY]]
 
 
-def best(trained: Trained, lesson: Lesson, count: int) -> Trained:
+def best_networks(trained: Trained, lesson: Lesson, count: int) -> Trained:
     """Return the ``count`` networks whose criterion is lowest, the best first."""
     return trained[np.argsort(criterion(trained.error, trained.spaces, lesson))[:count]]
 
@@ -311,22 +329,3 @@ def _appended(spaces: Spaces, inner: Array, kinds: IntArray) -> Spaces:
         inner=np.concatenate([spaces.inner, inner], axis=1),
         kinds=np.concatenate([spaces.kinds, kinds], axis=1),
     )
-
-
-@register_model("latent_ode")
-class LatentOde(NetworkSpaces):
-    """dx/dt = A x + B u + c + W units(V (x, u, 1)), y = C x + d, the control held over a sample; + K (y - C x - d).
-
-    A neural ODE (Chen et al. 2018) of which outputs alone are measured: of the states x the first are the outputs
-    without noise, the others are latent. One step of the classical Runge-Kutta method takes them from sample to sample.
-    It begins at linear differential equations of ascending orders, whose step is that of linear state spaces found by a
-    subspace method, and is trained, chosen and averaged as `NonlinearStateSpace` is: Levenberg-Marquardt on free runs
-    of 100 and at last of ``horizon`` steps through the derivatives of the Runge-Kutta steps, the initial state of each
-    run free (multiple shooting), a normal prior on W and V. An observer with the gain K of a Kalman predictor corrects
-    the states after each step where outputs are measured, and finds the first from the last samples.
-    """
-
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {"members": 2, "mixtures": 3, "trial": 5, "iterations": 10, "horizon": 200, "most_steps": 3000}
-    }
-    continuous: ClassVar[bool] = True

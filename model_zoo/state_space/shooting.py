@@ -238,29 +238,24 @@ def train(
         rows = np.flatnonzero(going).astype(np.int64)
         if len(rows):
             own = spaces[rows]
-            done, going[rows] = _improve(own, starts[rows], damping[rows], objective, ny)
             flat = spaces.flat
-            flat[rows], starts[rows], damping[rows] = done.flat, done.starts, done.damping
+            flat[rows], starts[rows], damping[rows], going[rows] = _improve(
+                own, starts[rows], damping[rows], objective, ny
+            )
             spaces = spaces.with_flat(flat)
         told()
     outputs = spaces.run(starts, segments.controls)[..., :ny]
     return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Parameters (S, P), initial states and damping after one iteration."""
-
-    flat: Array
-    starts: Array
-    damping: Array
-
-
 TRIES = 6
+"""Dampings that are tried in one iteration."""
 
 
-def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objective, ny: int) -> tuple[_Step, BoolArray]:
-    """Return one iteration of every space, and which are worth going on with."""
+def _improve(
+    spaces: Spaces, starts: Array, damping: Array, objective: _Objective, ny: int
+) -> tuple[Array, Array, Array, BoolArray]:
+    """Return parameters (S, P), initial states, damping after one iteration, and which are worth going on with."""
     flat, damping = spaces.flat.copy(), damping.copy()
     starts = starts.copy()
     outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
@@ -295,7 +290,7 @@ def _improve(spaces: Spaces, starts: Array, damping: Array, objective: _Objectiv
                 left[s] = False
             else:
                 damping[s] *= HARDER
-    return _Step(flat, starts, damping), going & (damping < STIFFEST)
+    return flat, starts, damping, going & (damping < STIFFEST)
 
 
 @dataclass(frozen=True)

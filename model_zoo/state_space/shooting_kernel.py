@@ -11,7 +11,7 @@ import functools
 import math
 from typing import Any
 
-from model_zoo.state_space.units import BOUND, SHARP
+from model_zoo.state_space.units import BOUND, SHARP_WIDTH
 from sysid_evo.kernels import WHOLES, KernelSource, Signature, view
 
 
@@ -146,7 +146,7 @@ def look(states, at, controls, place, inner, kinds, n, nu, units, room):
             value = math.tanh(inside)
             slope = 1.0 - value * value
         elif kinds[h] < 3:
-            wide = 1.0 if kinds[h] == 1 else SHARP
+            wide = 1.0 if kinds[h] == 1 else SHARP_WIDTH
             root = math.sqrt(inside * inside + wide * wide)
             value = 0.5 * (root - wide)
             slope = 0.5 * inside / root

@@ -57,18 +57,11 @@ class Subspace:
         return cls(left * np.sqrt(len(left)) * (sizes > 1e-9 * sizes[0]), controls, outputs, follows)
 
 
-@dataclass(frozen=True)
-class LinearSpace:
-    """x' = x + ``rates`` (n, n + nu + 1) (x, u, 1), whose first states are the outputs; ``pace`` (n,) is how fast."""
+def linear_space(sequence: Subspace, order: int) -> tuple[Array, Array]:
+    """Return the rates and the pace of the linear state space of ``order`` states, at least one for each output.
 
-    rates: Array
-    pace: Array
-
-
-def linear_space(sequence: Subspace, order: int) -> LinearSpace:
-    """Return the linear state space of ``order`` states, at least one for each output.
-
-    The first states are what the subspace says of the outputs, the others its next components, made independent
+    It steps by x' = x + rates (x, u, 1), with rates (n, n + nu + 1); the pace (n,) is the usual change of each state in
+    a step. The first states are what the subspace says of the outputs, the others its next components, made independent
     of them and of deviation 1.
     """
     ny = sequence.outputs.shape[1]
@@ -84,7 +77,7 @@ def linear_space(sequence: Subspace, order: int) -> LinearSpace:
     change = states[after] - states[now]
     penalty = RIDGE * len(now) * np.eye(regressors.shape[1])
     rates = np.linalg.solve(regressors.T @ regressors + penalty, regressors.T @ change).T
-    return LinearSpace(rates, np.maximum(np.sqrt(np.mean(change**2, axis=0)), 1e-3))
+    return rates, np.maximum(np.sqrt(np.mean(change**2, axis=0)), 1e-3)
 
 
 def flowing(rates: Array) -> Array:

@@ -11,7 +11,7 @@ from sysid_evo.types import Array, IntArray
 
 UNITS = ("smooth", "kinked", "sharp", "cubic", "gate")
 
-SHARP = 0.1
+SHARP_WIDTH = 0.1
 """How wide the kink of a sharp unit is, where that of a kinked one is 1."""
 
 BOUND = 3.0
@@ -21,9 +21,9 @@ BOUND = 3.0
 def values(kinds: IntArray, s: Array) -> Array:
     """Return of each column of ``s`` (..., h) what its kind makes of it.
 
-    That is tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP`, s^3 / 3, or s times what the unit before
-    it gives; cubes and gates take s within `BOUND`. The kinks are the smooth ramp of Barron (2021) without s / 2,
-    which the linear part holds.
+    That is tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP_WIDTH`, s^3 / 3, or s times what the unit
+    before it gives; cubes and gates take s within `BOUND`. The kinks are the smooth ramp of Barron (2021) without
+    s / 2, which the linear part holds.
     """
     out = np.empty_like(s)
     for h, kind in enumerate(kinds):
@@ -35,7 +35,7 @@ def values(kinds: IntArray, s: Array) -> Array:
         elif UNITS[kind] == "gate":
             out[..., h] = out[..., h - 1] * np.clip(own, -BOUND, BOUND)
         else:
-            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP_WIDTH
             out[..., h] = 0.5 * (np.sqrt(own**2 + width**2) - width)
     return out
 
@@ -54,7 +54,7 @@ def slopes(kinds: IntArray, s: Array) -> Array:
             out[..., h, h] = np.where(np.abs(own) < BOUND, found[..., h - 1], 0.0)
             out[..., h, h - 1] = out[..., h - 1, h - 1] * np.clip(own, -BOUND, BOUND)
         else:
-            width = 1.0 if UNITS[kind] == "kinked" else SHARP
+            width = 1.0 if UNITS[kind] == "kinked" else SHARP_WIDTH
             out[..., h, h] = 0.5 * own / np.sqrt(own**2 + width**2)
     return out
 
@@ -67,7 +67,7 @@ class Unit:
     controls: bool = False
 
 
-SMOOTH, MIXTURES_SHARP, KINKED, CUBIC, GATE = (Unit(kind) for kind in ("smooth", "sharp", "kinked", "cubic", "gate"))
+SMOOTH, KINKED, SHARP, CUBIC, GATE = (Unit(kind) for kind in UNITS)
 
 SHARP_INPUT = Unit("sharp", controls=True)
 
@@ -76,10 +76,10 @@ Mixture: TypeAlias = tuple[Unit | None, ...]
 MIXTURES: tuple[Mixture, ...] = (
     (SMOOTH,),
     (SHARP_INPUT, GATE, SHARP_INPUT, GATE, None, None),
-    (SMOOTH, MIXTURES_SHARP),
-    (MIXTURES_SHARP,),
+    (SMOOTH, SHARP),
+    (SHARP,),
     (SHARP_INPUT, SMOOTH),
-    (MIXTURES_SHARP, GATE, MIXTURES_SHARP, GATE, None, None),
+    (SHARP, GATE, SHARP, GATE, None, None),
     (SMOOTH, SMOOTH, SMOOTH, None, None, None),
     (SHARP_INPUT, GATE, SHARP_INPUT, GATE, SMOOTH, SMOOTH),
     (SMOOTH, KINKED, CUBIC),

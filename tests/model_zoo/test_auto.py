@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto.candidates import offered, structure_of
-from model_zoo.auto.fitting import LARGE, Task, Work, fitted, load
+from model_zoo.auto.fitting import LARGE, FitTask, Work, fitted, load
 from model_zoo.auto.model import Auto
 from model_zoo.auto.selection import chosen, weights_of
 from model_zoo.linear import Linear
@@ -278,7 +278,7 @@ def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without
 def test_the_model_is_the_same_for_any_number_of_processes() -> None:
     data = example_dataset()
     spec = make_model("neural_ode", hidden=[6], one_step_updates=30, updates=10, horizon=5)
-    tasks = [Task((number, 0), "neural_ode", spec.get_params(), data, number, 20.0) for number in range(2)]
+    tasks = [FitTask((number, 0), "neural_ode", spec.get_params(), data, number, 20.0) for number in range(2)]
     try:
         use_processors(2)
         side_by_side = Work(None, 40.0).outcomes(tasks)

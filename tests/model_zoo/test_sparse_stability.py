@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model_zoo.polynomial.model import growth
-from model_zoo.polynomial.sindy import MARGIN, continued, limits
+from model_zoo.polynomial.sindy import MARGIN, continuation_limits, continued
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import make_robot
@@ -28,7 +28,7 @@ def moved(matrix: np.ndarray, episodes: int = 20, steps: int = 30) -> Dataset:
 def test_beyond_the_margin_every_state_moves_back_whatever_the_polynomial_says() -> None:
     rng = np.random.default_rng(1)
     states, rates = rng.uniform(-1.0, 1.0, (50, 3)), rng.uniform(-5.0, 5.0, (50, 3))
-    bounds = limits(states, rates, np.array([False, False, True]))
+    bounds = continuation_limits(states, rates, np.array([False, False, True]))
     low, high = states.min(axis=0), states.max(axis=0)
     beyond = np.where(
         rng.random((200, 3)) < 0.5, high + 1.01 * MARGIN * (high - low), low - 1.01 * MARGIN * (high - low)
@@ -41,7 +41,7 @@ def test_beyond_the_margin_every_state_moves_back_whatever_the_polynomial_says()
 def test_inside_the_data_the_continuation_changes_nothing() -> None:
     rng = np.random.default_rng(1)
     states, rates, turning = (rng.uniform(-1.0, 1.0, (50, 2)) for _ in range(3))
-    bounds = limits(states, rates, np.array([False, False]))
+    bounds = continuation_limits(states, rates, np.array([False, False]))
     np.testing.assert_array_equal(continued(rates, turning, states, bounds, 0.05), rates + turning)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.training import Plan
+from model_zoo.networks.training import TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
@@ -61,11 +61,11 @@ def test_every_parameter_learns_and_the_model_stays_what_it_was(family: str, tra
 def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in_the_mirror(
     family: str, training: Dataset, there: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plans, signs = list[Plan](), list[list[float]]()
+    plans, signs = list[TrainingSchedule](), list[list[float]]()
     model: Any = make_model(family, **FAMILIES[family]).fit(training, rng=np.random.default_rng(0))
     original = StandardisedModel.learn_further
 
-    def remembered(self: Any, dataset: Dataset, plan: Plan, trainings: Any) -> Any:
+    def remembered(self: Any, dataset: Dataset, plan: TrainingSchedule, trainings: Any) -> Any:
         plans.append(plan)
         signs.append(self.mirror.states.tolist())
         assert dataset is there
@@ -75,7 +75,7 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
     model.trained_further(there, 7, rng=np.random.default_rng(1))
     (plan,) = plans
     assert (plan.one_step_updates, plan.updates, plan.horizon) == (5, 2, 5)
-    assert plan.learning_rate == Plan(1, 1, 1).learning_rate
+    assert plan.learning_rate == TrainingSchedule(1, 1, 1).learning_rate
     assert plan.input_noise == model.input_noise
     assert signs == [[1.0, -1.0, -1.0]]
 

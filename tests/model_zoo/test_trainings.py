@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.networks.training import Standing
+from model_zoo.networks.training import TrainingState
 from sysid_evo.artefacts import CheckpointFile, read_checkpoint
 from sysid_evo.data import Dataset
 from sysid_evo.errors import CheckpointWarning
@@ -87,10 +87,10 @@ def test_a_fit_that_is_stopped_again_and_again_ends_as_it_would_have(family: str
     assert len(set(watched.told)) < len(told) - 3  # most of it was not done again
 
 
-def standing(seed: int) -> Standing:
+def standing(seed: int) -> TrainingState:
     """Return how a made-up training of two members stands after three updates."""
     rng = np.random.default_rng(seed)
-    found = Standing.at(rng.standard_normal((2, 3)).astype(np.float32))
+    found = TrainingState.at(rng.standard_normal((2, 3)).astype(np.float32))
     for _ in range(3 + seed):
         found.descend(rng.standard_normal((2, 3)).astype(np.float32), 0.1)
         found.average(0.5)
@@ -100,22 +100,22 @@ def standing(seed: int) -> Standing:
 
 def test_a_step_of_adam_is_as_the_paper_has_it() -> None:
     """Its first step is the learning rate against the sign of the gradient; a gradient that is no number does none."""
-    one = Standing.at(np.zeros((1, 3), dtype=np.float32))
+    one = TrainingState.at(np.zeros((1, 3), dtype=np.float32))
     one.descend(np.array([[0.1, -0.2, np.nan]], dtype=np.float32), 0.01)
     assert not one.parameters.any()
     one.descend(np.array([[0.1, -0.2, 0.0]], dtype=np.float32), 0.01)
     np.testing.assert_allclose(one.parameters, [[-0.01, 0.01, 0.0]], rtol=1e-5)
-    long = Standing.at(np.zeros((1, 2), dtype=np.float32))
+    long = TrainingState.at(np.zeros((1, 2), dtype=np.float32))
     long.descend(np.array([[300.0, 400.0]], dtype=np.float32), 0.01)
     np.testing.assert_allclose(long.first, [[0.06, 0.08]], rtol=1e-4)  # a tenth of a gradient of length 1
 
 
 def test_all_that_changes_in_a_training_is_stored_and_comes_back() -> None:
     one, other = standing(1), standing(2)
-    kept, unlike = one.state(), other.state()
+    kept, unlike = one.copies(), other.copies()
     assert all(not np.array_equal(kept[name], unlike[name]) for name in kept)
     other.restore(kept)
-    assert_same({name: [value] for name, value in other.state().items()}, {name: [kept[name]] for name in kept})
+    assert_same({name: [value] for name, value in other.copies().items()}, {name: [kept[name]] for name in kept})
     assert kept["steps"] == 4.0
 
 

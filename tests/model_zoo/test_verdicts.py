@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model_zoo.evolved3 import Evolved3
-from model_zoo.networks.training import FLOOR, SHARPNESS, Plan, Shots, Trainings, step_weights, train
+from model_zoo.networks.training import FLOOR, SHARPNESS, Shots, Trainings, TrainingSchedule, step_weights, train
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
 from sysid_evo.evolution import model_evolution
@@ -155,7 +155,7 @@ class Drifting:
 def test_training_follows_the_weights_of_the_steps() -> None:
     """The steps ask for p = 1 and p = 2; the first decides, though the second has the larger error."""
     shots = Shots(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
-    plan = Plan(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
+    plan = TrainingSchedule(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
     one = np.ones(1)
     trainings = Trainings(np.random.default_rng(0))
     found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)

@@ -8,7 +8,7 @@ import pytest
 from model_zoo.auto.candidates import NUMBERS, PROCESSORS, SHARE, SHIPPED, STEPS, Candidate, affordable, named, offered
 from model_zoo.auto.fitting import Work
 from model_zoo.auto.model import Auto
-from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, Choice, Choosing
+from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, CandidateChoice, Choosing
 from model_zoo.average import Average
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
@@ -64,7 +64,7 @@ def test_networks_are_expected_to_take_nearly_as_long_with_one_output_and_state_
     assert shares["nonlinear_state_space"] < 0.5
 
 
-def choice_among(candidates: list[Candidate], budget: float = 100.0) -> Choice:
+def choice_among(candidates: list[Candidate], budget: float = 100.0) -> CandidateChoice:
     """Return what becomes of these candidates, judged after ten steps."""
     data = example_dataset()
     pairs = folds_of(data, 3)

@@ -22,7 +22,7 @@ import numpy as np
 
 from evaluation.planning import with_preset
 from evaluation.prediction import ModelPrediction, assess_model
-from model_zoo.auto.fitting import Outcome, Task, Work
+from model_zoo.auto.fitting import FitTask, Outcome, Work
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
@@ -40,7 +40,7 @@ def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
     memory: dict[tuple[int, int], Outcome] = {}
 
     class Remembering(Work):
-        def outcomes(self, tasks: Sequence[Task]) -> dict[tuple[int, int], Outcome]:
+        def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], Outcome]:
             memory.update(super().outcomes([task for task in tasks if task.key not in memory]))
             return {task.key: memory[task.key] for task in tasks}
 

@@ -13,8 +13,7 @@ from model_zoo.state_space.nonlinear_state_space import networks
 from model_zoo.state_space.recordings import Record, Segments
 from model_zoo.state_space.shooting import FAR, Spaces, train
 from model_zoo.state_space.subspace import flowing
-from model_zoo.state_space.units import GATE, SHARP_INPUT, UNITS
-from model_zoo.state_space.units import MIXTURES_SHARP as SHARP
+from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
 from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models.base import make_model

@@ -158,8 +158,8 @@ CHANGES = (
     Change(
         "a flow learns no noise",
         NETWORK_RATE,
-        "Plan.further(updates, self.horizon, self.input_noise)",
-        "Plan.further(updates, self.horizon, 0.0)",
+        "TrainingSchedule.further(updates, self.horizon, self.input_noise)",
+        "TrainingSchedule.further(updates, self.horizon, 0.0)",
         (TEST_TRAINED_FURTHER,),
     ),
 )
