@@ -86,20 +86,18 @@ class Parametrised(CarFamily, Uncertain):
         return self._next_states(self.parameters_, carry, control)
 
     def predictor(self) -> Predictor:
-        return self._predictor(self.parameters_)
-
-    def _predictor(self, parameters: Array) -> Predictor:
-        """Return the compiled form of the equation with ``parameters`` (12,)."""
-        flat = np.concatenate([self.kernel_parameters(self._oldest_command), parameters])
-        return Predictor(equation_one, flat, n_scratch=0)
+        return Predictor(equation_one, self._flat(self.parameters_[None])[0], n_scratch=0)
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""
-        predictors = [self._predictor(one) for one in parameters]
-        kernel = self.stepping(predictors[0])
-        if kernel is None:
-            return None
-        return kernel, kernel.of_candidates(np.stack([predictor.parameters for predictor in predictors]))
+        flat = self._flat(parameters)
+        kernel = self.stepping(Predictor(equation_one, flat[0], n_scratch=0))
+        return None if kernel is None else (kernel, kernel.of_candidates(flat))
+
+    def _flat(self, parameters: Array) -> Array:
+        """Return what `equation_one` reads (P, m), from parameter vectors (P, 12)."""
+        head = np.tile(self.kernel_parameters(self._oldest_command), (len(parameters), 1))
+        return np.concatenate([head, parameters], axis=1)
 
     @property
     def _oldest_command(self) -> int:

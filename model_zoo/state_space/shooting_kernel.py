@@ -12,6 +12,7 @@ import math
 from typing import Any
 
 from model_zoo.state_space.units import BOUND, SHARP_WIDTH
+from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.kernels import WHOLES, KernelSource, Signature, view
 
 
@@ -28,8 +29,6 @@ def compiled_sensitivities(*, flow: bool) -> Any:
 
 
 def _compiled(source: KernelSource) -> Any:
-    from sysid_evo.engine.compiled.compiler import compile_kernel  # loads Numba
-
     signature = Signature.of(source.function, sizes=WHOLES, kinds=WHOLES)
     return compile_kernel(source, signature, "float64", pointer=False)
 
