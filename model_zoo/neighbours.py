@@ -18,7 +18,8 @@ from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.folds import FOLDS
+from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
 
 NEIGHBOURS = (8, 20)
 """What is tried where their number is left open."""

@@ -65,6 +65,17 @@ class CarryLayout:
         return [*states, *earlier, *held, *controls]
 
 
+def pad_history(states: Array, controls: Array, lags: int, neutral: Array) -> tuple[Array, Array]:
+    """Return a history of at least ``lags`` samples: before what is measured, the first state and neutral controls.
+
+    ``states`` are (..., L + 1, nx), ``controls`` (..., L, nu), ``neutral`` (nu,).
+    """
+    missing = max(0, lags - controls.shape[-2])
+    states = np.concatenate([np.repeat(states[..., :1, :], missing, axis=-2), states], axis=-2)
+    idle = np.broadcast_to(neutral, (*controls.shape[:-2], missing, len(neutral)))
+    return states, np.concatenate([idle, controls], axis=-2)
+
+
 REST_BAND = 0.005
 """Share of the range of the training states, around neutral, that counts as rest."""
 

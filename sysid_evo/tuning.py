@@ -24,7 +24,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
 from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import FEWEST_STEPS, SECOND, Judge, Trial, history_of, horizons_of
+from sysid_evo.validation.simulation_error import FEWEST_STEPS, SECOND, HeldOutTest, Judge, history_of, horizons_of
 
 if TYPE_CHECKING:
     import optuna
@@ -87,7 +87,7 @@ class Tuning:
             )
         self.pairs = pairs
         history = history_of(pairs, self.horizons)
-        self.judge = Judge.of(dataset, [Trial.of(held, self.horizons, history) for _, held in pairs])
+        self.judge = Judge.of(dataset, [HeldOutTest.of(held, self.horizons, history) for _, held in pairs])
         self.file = None if file is None else Path(file)
         self.seeds = np.random.default_rng(seed).integers(2**32, size=len(pairs)).tolist()
 

@@ -19,7 +19,7 @@ from sysid_evo.processors import available_processors
 from sysid_evo.progress import Progress
 from sysid_evo.registry import models
 from sysid_evo.types import Array
-from sysid_evo.validation.simulation_error import Trial
+from sysid_evo.validation.simulation_error import HeldOutTest
 
 WORTH = 10.0
 """Seconds of work for which one more process is worth its start."""
@@ -48,7 +48,7 @@ class FitTask:
     dataset: Dataset
     seed: int
     cost: float
-    trial: Trial | None = None
+    trial: HeldOutTest | None = None
 
 
 @dataclass(frozen=True)

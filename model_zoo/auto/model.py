@@ -19,9 +19,9 @@ from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
-from sysid_evo.validation.bootstrap import judging_interval
+from sysid_evo.validation.bootstrap import paired_interval
 from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import Judge, Trial, history_of, horizons_of
+from sysid_evo.validation.simulation_error import HeldOutTest, Judge, history_of, horizons_of
 
 HORIZONS = [10, 20, 60]
 
@@ -83,7 +83,7 @@ class Auto(MeanOfMembers):
             raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
         history = history_of(pairs, horizons)
-        judge = Judge.of(dataset, [Trial.of(held, horizons, history) for _, held in pairs])
+        judge = Judge.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
@@ -170,7 +170,7 @@ class CandidateRanking:
         kind = {n: structure_of(own[0]) for n, own in zip(choice.kept, choice.models, strict=True)}
         above = f"above {choice.passed.gate:.2f} x the best"
         usable = [number for number in order if not choice.reasons[number]]
-        ahead = judging_interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()
+        ahead = paired_interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()
         failed = [
             f"{one.name}: {choice.reasons[number]}" for number, one in enumerate(candidates) if number not in known
         ]

@@ -21,7 +21,8 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.parameters import Limit, Searched, Within, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.folds import FOLDS
+from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 

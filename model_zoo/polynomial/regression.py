@@ -34,7 +34,8 @@ from sysid_evo.models.parameters import Limit, Searched, Within, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
-from sysid_evo.validation.held_out import FOLDS, HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.folds import FOLDS
+from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
 
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.trajectory import Trajectory, evenly_spaced
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, check_shape
@@ -74,9 +74,7 @@ def regressors(system: System, states: Array, controls: Array) -> Array:
 def recorded_pairs(episodes: Iterable[Trajectory], most: int = KEPT_PAIRS) -> Array:
     """Return states and controls of ``episodes`` side by side, (N, nx + nu), at most ``most``, evenly spread."""
     pairs = np.concatenate([np.concatenate([episode.states[:-1], episode.controls], axis=1) for episode in episodes])
-    if len(pairs) <= most:
-        return pairs
-    return pairs[np.linspace(0, len(pairs) - 1, most).round().astype(np.int64)]
+    return pairs[evenly_spaced(len(pairs), most, nearest=True)]
 
 
 def split_pairs(system: System, pairs: Array) -> tuple[Array, Array]:

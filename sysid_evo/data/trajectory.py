@@ -219,6 +219,17 @@ class WindowPlaces:
         )
 
 
+def evenly_spaced(count: int, most: int, *, nearest: bool = False) -> IntArray:
+    """Return at most ``most`` of the rows 0 to ``count`` - 1, evenly spaced, the first and the last among them.
+
+    A place between two rows is cut to the lower one, or becomes the ``nearest``.
+    """
+    if count <= most:
+        return np.arange(count, dtype=np.int64)
+    places = np.linspace(0, count - 1, most)
+    return (places.round() if nearest else places).astype(np.int64)
+
+
 def _joined(arrays: Sequence[Array]) -> Array:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 

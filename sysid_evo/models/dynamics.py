@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.carry import clip_state
+from sysid_evo.carry import clip_state, pad_history
 from sysid_evo.errors import InvalidData, ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.system import System
@@ -129,9 +129,7 @@ def one_run(
         raise ShapeError(
             f"past_controls: expected {len(history) - 1}, one fewer than the states of the history, got {len(past)}"
         )
-    missing = max(0, lags + 1 - len(history))
-    history = np.concatenate([np.repeat(history[:1], missing, axis=0), history])
-    past = np.concatenate([np.tile(system.neutral_control, (missing, 1)), past])
+    history, past = pad_history(history, past, lags, system.neutral_control)
     return history[None], past[None], ahead[None]
 
 

@@ -7,17 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.special import stdtrit
 
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.simulation_error import error_of
-
-
-def inside(errors: Sequence[float], gate: float) -> list[int]:
-    """Return the numbers of those whose error is at most ``gate`` times the lowest, in their order."""
-    lowest = min(errors)
-    return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]
-
 
 BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
@@ -31,6 +23,9 @@ CONFIDENCE = 0.975
 BETTER_OF_TRAINING, CONFIDENCE_OF_TRAINING = 1.0, 0.99
 """those of more training and of means, of which many are tried and each can learn much from little: this share is
 divided by the root of the seconds that are compared (19 % of 28, 38 % of 7), and is `BETTER` at least."""
+
+LEAST = 1e-12
+"""An error that others are divided by is no smaller."""
 
 AND = " and "
 """Between the two of a mean."""
@@ -51,6 +46,10 @@ class Held:
         """Return the mean square of the errors of the runs that begin in each second."""
         mean = np.mean(self.errors**2, axis=(1, 2))
         return {int(second): float(mean[self.second == second].mean()) for second in np.unique(self.second)}
+
+    def share_of(self, before: Held) -> float:
+        """Return the error as a share of that ``before``."""
+        return error_of(self.errors) / max(error_of(before.errors), LEAST)
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Trial:
 def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Kind = "alone") -> Trial:
     """Return a trial from what the blocks show without and with a correction, which may know the first ones only."""
     pairs = list(zip(plain, corrected, strict=False))
-    each = tuple(_share(before, after) for before, after in pairs)
+    each = tuple(after.share_of(before) for before, after in pairs)
     whole = error_of(np.concatenate([after.errors for _, after in pairs]))
     before = error_of(np.concatenate([before.errors for before, _ in pairs]))
     gains = []
@@ -98,22 +97,25 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Ki
     if kind in ("further", "mean"):
         asked, confidence = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), CONFIDENCE_OF_TRAINING
     sure = surely_positive(np.array(gains), confidence)
-    return Trial(name, whole / max(before, 1e-12), each, sure, kind, float(asked))
+    return Trial(name, whole / max(before, LEAST), each, sure, kind, float(asked))
 
 
 def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
     """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
-    return any(_share(*pair) > 1.0 - IN_EACH for pair in zip(plain, corrected, strict=False))
-
-
-def _share(before: Held, after: Held) -> float:
-    """Return the error in a block as a share of that without a correction."""
-    return error_of(after.errors) / max(error_of(before.errors), 1e-12)
+    return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(plain, corrected, strict=False))
 
 
 def surely_positive(gains: Array, confidence: float = CONFIDENCE) -> bool:
     """Whether the mean of ``gains`` (N,) is above zero by more than chance explains."""
+    from scipy.special import stdtrit
+
     if len(gains) < 3:
         return False
     error = gains.std(ddof=1) / np.sqrt(len(gains))
     return bool(gains.mean() > stdtrit(len(gains) - 1, confidence) * error)
+
+
+def inside(errors: Sequence[float], gate: float) -> list[int]:
+    """Return the numbers of those whose error is at most ``gate`` times the lowest, in their order."""
+    lowest = min(errors)
+    return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]

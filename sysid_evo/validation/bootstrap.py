@@ -1,4 +1,9 @@
-"""Intervals and paired differences by a bootstrap over blocks."""
+"""Intervals and paired differences by a bootstrap over blocks.
+
+Errors of overlapping windows hang together, and so do neighbours in time: whole blocks of them are drawn (Kuensch
+1989). The draws depend on the number of blocks and the seed alone, so that what is computed of two models over the
+same blocks is paired.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,9 @@ from sysid_evo.validation.measures import mean_over_channels
 
 PICKS = 2**20
 """Blocks that are looked up at a time, of all draws together."""
+
+RESAMPLES, CONFIDENCE = 1000, 0.95
+"""Draws and confidence where two models are compared, see `paired_interval`."""
 
 
 class Interval(NamedTuple):
@@ -52,8 +60,7 @@ class BlockErrors:
     def resampled_n(self, std: Array, resamples: int, seed: int) -> Array:
         """Return N, the mean NRMSE over channels, of every draw (R,).
 
-        The draws depend on the number of blocks and ``seed`` alone: two models scored on the same
-        windows meet the same draws, so that their differences are paired.
+        Two models scored on the same windows meet the same draws.
         """
         picks = draw_blocks(len(self.counts), resamples, seed)
         scale = np.where(std > 0, std, np.nan)
@@ -88,16 +95,13 @@ def draw_blocks(blocks: int, resamples: int, seed: int) -> IntArray:
 def interval(values: Array, confidence: float) -> Interval:
     """Return the central interval that holds the share ``confidence`` of ``values``; nan is left out."""
     known = values[np.isfinite(values)]
-    if not len(known):
-        return Interval(float("nan"), float("nan"))
+    return _central(known, confidence) if len(known) else Interval(float("nan"), float("nan"))
+
+
+def _central(values: Array, confidence: float) -> Interval:
     tail = 50.0 * (1.0 - confidence)
-    low, high = np.percentile(known, [tail, 100.0 - tail])
+    low, high = np.percentile(values, [tail, 100.0 - tail])
     return Interval(float(low), float(high))
-
-
-RESAMPLES = 1000
-
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -124,14 +128,12 @@ class Errors:
     def resampled(self, seed: int = 0) -> Array:
         """Return `mean` in draws of whole blocks (R,), the same for all models that ran in the same trials."""
         count = len(self.counts)
-        picks = np.random.default_rng(seed).integers(0, count, (RESAMPLES, count))
+        picks = draw_blocks(count, RESAMPLES, seed)
         times = np.stack([np.bincount(row, minlength=count) for row in picks]).astype(np.float64)
         total = np.tensordot(times, self.squares, axes=1) / (times @ self.counts)[:, None, None]
         return np.asarray(np.sqrt(total).mean(axis=(1, 2)))
 
 
-def judging_interval(first: Errors, second: Errors) -> tuple[float, float]:
-    """Return the 95 % interval of the error of ``second`` minus that of ``first``: paired, by blocks of time."""
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(second.resampled() - first.resampled(), [tail, 100.0 - tail])
-    return float(low), float(high)
+def paired_interval(first: Errors, second: Errors) -> Interval:
+    """Return the 95 % interval of the error of ``second`` minus that of ``first``, by blocks of time."""
+    return _central(second.resampled() - first.resampled(), CONFIDENCE)

@@ -1,10 +1,7 @@
 """What is held out: recordings, conditions, blocks of time.
 
-search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
-    search.fit(dataset)
-
-A `Dataset` counts as its episodes there: ``dataset[i]`` is the data set of episode i, and a model's `fit` and
-`score` join the list of them that scikit-learn cuts.
+What is measured together hangs together: neighbouring samples by what is wrong with a model just then, the pieces of
+one recording by battery, tyres and floor. So whole blocks of time are held out, or better whole recordings.
 """
 
 from __future__ import annotations
@@ -20,74 +17,20 @@ from sysid_evo.data.trajectory import Trajectory, recording
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.types import BoolArray, IntArray
 
-BLOCKS = 6
-
-SHORTEST = 30
+BLOCKS, SHORTEST = 6, 30
+"""Blocks of time that an episode is cut into, and the fewest steps of one."""
 
 FOLDS = 3
+"""Every so many-th block is held out."""
 
 LEAST_SHARE = 0.5
 """Of the steps that would be left if all recordings were as long: so many must be where some are held out."""
 
+MOST_GROUPS = 4
+"""Groups of recordings that are held out in turn."""
 
-@dataclass(frozen=True)
-class EpisodeFold:
-    """Holds out whole recordings in turn, in ``n_splits`` groups, in their order.
-
-    Pieces of one recording, such as ``log[0:400]`` and ``log[400:800]``, stay together: they share battery,
-    tyres and floor, so that a piece is no fair test of what was learned from another.
-    """
-
-    n_splits: int = 5
-
-    def __post_init__(self) -> None:
-        if self.n_splits < 2:
-            raise InvalidArgument(f"EpisodeFold: expected n_splits >= 2, got {self.n_splits}")
-
-    def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
-        """Return the number of groups, as scikit-learn asks for it."""
-        return self.n_splits
-
-    def split(
-        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
-    ) -> Iterator[tuple[IntArray, IntArray]]:
-        """Yield which episodes are learned from and which are held out. Raises `InvalidData` if they are too few."""
-        recordings = [recording(name) for name in as_dataset(X, "EpisodeFold").names]
-        different = list(dict.fromkeys(recordings))
-        if len(different) < self.n_splits:
-            raise InvalidData(
-                f"EpisodeFold: expected at least {self.n_splits} recordings, got {len(different)}; "
-                "give a smaller n_splits, or hold out time with Dataset.split(0.2)"
-            )
-        for group in np.array_split(np.array(different, dtype=object), self.n_splits):
-            held = np.isin(recordings, list(group))
-            yield np.flatnonzero(~held), np.flatnonzero(held)
-
-
-@dataclass(frozen=True)
-class ConditionFold:
-    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
-
-    def get_n_splits(
-        self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
-    ) -> int:
-        """Return the number of conditions, as scikit-learn asks for it."""
-        return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
-
-    def split(
-        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
-    ) -> Iterator[tuple[IntArray, IntArray]]:
-        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
-        dataset = as_dataset(X, "ConditionFold")
-        if len(dataset.conditions) < 2:
-            raise InvalidData(
-                f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
-                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
-            )
-        of_each = np.array([episode.condition for episode in dataset], dtype=object)
-        for condition in dataset.conditions:
-            held = of_each == condition
-            yield np.flatnonzero(~held), np.flatnonzero(held)
+HELD_BACK = 3
+"""Blocks of time of one recording that are held back in turn, see `blocks_of`."""
 
 
 def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
@@ -148,11 +91,6 @@ def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[l
     return sorted(groups, key=lambda group: min(names.index(one) for one in group))
 
 
-MOST_GROUPS = 4
-
-LONE_FOLDS = 3
-
-
 def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
     """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
     recordings = len({recording(name) for name in dataset.names})
@@ -164,10 +102,73 @@ def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
 
 def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
     """Return what `unseen_recordings` does, or for one recording alone its held-out blocks of time in turn."""
-    return unseen_recordings(dataset) or [time_blocks(dataset, fold) for fold in range(LONE_FOLDS)]
+    return unseen_recordings(dataset) or [time_blocks(dataset, fold) for fold in range(FOLDS)]
 
 
-GATE_BLOCKS = 3
+@dataclass(frozen=True)
+class EpisodeFold:
+    """Holds out whole recordings in turn, in ``n_splits`` groups, in their order, also for scikit-learn's searches::
+
+        search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
+        search.fit(dataset)
+
+    A `Dataset` counts as its episodes there: ``dataset[i]`` is the data set of episode i, and a model's `fit` and
+    `score` join the list of them that scikit-learn cuts.
+
+    Pieces of one recording, such as ``log[0:400]`` and ``log[400:800]``, stay together: they share battery,
+    tyres and floor, so that a piece is no fair test of what was learned from another.
+    """
+
+    n_splits: int = 5
+
+    def __post_init__(self) -> None:
+        if self.n_splits < 2:
+            raise InvalidArgument(f"EpisodeFold: expected n_splits >= 2, got {self.n_splits}")
+
+    def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
+        """Return the number of groups, as scikit-learn asks for it."""
+        return self.n_splits
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` if they are too few."""
+        recordings = [recording(name) for name in as_dataset(X, "EpisodeFold").names]
+        different = list(dict.fromkeys(recordings))
+        if len(different) < self.n_splits:
+            raise InvalidData(
+                f"EpisodeFold: expected at least {self.n_splits} recordings, got {len(different)}; "
+                "give a smaller n_splits, or hold out time with Dataset.split(0.2)"
+            )
+        for group in np.array_split(np.array(different, dtype=object), self.n_splits):
+            held = np.isin(recordings, list(group))
+            yield np.flatnonzero(~held), np.flatnonzero(held)
+
+
+@dataclass(frozen=True)
+class ConditionFold:
+    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
+
+    def get_n_splits(
+        self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
+    ) -> int:
+        """Return the number of conditions, as scikit-learn asks for it."""
+        return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
+
+    def split(
+        self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
+    ) -> Iterator[tuple[IntArray, IntArray]]:
+        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
+        dataset = as_dataset(X, "ConditionFold")
+        if len(dataset.conditions) < 2:
+            raise InvalidData(
+                f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
+                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
+            )
+        of_each = np.array([episode.condition for episode in dataset], dtype=object)
+        for condition in dataset.conditions:
+            held = of_each == condition
+            yield np.flatnonzero(~held), np.flatnonzero(held)
 
 
 @dataclass(frozen=True)
@@ -209,9 +210,9 @@ class Block:
 def blocks_of(first: IntArray, horizon: int) -> list[Block]:
     """Return three blocks of time with as many of the windows that begin at ``first`` (B,) each.
 
-    None if one of them has no window to learn from, or none to be judged by.
+    Nothing if one of them has no window to learn from, or none to be judged by.
     """
-    edges = np.quantile(first, np.linspace(0.0, 1.0, GATE_BLOCKS + 1)).astype(int)
+    edges = np.quantile(first, np.linspace(0.0, 1.0, HELD_BACK + 1)).astype(int)
     edges[0], edges[-1] = 0, int(first.max()) + horizon
     blocks = [Block(low, high, horizon) for low, high in pairwise(edges.tolist())]
     return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []

@@ -11,12 +11,11 @@ import numpy as np
 
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import time_blocks
+from sysid_evo.validation.folds import FOLDS, time_blocks
 from sysid_evo.validation.simulation_error import STRIDE, Simulator, judging_windows, relative_error
 
-FOLDS = 3
-
 DIVERGED = 1e6
+"""What a fold counts in which a free run diverges."""
 
 AS_GOOD = 0.05
 """Share of the lowest error by which a smaller model may be worse."""

@@ -1,4 +1,10 @@
-"""Calibrating prediction intervals on held-out simulations."""
+"""Calibrating prediction intervals on held-out simulations.
+
+An interval is right if it holds a given share of the truths that a model did not learn from. So the noise of a step is
+scaled until simulations with it do that (conformal calibration): either at several horizons, with a scale for each
+stretch of time (`horizon_scales`), or after the last step alone, with one scale (`conformal_scale`). A recording that
+was never seen lies farther off than blocks of time of one that was: by how much says `growth_on_unseen_recordings`.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +19,21 @@ import numpy.typing as npt
 
 from sysid_evo.carry import clip_state
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.trajectory import Windows
-from sysid_evo.system import System
+from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.folds import time_blocks, unseen_recordings
-from sysid_evo.validation.simulation_error import STRIDE, Simulator, judging_windows
+from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, judging_windows
 
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
 
 SHARE = 0.9
+"""Of the truths, to lie within an interval."""
 
-MOST_WINDOWS = 120
+MOST_WINDOWS, FEWEST = 120, 20
+"""Windows of all cases together, and how many there must be of a horizon, or it is left out."""
 
-FEWEST = 20
-"""Windows without which a horizon is left out."""
-
-SAMPLES = 16
-
-ROUNDS = 2
+SAMPLES, ROUNDS = 16, 2
 
 POOLED = 0.5
 """How far the spread of a window is drawn to that of all windows: few samples tell its own roughly."""
@@ -43,23 +45,8 @@ LAGS = range(2, 6)
 """Steps after which measurement noise is forgotten and what is wrong with a model is not."""
 
 
-class Disturbed(Protocol):
+class Disturbed(Fitted, Protocol):
     """A fitted model whose steps can be disturbed."""
-
-    @property
-    def n_lags(self) -> int:
-        """Samples of history that it starts from."""
-        ...
-
-    @property
-    def system(self) -> System:
-        """What it is a model of."""
-        ...
-
-    @property
-    def envelope(self) -> Array | None:
-        """To what its states are clipped."""
-        ...
 
     def lagged(self, states: Array, controls: Array) -> Array:
         """Return the carry after a history."""
@@ -82,8 +69,7 @@ class Case:
     def of(cls, model: Disturbed, part: Dataset, horizon: int, most: int, *, windows: Windows | None = None) -> Case:
         """Cut up to ``most`` windows of ``horizon`` steps out of ``part``, evenly spread, wherever the body moves."""
         cut = part.windows(horizon, stride=1, history=model.n_lags, moving=True) if windows is None else windows
-        if len(cut) > most:
-            cut = cut[np.linspace(0, len(cut) - 1, most).astype(np.int64)]
+        cut = cut[evenly_spaced(len(cut), most)]
         begins = np.cumsum([0, *(len(rows) for rows in part.moving)])[:-1]
         ahead = cut.start[:, None] + 1 + np.arange(cut.states.shape[1])
         moves = (
@@ -227,17 +213,12 @@ class _Run:
         self.carry = self.to(first, last, scale)[0]
 
 
-SPREAD_SAMPLES = 30
+ONE_SCALE_WINDOWS, ONE_SCALE_SAMPLES, ONE_SCALE_ROUNDS = 150, 30, 3
 
-SPREAD_MOST_WINDOWS = 150
-
-BLOCK_FOLDS = 2
-
-SPREAD_ROUNDS = 3
+SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
 
 PIECE = 40
-
-SPREAD_SMALLEST, SPREAD_LARGEST = 0.1, 10.0
+"""Windows that are simulated at a time."""
 
 
 class NoisySimulator(Protocol):
@@ -271,7 +252,7 @@ def conformal_scale(
     rng: np.random.Generator,
     *,
     share: float = SHARE,
-    rounds: int = SPREAD_ROUNDS,
+    rounds: int = ONE_SCALE_ROUNDS,
     still: Callable[[], None] = lambda: None,
 ) -> Array:
     """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of all windows lie inside.
@@ -284,7 +265,8 @@ def conformal_scale(
     channels at once, ``rounds`` times, since the width is not quite proportional to the scale and the
     channels are coupled. The same noise is drawn each time; ``still`` is called every second or so.
     """
-    few = [(with_noise(model), _evenly(windows, SPREAD_MOST_WINDOWS // len(cases))) for model, windows in cases]
+    most = ONE_SCALE_WINDOWS // len(cases)
+    few = [(with_noise(model), windows[evenly_spaced(len(windows), most)]) for model, windows in cases]
     noisy = [(model, part[at : at + PIECE]) for model, part in few for at in range(0, len(part), PIECE)]
     nx = cases[0][1].states.shape[2]
     seed, scale = int(rng.integers(2**32)), np.ones(nx)
@@ -297,21 +279,14 @@ def conformal_scale(
                 windows.past_states,
                 windows.past_controls,
                 windows.controls,
-                samples=SPREAD_SAMPLES,
+                samples=ONE_SCALE_SAMPLES,
                 rng=np.random.default_rng([seed, number]),
             )
             parts.append(normalised_errors(drawn[:, :, -1], windows.states[:, -1], share=share))
         errors = np.concatenate(parts)
         level = min(1.0, share * (len(errors) + 1) / len(errors))
-        scale = np.clip(scale * np.quantile(errors, level, axis=0, method="higher"), SPREAD_SMALLEST, SPREAD_LARGEST)
+        scale = np.clip(scale * np.quantile(errors, level, axis=0, method="higher"), SMALLEST_SCALE, LARGEST_SCALE)
     return scale
-
-
-def _evenly(windows: Windows, most: int) -> Windows:
-    """Return up to ``most`` windows, evenly spread."""
-    if len(windows) <= most:
-        return windows
-    return windows[np.linspace(0, len(windows) - 1, most).astype(np.int64)]
 
 
 def with_noise(model: Noisy) -> Noisy:
@@ -328,6 +303,10 @@ def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> 
     off = truth - middle
     side = np.where(off > 0, high - middle, middle - low)
     return np.divide(np.abs(off), side, out=np.where(off == 0, 0.0, np.inf), where=side > 0)
+
+
+BLOCK_FOLDS = 2
+"""Folds of blocks of time of recordings that were seen."""
 
 
 def rough_fits(dataset: Dataset) -> int:

@@ -1,4 +1,8 @@
-"""Simulation (free run) on held-out windows and its error."""
+"""Simulation (free run) on held-out windows and its error.
+
+A model is simulated from measured states under recorded controls and compared with what was measured. Errors are
+divided by the standard deviation of the recording, so that 0 is perfect and about 1 no better than its mean.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,26 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from sysid_evo.carry import pad_history
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.trajectory import Windows
+from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.bootstrap import Errors
 
+SECOND, FEWEST_STEPS = 1.0, 10
+"""How long a model runs freely where nothing else is asked for, in s, and in steps at least."""
 
-class Simulator(Protocol):
-    """What is judged here: a fitted model of any kind."""
+STRIDE = 4
+"""Samples from the start of one window to the next."""
+
+MOST_WINDOWS = 10_000
+"""Windows that judge a model: more of them take longer and say the same."""
+
+
+class Fitted(Protocol):
+    """A fitted model of any kind, as far as validation knows it."""
 
     @property
     def system(self) -> System:
@@ -35,17 +49,13 @@ class Simulator(Protocol):
         """To what its states are clipped, (2, nx)."""
         ...
 
+
+class Simulator(Fitted, Protocol):
+    """What is judged here: a fitted model that runs free."""
+
     def simulate(self, states: npt.ArrayLike, past_controls: npt.ArrayLike, controls: npt.ArrayLike, /) -> Array:
         """Return the states (B, H, nx) after a history (B, L + 1, nx), (B, L, nu) under controls (B, H, nu)."""
         ...
-
-
-SECOND, FEWEST_STEPS = 1.0, 10
-
-STRIDE = 4
-
-MOST_WINDOWS = 10_000
-"""Windows that judge a model: more of them take longer and say the same."""
 
 
 def judging_windows(
@@ -83,19 +93,19 @@ def relative_error(system: System, simulated: Array, windows: Windows) -> float:
     return error if np.isfinite(error) else float("inf")
 
 
-JUDGING_STRIDE = 6
+def error_of(errors: Array) -> float:
+    """Return the mean over steps and states of the root mean square over windows of ``errors`` (B, H, nx)."""
+    return float(np.mean(np.sqrt(np.mean(errors**2, axis=0))))
 
-JUDGING_MOST_WINDOWS = 800
+
+TEST_STRIDE = 6
+
+MOST_TESTED = 800
 """Free runs of one fold: they overlap, and more of them take longer and say the same."""
-
-LONGEST_HISTORY = 64
-
-HISTORY_SHARE = 3
-"""A history takes one part in so many of what the longest horizon leaves of what is held out."""
 
 
 @dataclass(frozen=True)
-class Trial:
+class HeldOutTest:
     """The free runs of one fold: measured ``windows``, and the horizons (steps) at which they count."""
 
     windows: Windows
@@ -105,13 +115,10 @@ class Trial:
     def of(cls, held: Dataset, horizons: Sequence[int], history: int) -> Self:
         """Cut windows of what is held out, wherever the body moves; all of them where it never does for so long."""
         longest = max(horizons)
-        places = held.window_places(longest, stride=JUDGING_STRIDE, history=history, moving=True)
+        places = held.window_places(longest, stride=TEST_STRIDE, history=history, moving=True)
         if not len(places):
             places = held.window_places(longest, stride=1)
-        rows = np.arange(len(places), dtype=np.int64)
-        if len(rows) > JUDGING_MOST_WINDOWS:
-            rows = np.linspace(0, len(rows) - 1, JUDGING_MOST_WINDOWS).astype(np.int64)
-        return cls(places[rows], tuple(horizons))
+        return cls(places[evenly_spaced(len(places), MOST_TESTED)], tuple(horizons))
 
     @property
     def truth(self) -> Array:
@@ -128,11 +135,8 @@ class Trial:
     def run(self, model: Simulator) -> Array:
         """Return what ``model`` simulates (N, H, nx) at the horizons; a short history is padded with its beginning."""
         w = self.windows
-        missing = max(0, model.n_lags - w.past_controls.shape[1])
-        states = np.concatenate([np.repeat(w.past_states[:, :1], missing, axis=1), w.past_states], axis=1)
-        neutral = np.tile(model.system.neutral_control, (len(w), missing, 1))
-        controls = np.concatenate([neutral, w.past_controls], axis=1)
-        found = model.simulate(states, controls, w.controls)
+        history = pad_history(w.past_states, w.past_controls, model.n_lags, model.system.neutral_control)
+        found = model.simulate(*history, w.controls)
         return np.asarray(found[:, [horizon - 1 for horizon in self.horizons]])
 
     def diverged(self, model: Simulator, simulated: Array) -> float:
@@ -145,14 +149,15 @@ class Trial:
 
 @dataclass(frozen=True)
 class Judge:
-    """Trials of all folds, and the ``spread`` (nx,) of the states by which errors are divided."""
+    """The tests of all folds, and the ``spread`` (nx,) of the states by which errors are divided."""
 
     system: System
-    trials: tuple[Trial, ...]
+    trials: tuple[HeldOutTest, ...]
     spread: Array
 
     @classmethod
-    def of(cls, dataset: Dataset, trials: Sequence[Trial]) -> Self:
+    def of(cls, dataset: Dataset, trials: Sequence[HeldOutTest]) -> Self:
+        """Take the spread of ``dataset``, where it moves."""
         moving = [episode.states[rows] for episode, rows in zip(dataset.episodes, dataset.moving, strict=True)]
         states = np.concatenate(moving)
         if len(states) < 2:
@@ -162,7 +167,7 @@ class Judge:
 
     def errors(self, simulated: Sequence[Array]) -> Errors:
         """Condense what a model simulated in the trials, (N, H, nx) each."""
-        squares, counts, first = [], [], 0
+        squares, counts = [], []
         for trial, states in zip(self.trials, simulated, strict=True):
             off = self.system.difference(states, trial.truth) / self.spread
             _, block = np.unique(trial.blocks, return_inverse=True)
@@ -170,7 +175,6 @@ class Judge:
             np.add.at(sums, block, off**2)
             squares.append(sums)
             counts.append(np.bincount(block, minlength=len(sums)))
-            first += len(sums)
         return Errors(np.concatenate(squares), np.concatenate(counts).astype(np.int64))
 
 
@@ -181,6 +185,12 @@ def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list
     return fitting or [max(1, longest // 2)]
 
 
+LONGEST_HISTORY = 64
+
+HISTORY_SHARE = 3
+"""A history takes one part in so many of what the longest horizon leaves of what is held out."""
+
+
 def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) -> int:
     """Return how many samples are measured before a free run: a third of what the longest of the ``horizons`` leaves.
 
@@ -188,8 +198,3 @@ def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) ->
     """
     typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
     return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))
-
-
-def error_of(errors: Array) -> float:
-    """Return the mean over steps and states of the root mean square over windows of ``errors`` (B, H, nx)."""
-    return float(np.mean(np.sqrt(np.mean(errors**2, axis=0))))

@@ -28,9 +28,9 @@ from sysid_evo.processors import use_processors
 from sysid_evo.registry import models, register_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
-from sysid_evo.validation.bootstrap import judging_interval as interval
+from sysid_evo.validation.bootstrap import paired_interval as interval
 from sysid_evo.validation.folds import balanced, folds_of
-from sysid_evo.validation.simulation_error import Judge, Trial, horizons_of
+from sysid_evo.validation.simulation_error import HeldOutTest, Judge, horizons_of
 
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
 
@@ -230,7 +230,7 @@ def test_an_error_is_that_of_free_runs_and_a_copy_is_no_significant_improvement(
     """A model that is right has no error, one that stands still has that of the spread of the changes."""
     data = example_dataset()
     (_, held), *_ = folds_of(data, 3)
-    trial = Trial.of(held, [1, 10], 2)
+    trial = HeldOutTest.of(held, [1, 10], 2)
     judge = Judge.of(data, [trial])
     still = judge.errors([np.repeat(trial.windows.start_states[:, None], 2, axis=1)])
     assert judge.errors([trial.truth]).mean == 0.0

@@ -10,7 +10,8 @@ from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
-from sysid_evo.validation.held_out import FOLDS, GOOD, HeldOut
+from sysid_evo.validation.folds import FOLDS
+from sysid_evo.validation.held_out import GOOD, HeldOut
 from tests.model_zoo.small_systems import DRIVEN
 
 SYSTEM = System(

@@ -15,7 +15,7 @@ from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import LONGEST_HISTORY, Judge, Trial, history_of
+from sysid_evo.validation.simulation_error import LONGEST_HISTORY, HeldOutTest, Judge, history_of
 
 NARX = "narx(terms=12, state_lags=0, control_lags=2)"
 
@@ -68,7 +68,7 @@ def choice_among(candidates: list[Candidate], budget: float = 100.0) -> Candidat
     """Return what becomes of these candidates, judged after ten steps."""
     data = example_dataset()
     pairs = folds_of(data, 3)
-    judge = Judge.of(data, [Trial.of(held, [10], 3) for _, held in pairs])
+    judge = Judge.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
     seeds = np.zeros((len(candidates), 4), dtype=np.int64)
     choosing = Choosing(data, pairs, judge, candidates, seeds, budget, Work(None, budget))
     return choosing.choice(1.25, Average.made_of)

@@ -1,4 +1,4 @@
-"""The family adapted: a model with a correction, or with a refit averaged."""
+"""The family adapted: a model of another condition, with what some seconds of the new one say of it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from sysid_evo.artefacts import is_stored
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.support import KEPT_PAIRS
+from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.adaptation.correction import Terms
@@ -111,8 +112,7 @@ class Adapted(DynamicsModel):
         own, other = self.envelope_, self.base_.envelope_
         self.envelope_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
         pairs = np.concatenate([self.base_.pairs_, self.pairs_])
-        few = np.linspace(0, len(pairs) - 1, min(len(pairs), KEPT_PAIRS)).round().astype(np.int64)
-        self.pairs_ = pairs[few]
+        self.pairs_ = pairs[evenly_spaced(len(pairs), KEPT_PAIRS, nearest=True)]
 
     @functools.cached_property
     def inner(self) -> DynamicsModel:
@@ -172,11 +172,7 @@ class Adapted(DynamicsModel):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         after = self.inner.step(carry, control, noise)
-        if not self.corrects:
-            return after
-        nx = self.system.nx
-        moved = self.terms.corrected(carry[:, :nx], control, after[:, :nx], self.coefficients_)
-        return np.concatenate([moved, after[:, nx:]], axis=1)
+        return self.terms.next_carry(carry, control, after, self.coefficients_) if self.corrects else after
 
     def kernel(self) -> DynamicsKernel | None:
         return self._corrected_kernel
@@ -230,9 +226,8 @@ class CorrectedSteps:
         return self.base.lagged(states, controls)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        after, nx = self.base.disturbed(carry, control, disturbance), self.system.nx
-        moved = self.terms.corrected(carry[:, :nx], control, after[:, :nx], self.coefficients)
-        return np.concatenate([moved, after[:, nx:]], axis=1)
+        after = self.base.disturbed(carry, control, disturbance)
+        return self.terms.next_carry(carry, control, after, self.coefficients)
 
 
 def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.random.Generator) -> Uncertain:

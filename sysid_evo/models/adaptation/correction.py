@@ -1,4 +1,8 @@
-"""A correction of accelerations: its terms, and how it is learned by simulations."""
+"""A correction of accelerations: its terms, and how it is learned by simulations.
+
+Coefficients minimise the errors of free runs over pieces of a recording: damped least squares (`corrections`) with
+derivatives that are carried along beside the runs (`sensitivities`).
+"""
 
 from __future__ import annotations
 
@@ -154,6 +158,12 @@ class Terms:
         moved = np.where(resting, after, after + self.shift(state, control, after, coefficients))
         return np.clip(moved, *system.limits) if system.limited else moved
 
+    def next_carry(self, carry: Array, control: Array, after: Array, coefficients: Array) -> Array:
+        """Return the next carry ``after`` (B, n_carry), the state at its head, of a model with the correction."""
+        nx = self.system.nx
+        moved = self.corrected(carry[:, :nx], control, after[:, :nx], coefficients)
+        return np.concatenate([moved, after[:, nx:]], axis=1)
+
 
 def _products(z: Array) -> Array:
     """Return z_i z_k (i <= k) side by side, (..., n (n + 1) / 2)."""
@@ -180,64 +190,6 @@ def state_scale(system: System, states: Array) -> Array:
     """Return the spread (nx,) of ``states`` (N, nx), 1 for a state that never changes."""
     spread = system.spread(states)
     return np.where(spread > 1e-9 * np.abs(states).max(axis=0), spread, 1.0)
-
-
-ROUNDS = 2
-"""Linearisations for each ridge; the first starts where that of the stronger one ended."""
-
-SHORTENINGS = (1.0, 0.3, 0.1)
-
-TOLERATED = 1.5
-"""Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
-
-
-def corrections(
-    model: Dynamics, terms: Terms, pieces: Pieces, ridges: Sequence[float], seconds: float
-) -> Iterator[Array]:
-    """Yield the coefficients (size, nx) for each of ``ridges``, which begin with the strongest.
-
-    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), with the weight of the terms, errors
-    in standard deviations over windows, steps and states: a ridge of 3 counts as much as three seconds of such data.
-    Large errors count less (Huber's weights), since a run that diverges says little of what would prevent it.
-    """
-    found = np.zeros(terms.shape)
-    for ridge in ridges:
-        for _ in range(ROUNDS):
-            found, moved = _improved(model, terms, pieces, found, ridge * terms.weight, seconds)
-            if not moved:
-                break
-        yield found
-
-
-def _improved(
-    model: Dynamics, terms: Terms, pieces: Pieces, start: Array, ridge: Array, seconds: float
-) -> tuple[Array, bool]:
-    """Return better coefficients by one linearisation, and whether there are any."""
-    size = start.size
-    runs, derivatives = sensitivities(model, terms, start, pieces)
-    here = pieces.errors(runs[None]).ravel()
-    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
-    weights = _weights(here)
-    share = seconds / here.size
-    normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
-    step = np.linalg.solve(normal, -share * slopes @ (weights * here) - (ridge * start).ravel()).reshape(start.shape)
-    if not np.isfinite(step).all():
-        return start, False
-    candidates = np.stack([start, *(start + length * step for length in SHORTENINGS)])
-    reached = pieces.errors(free_runs(model, terms, candidates, pieces))
-    costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
-    best = int(np.argmin(costs))
-    return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
-
-
-def _weights(errors: Array) -> Array:
-    return np.minimum(1.0, TOLERATED / np.maximum(np.abs(errors), 1e-12))
-
-
-def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> float:
-    size = np.abs(errors)
-    huber = np.where(size <= TOLERATED, size**2, TOLERATED * (2.0 * size - TOLERATED))
-    return float(seconds * huber.mean() + np.sum(ridge * coefficients**2))
 
 
 SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
@@ -331,6 +283,64 @@ def _beside(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) ->
             carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), pieces.envelope)
             out[:, :, k] = carry[:, :nx].reshape(count, batch, nx)
     return out
+
+
+ROUNDS = 2
+"""Linearisations for each ridge; the first starts where that of the stronger one ended."""
+
+SHORTENINGS = (1.0, 0.3, 0.1)
+
+TOLERATED = 1.5
+"""Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
+
+
+def corrections(
+    model: Dynamics, terms: Terms, pieces: Pieces, ridges: Sequence[float], seconds: float
+) -> Iterator[Array]:
+    """Yield the coefficients (size, nx) for each of ``ridges``, which begin with the strongest.
+
+    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), with the weight of the terms, errors
+    in standard deviations over windows, steps and states: a ridge of 3 counts as much as three seconds of such data.
+    Large errors count less (Huber's weights), since a run that diverges says little of what would prevent it.
+    """
+    found = np.zeros(terms.shape)
+    for ridge in ridges:
+        for _ in range(ROUNDS):
+            found, moved = _improved(model, terms, pieces, found, ridge * terms.weight, seconds)
+            if not moved:
+                break
+        yield found
+
+
+def _improved(
+    model: Dynamics, terms: Terms, pieces: Pieces, start: Array, ridge: Array, seconds: float
+) -> tuple[Array, bool]:
+    """Return better coefficients by one linearisation, and whether there are any."""
+    size = start.size
+    runs, derivatives = sensitivities(model, terms, start, pieces)
+    here = pieces.errors(runs[None]).ravel()
+    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
+    weights = _weights(here)
+    share = seconds / here.size
+    normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
+    step = np.linalg.solve(normal, -share * slopes @ (weights * here) - (ridge * start).ravel()).reshape(start.shape)
+    if not np.isfinite(step).all():
+        return start, False
+    candidates = np.stack([start, *(start + length * step for length in SHORTENINGS)])
+    reached = pieces.errors(free_runs(model, terms, candidates, pieces))
+    costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
+    best = int(np.argmin(costs))
+    return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
+
+
+def _weights(errors: Array) -> Array:
+    return np.minimum(1.0, TOLERATED / np.maximum(np.abs(errors), 1e-12))
+
+
+def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> float:
+    size = np.abs(errors)
+    huber = np.where(size <= TOLERATED, size**2, TOLERATED * (2.0 * size - TOLERATED))
+    return float(seconds * huber.mean() + np.sum(ridge * coefficients**2))
 
 
 STEP = 1e-4

@@ -1,4 +1,9 @@
-"""Which adaptation is taken: candidates, held-out blocks, decision."""
+"""Which adaptation is taken: candidates, held-out blocks, decision.
+
+A model and some seconds of a new condition become a correction, more training, a refit, a mean of these, or nothing, as
+free runs over blocks of the recording decide that the candidate did not learn from. A model that is no farther off
+there than on what was held out from its own training is left alone (`times_home`).
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidData, PluginError, SysidEvoError
 from sysid_evo.models.adaptation.correction import Pieces, Terms, corrections, free_runs
 from sysid_evo.models.base import DynamicsModel
@@ -26,9 +32,10 @@ KINDS = ("linear", "gains", "products")
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which leaves the simplest correction."""
 
-ANEW = "fit anew"
+NONE = "none"
+"""What is chosen where the model stays as it is."""
 
-REFIT = "refit"
+ANEW, REFIT = "fit anew", "refit"
 """What a fit of the family to the new seconds alone is called, and one to the training data as well."""
 
 FURTHER = {f"trained further, {updates} updates": updates for updates in (50, 200, 800)}
@@ -49,6 +56,44 @@ class Learned:
     terms: Terms
     coefficients: Array
     held: Dataset | None = None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
+
+    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is in no
+    state more than so many times farther off than on what was held out from its training.
+    """
+
+    seconds: float
+    blocks: int
+    plain: float
+    trials: tuple[Trial, ...]
+    chosen: str
+    times_home: float | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The decision in words."""
+        if self.times_home is not None:
+            return (
+                "no correction: nothing much has shifted, free runs of a second are in no state more than "
+                f"{self.times_home:.2f} times as far off as on what was held out from the training"
+            )
+        if not self.trials:
+            return f"no correction: {self.seconds:.0f} s in motion are too short to hold a block back"
+        taken = next((trial for trial in self.trials if trial.name == self.chosen), None)
+        whole = [trial for trial in self.trials if len(trial.each) == self.blocks]
+        best = min(whole, key=lambda trial: trial.error) if taken is None else taken
+        change = 100.0 * (1.0 - best.error)
+        seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
+        if taken is not None:
+            return f"{taken.name}: {seen} it did not learn from"
+        why = f"{100 * best.asked:.0f} % are asked"
+        if change >= 100.0 * best.asked:
+            why = "which may be chance" if best.everywhere else "but not on each of them"
+        return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
 
 @dataclass(frozen=True)
@@ -247,48 +292,7 @@ def _name(kind: str, ridge: float) -> str:
 AS_GOOD = 0.10
 """Share of the lowest error by which a simpler correction may be worse."""
 
-NONE = "none"
-
-
 _NOTHING = Trial(NONE, 1.0, (1.0,), sure=False)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
-
-    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is in no
-    state more than so many times farther off than on what was held out from its training.
-    """
-
-    seconds: float
-    blocks: int
-    plain: float
-    trials: tuple[Trial, ...]
-    chosen: str
-    times_home: float | None = None
-
-    @property
-    def sentence(self) -> str:
-        """The decision in words."""
-        if self.times_home is not None:
-            return (
-                "no correction: nothing much has shifted, free runs of a second are in no state more than "
-                f"{self.times_home:.2f} times as far off as on what was held out from the training"
-            )
-        if not self.trials:
-            return f"no correction: {self.seconds:.0f} s in motion are too short to hold a block back"
-        taken = next((trial for trial in self.trials if trial.name == self.chosen), None)
-        whole = [trial for trial in self.trials if len(trial.each) == self.blocks]
-        best = min(whole, key=lambda trial: trial.error) if taken is None else taken
-        change = 100.0 * (1.0 - best.error)
-        seen = f"{abs(change):.0f} % {'better' if change > 0 else 'worse'} than none on {self.blocks} blocks"
-        if taken is not None:
-            return f"{taken.name}: {seen} it did not learn from"
-        why = f"{100 * best.asked:.0f} % are asked"
-        if change >= 100.0 * best.asked:
-            why = "which may be chance" if best.everywhere else "but not on each of them"
-        return f"no correction: the best, {best.name}, is {seen} it did not learn from; {why}"
 
 
 def decided(trials: Sequence[Trial]) -> str:
@@ -328,7 +332,7 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
             pieces = Pieces.of(model, held)
         except InvalidData:
             return None
-        pieces = pieces[np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES).round().astype(np.int64))]
+        pieces = pieces[evenly_spaced(len(pieces), MOST_PIECES, nearest=True)]
         terms = Terms.of(held)
         wrong = pieces.errors(free_runs(model, terms, np.zeros((1, *terms.shape)), pieces))[0]
         squares.append(((wrong * pieces.scale) ** 2).reshape(-1, held.system.nx))

@@ -42,8 +42,8 @@ CHANGES = (
     Change(
         "all pieces of a long recording are run",
         HOME,
-        "len(pieces) - 1, MOST_PIECES)",
-        "len(pieces) - 1, len(pieces))",
+        "evenly_spaced(len(pieces), MOST_PIECES",
+        "evenly_spaced(len(pieces), len(pieces)",
         (TEST_HOME,),
     ),
     Change(
@@ -301,8 +301,8 @@ CHANGES = (
     Change(
         "what has failed must have done so in all blocks",
         "sysid_evo/validation/acceptance.py",
-        "return any(_share(*pair)",
-        "return all(_share(*pair)",
+        "return any(after.share_of(before)",
+        "return all(after.share_of(before)",
         (TEST_GATE,),
     ),
     Change(

@@ -53,7 +53,7 @@ CHANGES = (
     Change(
         "the correction is left out of a step",
         ELSEWHERE,
-        "return np.concatenate([moved, after[:, nx:]], axis=1)",
+        "return self.terms.next_carry(carry, control, after, self.coefficients)",
         "return after",
         (TEST_CALIBRATED_ELSEWHERE,),
     ),

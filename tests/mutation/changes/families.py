@@ -188,9 +188,9 @@ CHANGES = (
     ),
     Change(
         "the history of one run is padded with its last state",
-        "sysid_evo/models/dynamics.py",
-        "np.repeat(history[:1], missing, axis=0)",
-        "np.repeat(history[-1:], missing, axis=0)",
+        "sysid_evo/carry.py",
+        "np.repeat(states[..., :1, :], missing, axis=-2)",
+        "np.repeat(states[..., -1:, :], missing, axis=-2)",
         ("tests/sysid_evo/test_fit_and_score.py",),
     ),
     Change(
