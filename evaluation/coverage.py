@@ -72,10 +72,13 @@ def what_to_record(
     for i, period in system.periods.items():
         values[:, i] -= period * np.round(values[:, i] / period)
     channels = (*system.states, *system.controls)
-    width, begin = _widths(support), _begins(channels)
+    width = _widths(support)
+    # the first box of a channel begins at its lowest value, or so that one begins at 0; one without an end has no last
+    begin = np.array([c.low if np.isfinite(c.low) and not c.period else 0.0 for c in channels])
+    end = np.array([np.inf if c.period else c.high for c in channels])
     with np.errstate(divide="ignore", invalid="ignore"):
         boxes = np.where(width > 0.0, np.floor((values - begin) / width + 1e-9), values)
-        last = np.where(width > 0.0, np.round((_ends(channels) - begin) / width) - 1.0, np.inf)
+        last = np.where(width > 0.0, np.round((end - begin) / width) - 1.0, np.inf)
     boxes = np.minimum(boxes, last)  # the end of a range belongs to its last box
     found = []
     for box, count in Counter(map(tuple, boxes.tolist())).most_common(most):
@@ -92,16 +95,6 @@ def _widths(support: Support) -> Array:
     spread = dict(zip((*system.regressor_names, *system.control_names), support.scale, strict=True))
     states = [c.period / PERIODIC_BINS if c.period else _rounded(spread[c.name]) for c in system.states]
     return np.array([*states, *(_control_width(c, spread[c.name]) for c in system.controls)])
-
-
-def _begins(channels: tuple[Channel, ...]) -> Array:
-    """Return where the first box of each channel begins: at its lowest value, or so that one begins at 0."""
-    return np.array([c.low if np.isfinite(c.low) and not c.period else 0.0 for c in channels])
-
-
-def _ends(channels: tuple[Channel, ...]) -> Array:
-    """Return where the last box of each channel ends, infinity for no end."""
-    return np.array([np.inf if c.period else c.high for c in channels])
 
 
 def _control_width(channel: Channel, spread: float) -> float:

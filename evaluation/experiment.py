@@ -125,12 +125,7 @@ class Experiment(BaseModel):
         """Return the settings in a TOML file (or in that of a run folder), checked. Raises `InvalidArgument`."""
         path = Path(path)
         file = path / FILE if path.is_dir() else path
-        try:
-            settings = tomllib.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InvalidArgument(f"{file}: expected an experiment, found no such file") from None
-        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InvalidArgument(f"{file}: expected an experiment in TOML: {error}") from error
+        settings = read_toml(file, "an experiment")
         try:
             cls.of(settings)
         except InvalidArgument as error:
@@ -139,8 +134,7 @@ class Experiment(BaseModel):
 
     def write(self, path: str | Path) -> Path:
         """Write the experiment to a TOML file."""
-        text = tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
-        return write_atomically(Path(path), lambda file: file.write_text(text, encoding="utf-8"))
+        return write_toml(self.model_dump(mode="json", exclude_none=True), Path(path))
 
     @property
     def budget(self) -> Budget:
@@ -158,7 +152,28 @@ def _sentence(error: Any) -> str:
     """Return one finding of pydantic as: what, what is wrong, what came."""
     where = ".".join(map(str, error["loc"]))
     if error["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(where, Experiment.model_fields, n=1)
-        return f"{where} is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
+        return f"{where} {no_setting(where)}"
     message = error["msg"].replace("Input should be", "expected").replace("Value error, ", "")
     return f"{where}: {message}, got {error['input']!r}"
+
+
+def no_setting(name: str) -> str:
+    """Return that ``name`` is no setting of an experiment, and which one may be meant."""
+    close = difflib.get_close_matches(name, Experiment.model_fields, n=1)
+    return "is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
+
+
+def read_toml(file: Path, what: str) -> dict[str, Any]:
+    """Return what stands in a TOML file, which is expected to be ``what``. Raises `InvalidArgument`."""
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InvalidArgument(f"{file}: expected {what}, found no such file") from None
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidArgument(f"{file}: expected {what} in TOML: {error}") from error
+
+
+def write_toml(settings: Mapping[str, Any], path: Path) -> Path:
+    """Write ``settings`` to a TOML file."""
+    text = tomli_w.dumps(settings)
+    return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))

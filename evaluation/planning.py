@@ -25,8 +25,7 @@ from evaluation.cells.models import ConditionsCell, FitCell, PredictCell
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
-from evaluation.transfer.matrix import FOLDER, MeasuredResult, kept_traces, load_measured
-from evaluation.transfer.summary import AT_REST
+from evaluation.transfer.matrix import AT_REST, FOLDER, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
     ArtefactError,
@@ -137,7 +136,7 @@ def plan_comparison(
             ensembles,
             tuple(measured),
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
-            recorded=_is_recorded(data),
+            recorded=isinstance(data, RecordedData) or "robot" in data.inputs(),  # here, or when the run was made,
         )
         exploitability = ExploitCell(matrix, data, experiment.seed)
     several = _conditions(experiment, dataset)
@@ -315,11 +314,6 @@ def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
             f"{len(found)}: name them with sysid-evo import --condition NAME=PATTERN, and give the data set with --data"
         )
     return len(found)
-
-
-def _is_recorded(data: Cell) -> bool:
-    """Whether the data are recorded here on a robot, or were when the run was made."""
-    return isinstance(data, RecordedData) or "robot" in data.inputs()
 
 
 def _check_predictable(training: Dataset, test: Dataset) -> None:

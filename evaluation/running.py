@@ -23,7 +23,7 @@ from evaluation.study.study import Study
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
-from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
+from sysid_evo.plan import Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
 from sysid_evo.registry import load_plugin
 from sysid_evo.version import versions
@@ -187,13 +187,9 @@ def _failures(comparison: Comparison, store: Store) -> list[Failure]:
         told = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
         if record is not None and record.status == "failed" and not told:
             found.append(Failure(cell.title, record.reason or ""))
-        elif record is None and not told and not _blocked(cell, store):
+        elif record is None and not told and all(store.outcome(needed).value is not None for needed in cell.needs):
             found.append(Failure(cell.title, store.outcome(cell).reason or ""))
     return found
-
-
-def _blocked(cell: Cell, store: Store) -> bool:
-    return any(store.outcome(needed).value is None for needed in cell.needs)
 
 
 def run_study(

@@ -49,7 +49,7 @@ class Steps:
         all_of = list(trajectories)
         none_x, none_u = np.empty((0, system.nx)), np.empty((0, system.nu))
         none, counted = np.empty(0, dtype=np.int64), [_counted(t.controls) for t in all_of]
-        jumps = [_jumps(system.acceleration(t.states[:-1], t.states[1:])) for t in all_of]
+        rates = [system.acceleration(t.states[:-1], t.states[1:]) for t in all_of]
         return cls(
             system,
             np.concatenate([none_x, *(t.states[:-1] for t in all_of)]),
@@ -57,7 +57,7 @@ class Steps:
             np.concatenate([none_x, *(t.states[1:] for t in all_of)]),
             np.concatenate([none, *(held for held, _ in counted)]),
             np.concatenate([none, *(previous for _, previous in counted)]),
-            np.concatenate([none_x, *jumps]),
+            np.concatenate([none_x, *(np.diff(rate, axis=0, prepend=rate[:1]) for rate in rates)]),
         )
 
     def thinned(self, most: int) -> Steps:
@@ -152,11 +152,6 @@ def _counted(controls: Array) -> tuple[IntArray, IntArray]:
     known = number > 0
     begun, before = begins[number + 1], begins[number]
     return np.where(known, index - begun + 1, 0), np.where(known, begun - before, 0)
-
-
-def _jumps(accelerations: Array) -> Array:
-    """Return the differences (T, nx) of accelerations (T, nx) to those of the step before, 0 for the first."""
-    return np.diff(accelerations, axis=0, prepend=accelerations[:1])
 
 
 @dataclass(frozen=True)

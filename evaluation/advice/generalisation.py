@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evaluation.advice.evidence import Evidence, Remark, WindowErrors, window_errors
+from evaluation.advice.evidence import Evidence, Remark, window_errors
 from evaluation.formatting import percent
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
@@ -55,7 +55,8 @@ def overfit(evidence: Evidence) -> Remark | None:
 def too_few_data(evidence: Evidence, half: DynamicsModel) -> Remark | None:
     """Return that more data will help, as the error of ``half``, fitted to every other piece of the data, is larger."""
     whole, fewer = evidence.test_windows, window_errors(half, evidence.judged, evidence.horizon)
-    if evidence.test is None or not _paired(whole, fewer):
+    paired = len(whole.errors) > 0 and np.array_equal(whole.blocks, fewer.blocks)
+    if evidence.test is None or not paired:
         return None
     with_all, with_half = whole.n(evidence.std), fewer.n(evidence.std)
     ratios = fewer.drawn_n(evidence.std) / whole.drawn_n(evidence.std)
@@ -79,10 +80,6 @@ def halved(dataset: Dataset) -> Dataset:
                 kept.append(episode[begin : begin + PIECE])
             number += 1
     return dataset.with_episodes(kept)
-
-
-def _paired(first: WindowErrors, second: WindowErrors) -> bool:
-    return len(first.errors) > 0 and np.array_equal(first.blocks, second.blocks)
 
 
 def _ahead(evidence: Evidence) -> str:

@@ -110,9 +110,10 @@ def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple
     picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
     whole, *each = cases.n_of_sums(sums.sum(axis=0)[None])[0]
     drawn = cases.n_of_sums(resampled_sums(sums, picks))
+    ratios = np.divide(drawn, drawn[:, :1], out=np.full_like(drawn, np.nan), where=drawn[:, :1] > 0.0)
     confidence = 1.0 - (1.0 - cases.protocol.confidence) / len(places)
     found = [
-        RegionError(region, share, n, n / whole, interval(_ratio(drawn[:, number], drawn[:, 0]), confidence))
+        RegionError(region, share, n, n / whole, interval(ratios[:, number], confidence))
         for number, ((region, share), n) in enumerate(zip(places, each, strict=True), start=1)
         if whole > 0.0 and np.isfinite(n)
     ]
@@ -154,7 +155,3 @@ def _regions(channel: Channel, values: Array) -> Iterator[Region]:
 
 def _written(value: float) -> str:
     return f"{value:.2g}"
-
-
-def _ratio(top: Array, bottom: Array) -> Array:
-    return np.divide(top, bottom, out=np.full_like(top, np.nan), where=bottom > 0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -250,25 +249,19 @@ def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
         arrays.update({f"episode.{i}.n": episode.n, f"episode.{i}.fit": episode.fit})
     arrays.update({f"free_states.{i}": states for i, states in enumerate(prediction.free_states)})
     scores = []
-    for i, score in enumerate(_all_scores(prediction)):
+    free_run = () if prediction.free_run is None else (prediction.free_run,)
+    for i, score in enumerate((*prediction.at, *free_run)):
         arrays.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
         scores.append({"horizon": score.horizon, "samples": score.samples, "interval": plain(score.interval)})
     arrays.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
-    divergence = prediction.divergence
     value = {
         "name": prediction.name,
         "family": prediction.family,
         "scores": scores,
         "free_runs": len(prediction.free_states),
-        "divergence": None
-        if divergence is None
-        else {
-            "share": divergence.share,
-            "median_time": divergence.median_time,
-            "free_run_times": list(divergence.free_run_times),
-        },
+        "divergence": None if prediction.divergence is None else asdict(prediction.divergence),
         "residuals": None if residuals is None else residuals.samples,
-        "regions": [_region_to_json(region) for region in prediction.regions],
+        "regions": [{**asdict(found), "interval": plain(found.interval)} for found in prediction.regions],
         "episodes": [episode.name for episode in prediction.episodes],
         "coverage": [
             {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
@@ -282,7 +275,16 @@ def load_prediction(path: Path) -> ModelPrediction:
     """Read what `save_prediction` wrote. Raises `ArtefactError`."""
     try:
         value, arrays = read_with_arrays(path)
-        scores = [_score(i, found, arrays) for i, found in enumerate(value["scores"])]
+        scores = [
+            ErrorScore(
+                **{
+                    **found,
+                    "interval": _interval(found["interval"]),
+                    **{name: arrays[f"score.{i}.{name}"] for name in ARRAYS},
+                }
+            )
+            for i, found in enumerate(value["scores"])
+        ]
         divergence = value["divergence"]
         return ModelPrediction(
             name=value["name"],
@@ -293,11 +295,14 @@ def load_prediction(path: Path) -> ModelPrediction:
             curve_interval=arrays["curve_interval"],
             divergence=None
             if divergence is None
-            else Divergence(divergence["share"], divergence["median_time"], tuple(divergence["free_run_times"])),
+            else Divergence(**{**divergence, "free_run_times": tuple(divergence["free_run_times"])}),
             residuals=None
             if value["residuals"] is None
             else Residuals(value["residuals"], **{name: arrays[f"residuals.{name}"] for name in RESIDUALS}),
-            regions=tuple(_region_of(region) for region in value["regions"]),
+            regions=tuple(
+                RegionError(**{**found, "region": Region(**found["region"]), "interval": _interval(found["interval"])})
+                for found in value["regions"]
+            ),
             episodes=tuple(
                 EpisodeError(name, arrays[f"episode.{i}.n"], arrays[f"episode.{i}.fit"])
                 for i, name in enumerate(value["episodes"])
@@ -310,24 +315,6 @@ def load_prediction(path: Path) -> ModelPrediction:
         )
     except DAMAGED as error:
         raise ArtefactError(f"{path}: not stored scores of a prediction: {type(error).__name__}: {error}") from error
-
-
-def _all_scores(prediction: ModelPrediction) -> tuple[ErrorScore, ...]:
-    return prediction.at if prediction.free_run is None else (*prediction.at, prediction.free_run)
-
-
-def _score(number: int, value: dict[str, Any], arrays: dict[str, Any]) -> ErrorScore:
-    arrays = {name: arrays[f"score.{number}.{name}"] for name in ARRAYS}
-    return ErrorScore(value["horizon"], value["samples"], interval=_interval(value["interval"]), **arrays)
-
-
-def _region_to_json(found: RegionError) -> dict[str, Any]:
-    return {**asdict(found), "interval": plain(found.interval)}
-
-
-def _region_of(value: dict[str, Any]) -> RegionError:
-    fields = {**value, "region": Region(**value["region"]), "interval": _interval(value["interval"])}
-    return RegionError(**fields)
 
 
 def _interval(limits: list[float | None]) -> Interval:

@@ -324,7 +324,7 @@ def within_and_across(
 ) -> tuple[ConditionErrors, ...]:
     """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
     found = []
-    horizon = _seconds(protocol, test.system.dt)
+    horizon = min(protocol.horizons, key=lambda steps: abs(steps * test.system.dt - 1.0))  # nearest to one second
     for condition in test.conditions:
         here = test.of_condition(condition)
         others = [episode for episode in training if episode.condition != condition]
@@ -335,11 +335,6 @@ def within_and_across(
             across = _error(learn(rest), rest, here, protocol, horizon)
         found.append(ConditionErrors(condition, horizon, within, across))
     return tuple(found)
-
-
-def _seconds(protocol: PredictionProtocol, dt: float) -> int:
-    """Return the horizon nearest to one second."""
-    return min(protocol.horizons, key=lambda horizon: abs(horizon * dt - 1.0))
 
 
 def _error(

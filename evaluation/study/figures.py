@@ -270,7 +270,9 @@ def prediction_figures(results: StudyResults) -> tuple[PredictionFigures, ...]:
             )
         )
     order = list(dict.fromkeys(one.group for one in found))
-    return tuple(sorted(found, key=lambda one: (order.index(one.group), _mean(one.n[20]))))
+    return tuple(
+        sorted(found, key=lambda one: (order.index(one.group), np.inf if (n := one.n[20]) is None else n.mean))
+    )
 
 
 def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
@@ -303,10 +305,6 @@ def _grouped(
 def _spread(rows: Mapping[tuple[str, str], ModelRow], figure: Callable[[ModelRow], float | None]) -> Spread | None:
     values = {key: figure(row) for key, row in rows.items()}
     return Spread.of({key: value for key, value in values.items() if value is not None})
-
-
-def _mean(spread: Spread | None) -> float:
-    return float("inf") if spread is None else spread.mean
 
 
 FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {

@@ -17,7 +17,7 @@ from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
 from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import AT_REST, ControllerScores, is_exploited, standings
+from evaluation.transfer.summary import ControllerScores, is_exploited, standings
 from sysid_evo.files import write_atomically
 from sysid_evo.plan import Cell, Record, Store
 from sysid_evo.plan.store import WAITING
@@ -260,7 +260,7 @@ class _Gathered:
         ran = {cell.name for cell in planned.champions if self._all_ran(cell)}
         found = {} if matrix is None else forecasts(matrix, errors)
         found = {name: forecast for name, forecast in found.items() if name in ran}
-        resting = None if matrix is None else _at_rest(matrix)
+        resting = None if matrix is None else next(iter(matrix.at_rest), None)
         standing = {} if matrix is None else standings(matrix, resting)
         floor = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
@@ -358,11 +358,6 @@ def _with_share(row: ControllerRow, yardstick: float | None) -> ControllerRow:
     if row.achieved is None or yardstick is None or yardstick <= floor:
         return replace(row, yardstick=yardstick)
     return replace(row, yardstick=yardstick, share=(row.achieved - floor) / (yardstick - floor))
-
-
-def _at_rest(matrix: TransferMatrix) -> str | None:
-    found = (one.name for one in matrix.champions if one.controller.name == AT_REST and not one.against)
-    return next(found, None)
 
 
 def _achieved(matrix: TransferMatrix, controller: str) -> float | None:

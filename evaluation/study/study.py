@@ -5,18 +5,14 @@ from __future__ import annotations
 import difflib
 import itertools
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
-from evaluation.experiment import Experiment
+from evaluation.experiment import Experiment, no_setting, read_toml, write_toml
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.files import write_atomically
 
 FILE = "study.toml"
 
@@ -119,12 +115,7 @@ class Study:
     def read(cls, path: str | Path) -> Study:
         """Return the study in a TOML file, or in that of a study's folder. Raises `InvalidArgument`."""
         file = Path(path) / FILE if Path(path).is_dir() else Path(path)
-        try:
-            settings = tomllib.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InvalidArgument(f"{file}: expected a study, found no such file") from None
-        except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InvalidArgument(f"{file}: expected a study in TOML: {error}") from error
+        settings = read_toml(file, "a study")
         try:
             return cls.of({"title": file.stem, **settings})
         except InvalidArgument as error:
@@ -132,8 +123,7 @@ class Study:
 
     def write(self, path: str | Path) -> Path:
         """Write the study to a TOML file."""
-        text = tomli_w.dumps(dict(self.settings))
-        return write_atomically(Path(path), lambda file: file.write_text(text, encoding="utf-8"))
+        return write_toml(self.settings, Path(path))
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -221,8 +211,11 @@ class Axis:
         Raises `InvalidArgument` that says what is wrong with it.
         """
         where = f"grid.{setting}"
-        if setting not in Experiment.model_fields or setting in LEFT_OUT:
-            raise InvalidArgument(f"{where}: {_no_axis(setting)}")
+        if setting in LEFT_OUT:
+            hint = "; name it under [experiment]" if setting == "plugins" else ""
+            raise InvalidArgument(f"{where}: cannot be an axis{hint}")
+        if setting not in Experiment.model_fields:
+            raise InvalidArgument(f"{where}: {no_setting(setting)}")
         if isinstance(given, Mapping):
             pairs = [(str(label), value) for label, value in given.items()]
         else:
@@ -271,10 +264,3 @@ def _check_distinct(where: str, pairs: Sequence[tuple[str, Any]]) -> None:
             raise InvalidArgument(f"{where}: {label_of(value)!r} stands there twice")
         if labels.count(label) > 1:
             raise InvalidArgument(f"{where}: two values are called {label!r}; name them, such as {{a = ..., b = ...}}")
-
-
-def _no_axis(setting: str) -> str:
-    if setting in LEFT_OUT:
-        return "cannot be an axis" + ("; name it under [experiment]" if setting == "plugins" else "")
-    close = difflib.get_close_matches(setting, Experiment.model_fields, n=1)
-    return "is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")

@@ -1,6 +1,7 @@
 """Which controllers work elsewhere than where they were evolved."""
 
 from evaluation.transfer.matrix import (
+    AT_REST,
     NOT_RUN,
     MeasuredResult,
     Trace,
@@ -21,7 +22,6 @@ from evaluation.transfer.matrix import (
 )
 from evaluation.transfer.matrix import TransferResult as Cell
 from evaluation.transfer.summary import (
-    AT_REST,
     ControllerScores,
     ControllerSummary,
     Figures,

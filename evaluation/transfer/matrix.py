@@ -29,6 +29,9 @@ from sysid_evo.tasks import Target, Task
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
 
+AT_REST = "constant"
+"""The registered controller that does nothing, if it was not evolved."""
+
 NOT_RUN = "not run"
 """The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
 
@@ -87,6 +90,11 @@ class TransferMatrix:
     def models(self) -> tuple[str, ...]:
         """The columns that are not robots."""
         return tuple(column for column in self.columns if column not in (self.robot, *self.other_robots))
+
+    @property
+    def at_rest(self) -> tuple[str, ...]:
+        """The controllers that do nothing: shares of fitness are measured from theirs."""
+        return tuple(one.name for one in self.champions if one.controller.name == AT_REST and not one.against)
 
     @property
     def unit(self) -> str:

@@ -15,9 +15,6 @@ from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
 from sysid_evo.types import Array
 
-AT_REST = "constant"
-"""The registered controller that does nothing, if it was not evolved."""
-
 
 @dataclass(frozen=True)
 class TransferSummary:
@@ -158,9 +155,7 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
 def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     """Condense the matrix, nothing picked yet; ``seed`` is that of the bootstrap over trials."""
     controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
-    at_rest = [
-        champion.name for champion in matrix.champions if champion.controller.name == AT_REST and not champion.against
-    ]
+    at_rest = matrix.at_rest
     floor = next((c.achieved.value for c in controllers if c.name in at_rest and c.achieved is not None), None)
     standing = standings(matrix, next(iter(at_rest), None))
     controllers = tuple(replace(one, floor=floor, standing=standing[one.name]) for one in controllers)
