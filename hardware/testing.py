@@ -31,7 +31,7 @@ from sysid_evo.testing.contract import (
     verdicts,
 )
 from sysid_evo.testing.models import (
-    Inputs,
+    StepInputs,
     expect_compiled_alike,
     expect_independent_rows,
     expect_pure,
@@ -216,7 +216,7 @@ CHECKS: tuple[Check[RobotExample], ...] = (
 )
 
 
-def _some_inputs(dynamics: Dynamics, steps: int = 20) -> Inputs:
+def _some_inputs(dynamics: Dynamics, steps: int = 20) -> StepInputs:
     """Return carries after some steps from rest under random legal controls, and what comes next."""
     system, rng = dynamics.system, np.random.default_rng(3)
     states = np.tile(system.neutral_state, (ROWS, dynamics.n_lags + 1, 1))
@@ -226,7 +226,7 @@ def _some_inputs(dynamics: Dynamics, steps: int = 20) -> Inputs:
         control = system.actuate(rng.uniform(-1.0, 1.0, (ROWS, system.nu)))
         carry = dynamics.step(carry, control, normal(dynamics.n_noise, ROWS, rng))
     control = system.actuate(rng.uniform(-1.0, 1.0, (ROWS, system.nu)))
-    return Inputs(carry, control, normal(dynamics.n_noise, ROWS, rng))
+    return StepInputs(carry, control, normal(dynamics.n_noise, ROWS, rng))
 
 
 def _next(connection: Connection, timeout: float) -> Measurement:

@@ -1,4 +1,4 @@
-"""DaskExecutor: hands cells to the workers of a Dask cluster and stores what comes back.
+"""The cells of a plan on the workers of a Dask cluster, which need not see the run folder.
 
 This process alone writes the store, as results come in, and chains no cell to another in the cluster: what is finished
 is here, whatever dies there.
@@ -20,7 +20,9 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
 from sysid_evo.errors import ArtefactError, InvalidArgument, SchedulerLost
+from sysid_evo.plan import dask_worker
 from sysid_evo.plan.cell import Cell
+from sysid_evo.plan.dask_worker import BLOCKED, DONE, FAILED, LACKS
 from sysid_evo.plan.plan import Again, at_home, work_ahead
 from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger
 from sysid_evo.plan.store import Parcel, Store, digest_of, packed
@@ -28,7 +30,6 @@ from sysid_evo.version import versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
-
 
 LOOK = 1.0  # s, between two looks at who is there
 
@@ -201,8 +202,6 @@ class Cluster:
 
     def _answered(self, away: Away, answer: dict[str, Any], parcel: Parcel) -> None:
         """Put down how a cell ended."""
-        from sysid_evo.plan.dask_worker import BLOCKED, DONE, FAILED, LACKS
-
         cell, status = away.cell, answer["status"]
         for sentence in answer.get("warnings", ()):
             warnings.warn(sentence, stacklevel=2)
@@ -314,8 +313,6 @@ class Dispatch:
 
         Where there is none, one is asked for, so that a cluster that grows with its work does.
         """
-        from sysid_evo.plan import dask_worker
-
         if self.client.status not in (RUNNING, "connecting"):
             raise SchedulerLost(f"the scheduler at {self._address} does not answer any more: {GO_ON}")
         found: dict[str, int] = {}
@@ -336,8 +333,6 @@ class Dispatch:
     ) -> Future[Any] | None:
         """Ask for the cell ``digest``, to be computed on the workers ``only``; None if there is nobody now."""
         from distributed import TimeoutError as NobodyThere
-
-        from sysid_evo.plan import dask_worker
 
         future: Future[Any] | None = None
         with self._unless_lost(), suppress(NobodyThere):

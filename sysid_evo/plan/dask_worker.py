@@ -14,8 +14,6 @@ from queue import Empty, SimpleQueue
 from threading import Lock, Timer
 from typing import Any
 
-from distributed import Status, get_worker
-
 from sysid_evo.plan.plan import Again
 from sysid_evo.plan.processes import Inbox, Worker, said_of
 from sysid_evo.plan.store import Parcel, Store, unpack
@@ -41,6 +39,8 @@ def compute(order: str, before: Sequence[Parcel], files: Parcel, needed: Sequenc
 
     ``before`` and ``files`` are what its plan is made of, ``needed`` the results that it takes.
     """
+    from distributed import Status, get_worker
+
     asked = json.loads(order)
     worker = get_worker()
     task = worker.get_current_task()

@@ -1,4 +1,4 @@
-"""Execute(): computes a plan with the serial, process or Dask executor; how many jobs at once."""
+"""A plan computed: in this process, in several side by side, or on a cluster; other processes may work on it, too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A plan: cells in order of their needs, the recipe by which another process rebuilds it, seeds, critical path."""
+"""A plan: cells in order of their needs, made without doing any work; how another process comes to the same one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""ProcessExecutor, and the program of its processes: both sides of one conversation.
+"""The cells of a plan side by side, in processes that share its store, and the program of these processes.
 
-Both talk in lines of JSON, on standard input and output: nothing but digests, numbers and sentences. Results go
+Both sides talk in lines of JSON, on standard input and output: nothing but digests, numbers and sentences. Results go
 through the store.
 """
 

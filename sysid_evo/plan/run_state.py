@@ -13,6 +13,11 @@ from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
 
+PATIENCE = 0.1  # s between two looks at cells that another process computes
+
+TRIES = 2
+"""How often a cell is tried whose process ends without a word."""
+
 
 class Observer(Protocol):
     """Is told what an execution is doing; the command line draws progress from it. Cells may run side by side."""
@@ -138,9 +143,6 @@ class Ledger:
                 self.observer.remark(sentence)
 
 
-PATIENCE = 0.1  # s between two looks at cells that another process computes
-
-
 class Here:
     """Computes cells in this process and puts down in a ``ledger`` how they end."""
 
@@ -220,7 +222,3 @@ class Here:
             if reason is not None:
                 raise ArtefactError(f"needs {cell.title}, which failed: {reason}") from error
             return self.store.load(cell)
-
-
-TRIES = 2
-"""How often a cell is tried whose process ends without a word."""

@@ -1,4 +1,4 @@
-"""A run folder: records, results found by digest, claims, and bundles sent between run folders."""
+"""A run folder as a store: results are found by the digest of everything that they depend on."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 SETTLED = 0.9
 """A state has settled if it stays within its tolerance from this share of the trial on."""
 
-
 SHOWN = 10.0
 """An error of so many tolerances is observed as 1."""
 
@@ -323,10 +322,8 @@ def full_controls(system: System) -> Array:
 
 Names: TypeAlias = str | Sequence[str]
 
-
 Numbers: TypeAlias = float | Sequence[float] | None
 """One number for all channels, or one for each; None for the task's own choice."""
-
 
 TOLERANCES = 20.0
 """The range of the targets in tolerances, where no tolerance is given."""

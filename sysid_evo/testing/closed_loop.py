@@ -1,4 +1,4 @@
-"""Contracts of a task and a controller, tried in closed loop."""
+"""The contracts of a controller and of a task, sentence by sentence, tried in closed loop."""
 
 from __future__ import annotations
 
@@ -32,38 +32,16 @@ from sysid_evo.testing.contract import (
 from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
 from sysid_evo.types import Array, Seeds
 
+CANDIDATES, NETWORKS, TRIALS = 3, 6, 4
+"""Controllers that are asked at once, networks that drive at a task, and trials of each."""
+
+SEEDS = trial_seeds(3, TRIALS)
+
 TOLERANCE = 1e-6
 
 
-def expect_engines_agree(
-    dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds | None = None
-) -> None:
-    """Raise `ContractViolation` unless the compiled form runs the same trials as the reference form, in float64."""
-    seeds = trial_seeds(9, 4) if seeds is None else seeds
-    compiled, exact = (
-        rollout(dynamics, controller, parameters, task, seeds, record=True, engine=engine)
-        for engine in ("float64", "reference")
-    )
-    for name, found, expected in (
-        ("survived", compiled.survived, exact.survived),
-        ("fitness", compiled.fitness, exact.fitness),
-    ):
-        expect(
-            np.allclose(found, expected, rtol=TOLERANCE, atol=TOLERANCE),
-            f"{name} is {found.ravel()[:5]} compiled and {expected.ravel()[:5]} in NumPy",
-        )
-    for a, b in zip(compiled.trajectories, exact.trajectories, strict=True):
-        for name, found, expected in (("controls", a.controls, b.controls), ("states", a.states, b.states)):
-            size = np.abs(expected).max(initial=1.0)
-            off = np.abs(found - expected).max(axis=1) > TOLERANCE * size
-            expect(not off.any(), f"{name} differ from sample {int(off.argmax())} of {a.name} on")
-
-
-CANDIDATES, TRIALS = 3, 4
-
-
 @dataclass(frozen=True)
-class Given:
+class ControllerExample:
     """A controller as it is made, the same bound to ``task``, and parameters (P, n_parameters) for it."""
 
     made: Controller
@@ -107,17 +85,17 @@ def run_controller_checks(name: str, *, at: Task | None = None, **parameters: An
     It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
     """
 
-    def make() -> Given:
+    def make() -> ControllerExample:
         task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
         made = make_controller(name, **parameters)
         bound = made.bind_to(task)
         weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
-        return Given(made, bound, weights, task)
+        return ControllerExample(made, bound, weights, task)
 
-    return verdicts(make, CHECKS)
+    return verdicts(make, CONTROLLER_CHECKS)
 
 
-def binding_gives_a_controller_of_that_size(given: Given) -> None:
+def binding_gives_a_controller_of_that_size(given: ControllerExample) -> None:
     """bind gives a controller of that many inputs and outputs, and leaves the others as they are"""
     before = dict(vars(given.bound))
     system = given.task.system
@@ -133,7 +111,7 @@ def binding_gives_a_controller_of_that_size(given: Given) -> None:
     expect(vars(given.bound) == before, "a controller changes when another is bound")
 
 
-def it_has_parameters_to_evolve(given: Given) -> None:
+def it_has_parameters_to_evolve(given: ControllerExample) -> None:
     """It has at least one parameter, and parameters decide what it does"""
     count = given.bound.n_parameters
     expect(isinstance(count, int) and count >= 1, f"expected n_parameters >= 1, got {count!r}")
@@ -143,7 +121,7 @@ def it_has_parameters_to_evolve(given: Given) -> None:
     expect(not same(raw, other), "all parameter vectors act alike")
 
 
-def an_action_has_the_right_shape_and_type(given: Given) -> None:
+def an_action_has_the_right_shape_and_type(given: ControllerExample) -> None:
     """act gives outputs (P, E, n_outputs) and memory (P, E, n_memory), finite and in float64"""
     for moment in (0, 3):
         raw, memory = given.bound.act(given.parameters, given.memory(moment), given.view(moment))
@@ -151,13 +129,13 @@ def an_action_has_the_right_shape_and_type(given: Given) -> None:
         expect_numbers("memory", memory, (CANDIDATES, TRIALS, given.bound.n_memory))
 
 
-def outputs_stay_within_their_limits(given: Given) -> None:
+def outputs_stay_within_their_limits(given: ControllerExample) -> None:
     """Outputs stay within [-1, 1], whatever the parameters"""
     raw, _ = given.bound.act(30.0 * given.parameters, given.memory(2), given.view(2))
     expect(np.abs(raw).max() <= 1.0, f"an output is {raw.ravel()[np.abs(raw).argmax()]:.3g}")
 
 
-def an_action_is_pure(given: Given) -> None:
+def an_action_is_pure(given: ControllerExample) -> None:
     """act changes neither its arguments nor its own later results: what it remembers stands in its memory"""
     view, memory = given.view(2), given.memory(2)
     first = twice("action", given.bound.act, given.parameters, memory, view)
@@ -167,7 +145,7 @@ def an_action_is_pure(given: Given) -> None:
     expect(same(first, again), "what it did in between changes what it does")
 
 
-def candidates_and_trials_are_independent(given: Given) -> None:
+def candidates_and_trials_are_independent(given: ControllerExample) -> None:
     """Every candidate acts for itself in every trial"""
     memory = given.memory(2)
     together = given.bound.act(given.parameters, memory.copy(), given.view(2))
@@ -180,14 +158,14 @@ def candidates_and_trials_are_independent(given: Given) -> None:
                     raise ContractViolation(f"candidate {p} in trial {e} acts otherwise when it is alone")
 
 
-def the_compiled_form_acts_as_act_does(given: Given) -> None:
+def the_compiled_form_acts_as_act_does(given: ControllerExample) -> None:
     """The compiled form acts as act does"""
     if given.bound.kernel() is None:
         raise DoesNotApply
     expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
 
 
-def the_form_for_other_languages_acts_as_act_does(given: Given) -> None:
+def the_form_for_other_languages_acts_as_act_does(given: ControllerExample) -> None:
     """The form for other languages acts as act does"""
     for p in range(CANDIDATES):
         program = given.bound.program(given.parameters[p])
@@ -204,7 +182,7 @@ def the_form_for_other_languages_acts_as_act_does(given: Given) -> None:
             )
 
 
-CHECKS: tuple[Check[Given], ...] = (
+CONTROLLER_CHECKS: tuple[Check[ControllerExample], ...] = (
     binding_gives_a_controller_of_that_size,
     it_has_parameters_to_evolve,
     an_action_has_the_right_shape_and_type,
@@ -215,13 +193,9 @@ CHECKS: tuple[Check[Given], ...] = (
     the_form_for_other_languages_acts_as_act_does,
 )
 
-TASKS_CANDIDATES, TASKS_TRIALS = 6, 4
-
-SEEDS = trial_seeds(3, TASKS_TRIALS)
-
 
 @dataclass(frozen=True)
-class TasksGiven:
+class TaskExample:
     """A task as it is made, and the same bound to a system that has its roles."""
 
     made: Task
@@ -237,7 +211,7 @@ class TasksGiven:
         dynamics, rng = ExampleDynamics(self.system), np.random.default_rng(7)
         task_state = self.task.begin(SEEDS)
         before = task_state.state.copy()
-        controls = self.system.actuate(rng.uniform(-1.0, 1.0, (4, TASKS_TRIALS, self.system.nu)))
+        controls = self.system.actuate(rng.uniform(-1.0, 1.0, (4, TRIALS, self.system.nu)))
         for control in controls[:3]:
             task_state, reached = self.advance(task_state, before, dynamics.step(before, control), control)
             before = np.array(reached, dtype=np.float64)
@@ -257,7 +231,7 @@ class TasksGiven:
     def networks(self) -> Array:
         """Parameters (P, n) of random networks, small enough that none is chaotic: rounding stays rounding."""
         bound = RecurrentNetwork(hidden=3).bind_to(self.task)
-        return 0.5 * np.random.default_rng(8).standard_normal((TASKS_CANDIDATES, bound.n_parameters))
+        return 0.5 * np.random.default_rng(8).standard_normal((NETWORKS, bound.n_parameters))
 
 
 def check_task(name: str, system: System | None = None, **parameters: Any) -> None:
@@ -271,14 +245,14 @@ def check_task(name: str, system: System | None = None, **parameters: Any) -> No
 def run_task_checks(name: str, system: System | None = None, **parameters: Any) -> Iterator[CheckResult]:
     """Yield the result of every check of the registered task ``name``, see `check_task`."""
 
-    def make() -> TasksGiven:
+    def make() -> TaskExample:
         made = make_task(name, **parameters)
-        return TasksGiven(made, _bound(made, example_systems() if system is None else (system,)))
+        return TaskExample(made, _bound(made, example_systems() if system is None else (system,)))
 
-    return verdicts(make, TASKS_CHECKS)
+    return verdicts(make, TASK_CHECKS)
 
 
-def binding_leaves_the_task_as_it_is(given: TasksGiven) -> None:
+def binding_leaves_the_task_as_it_is(given: TaskExample) -> None:
     """bind gives a task on that system and leaves the task itself as it is"""
     before = dict(vars(given.made))
     bound = given.made.bind(given.system)
@@ -286,7 +260,7 @@ def binding_leaves_the_task_as_it_is(given: TasksGiven) -> None:
     expect(bound.system == given.system, "the bound task has another system")
 
 
-def a_missing_role_is_named(given: TasksGiven) -> None:
+def a_missing_role_is_named(given: TaskExample) -> None:
     """bind refuses a system that lacks a role with IncompatibleTask, and names the role"""
     try:
         given.made.bind(bare_system())
@@ -296,7 +270,7 @@ def a_missing_role_is_named(given: TasksGiven) -> None:
         expect(any(role in str(error) for role in roles), f"expected one of {', '.join(roles)} in: {error}")
 
 
-def it_says_what_it_is(given: TasksGiven) -> None:
+def it_says_what_it_is(given: TaskExample) -> None:
     """It has a horizon of at least one step, and every observation a name of its own"""
     task = given.task
     expect(isinstance(task.horizon, int) and task.horizon >= 1, f"expected horizon >= 1 steps, got {task.horizon!r}")
@@ -308,58 +282,58 @@ def it_says_what_it_is(given: TasksGiven) -> None:
     expect(len(set(names)) == len(names), f"two observations have one name: {', '.join(names)}")
 
 
-def a_trial_begins_within_the_system(given: TasksGiven) -> None:
+def a_trial_begins_within_the_system(given: TaskExample) -> None:
     """begin gives one living trial for each seed, with a state (E, nx) and a pose (E, n_pose)"""
     began = given.task.begin(SEEDS)
-    expect_numbers("state", began.state, (TASKS_TRIALS, given.system.nx))
-    expect_numbers("pose", began.pose, (TASKS_TRIALS, given.system.n_pose))
+    expect_numbers("state", began.state, (TRIALS, given.system.nx))
+    expect_numbers("pose", began.pose, (TRIALS, given.system.n_pose))
     alive = np.asarray(began.alive)
-    expect(alive.shape == (TASKS_TRIALS,) and alive.dtype == bool and alive.all(), f"alive is {alive} after begin")
+    expect(alive.shape == (TRIALS,) and alive.dtype == bool and alive.all(), f"alive is {alive} after begin")
 
 
-def a_trial_depends_on_its_seed_alone(given: TasksGiven) -> None:
+def a_trial_depends_on_its_seed_alone(given: TaskExample) -> None:
     """A trial depends on its seed alone: not on the other trials, and not on chance"""
     expect(same(given.task.begin(SEEDS), given.task.begin(SEEDS)), "the same seeds begin other trials")
     together = given.drive(given.networks).fitness
-    alone = np.concatenate([given.drive(given.networks, SEEDS[e : e + 1]).fitness for e in range(TASKS_TRIALS)], axis=1)
+    alone = np.concatenate([given.drive(given.networks, SEEDS[e : e + 1]).fitness for e in range(TRIALS)], axis=1)
     expect(np.allclose(together, alone, rtol=1e-9), "a trial ends otherwise when it is run alone")
 
 
-def candidates_meet_the_same_trials(given: TasksGiven) -> None:
+def candidates_meet_the_same_trials(given: TaskExample) -> None:
     """All candidates meet the same trials"""
     alike = np.repeat(given.networks[:1], 3, axis=0)
     found = given.drive(alike).fitness
     expect(np.allclose(found, found[0], rtol=1e-9), "the same controller scores otherwise as another candidate")
 
 
-def an_observation_has_the_right_shape_and_type(given: TasksGiven) -> None:
+def an_observation_has_the_right_shape_and_type(given: TaskExample) -> None:
     """observe gives one finite float64 number for each observation of each trial"""
     task_state, before, *_ = given.moment()
-    expect_numbers("observation", given.task.observe(task_state, before), (TASKS_TRIALS, len(given.task.observations)))
+    expect_numbers("observation", given.task.observe(task_state, before), (TRIALS, len(given.task.observations)))
 
 
-def observing_is_pure(given: TasksGiven) -> None:
+def observing_is_pure(given: TaskExample) -> None:
     """observe changes neither its arguments nor its own later results"""
     task_state, before, *_ = given.moment()
     twice("observation", given.task.observe, task_state, before)
 
 
-def advancing_is_pure(given: TasksGiven) -> None:
+def advancing_is_pure(given: TaskExample) -> None:
     """advance changes neither its arguments nor its own later results"""
     twice("advance", given.advance, *given.moment())
 
 
-def advancing_keeps_shapes(given: TasksGiven) -> None:
+def advancing_keeps_shapes(given: TaskExample) -> None:
     """advance gives trials and a state (B, nx) of the same shapes, finite and in float64"""
     task_state, *step = given.moment()
     advanced, reached = given.advance(task_state, *step)
     expect(type(advanced) is type(task_state), f"the trials become a {type(advanced).__name__}")
-    expect_numbers("state", reached, (TASKS_TRIALS, given.system.nx))
-    expect_numbers("pose", advanced.pose, (TASKS_TRIALS, given.system.n_pose))
-    expect(np.shape(advanced.alive) == (TASKS_TRIALS,), f"alive has the shape {np.shape(advanced.alive)}")
+    expect_numbers("state", reached, (TRIALS, given.system.nx))
+    expect_numbers("pose", advanced.pose, (TRIALS, given.system.n_pose))
+    expect(np.shape(advanced.alive) == (TRIALS,), f"alive has the shape {np.shape(advanced.alive)}")
 
 
-def a_tracked_pose_is_believed(given: TasksGiven) -> None:
+def a_tracked_pose_is_believed(given: TaskExample) -> None:
     """advance takes the pose that a tracker saw, if it is given one"""
     if given.system.n_pose == 0:
         raise DoesNotApply
@@ -369,44 +343,44 @@ def a_tracked_pose_is_believed(given: TasksGiven) -> None:
     expect(same(advanced.pose, seen), "the pose after the step is another one")
 
 
-def fitness_is_a_number_and_never_below_the_worst(given: TasksGiven) -> None:
+def fitness_is_a_number_and_never_below_the_worst(given: TaskExample) -> None:
     """fitness is one number for each trial, never nan and never below worst"""
     task_state, *_ = given.moment()
-    expect_numbers("fitness", given.task.fitness(task_state), (TASKS_TRIALS,))
+    expect_numbers("fitness", given.task.fitness(task_state), (TRIALS,))
     driven = given.drive(given.networks).fitness
     expect(not np.isnan(driven).any(), "the fitness of a random controller is nan")
     lowest = min(driven.min(), given.task.fitness(task_state).min())
     expect(lowest >= given.task.worst, f"a fitness of {lowest:g} is below worst, which is {given.task.worst:g}")
 
 
-def a_trial_that_is_over_keeps_its_fitness(given: TasksGiven) -> None:
+def a_trial_that_is_over_keeps_its_fitness(given: TaskExample) -> None:
     """A trial that is over can be held while others go on"""
     task_state, *step = given.moment()
-    going = np.arange(TASKS_TRIALS) % 2 == 0
+    going = np.arange(TRIALS) % 2 == 0
     advanced, _ = given.advance(task_state, *step)
     kept = given.task.fitness(task_state.keep(advanced, going))
     expected = np.where(going, given.task.fitness(advanced), given.task.fitness(task_state))
     expect(same(kept, expected), "the fitness of a trial that is held changes with the others")
 
 
-def a_scene_can_be_drawn(given: TasksGiven) -> None:
+def a_scene_can_be_drawn(given: TaskExample) -> None:
     """scene gives what can be drawn of a trial: places (k, 2) in m, those reached among them"""
     task_state, *_ = given.moment()
-    for trial in range(TASKS_TRIALS):
+    for trial in range(TRIALS):
         scene = given.task.scene(task_state, trial)
         expect_numbers("markers", scene.markers, (len(scene.markers), 2))
         expect(0 <= scene.reached <= len(scene.markers), f"{scene.reached} of {len(scene.markers)} are reached")
         expect(scene.radius >= 0.0, f"a radius is {scene.radius} m")
 
 
-def the_compiled_form_is_the_reference(given: TasksGiven) -> None:
+def the_compiled_form_is_the_reference(given: TaskExample) -> None:
     """The compiled form scores as the reference form does"""
     if given.task.kernel() is None:
         raise DoesNotApply
     expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
 
 
-TASKS_CHECKS: tuple[Check[TasksGiven], ...] = (
+TASK_CHECKS: tuple[Check[TaskExample], ...] = (
     binding_leaves_the_task_as_it_is,
     a_missing_role_is_named,
     it_says_what_it_is,
@@ -434,3 +408,27 @@ def _bound(task: Task, systems: tuple[System, ...]) -> Task:
         except IncompatibleTask as error:
             reasons.append(f"{system.name or 'the system'}: {error}")
     raise ContractViolation(f"bind refuses every system; give one that has its roles. {'; '.join(reasons)}")
+
+
+def expect_engines_agree(
+    dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds | None = None
+) -> None:
+    """Raise `ContractViolation` unless the compiled form runs the same trials as the reference form, in float64."""
+    seeds = trial_seeds(9, 4) if seeds is None else seeds
+    compiled, exact = (
+        rollout(dynamics, controller, parameters, task, seeds, record=True, engine=engine)
+        for engine in ("float64", "reference")
+    )
+    for name, found, expected in (
+        ("survived", compiled.survived, exact.survived),
+        ("fitness", compiled.fitness, exact.fitness),
+    ):
+        expect(
+            np.allclose(found, expected, rtol=TOLERANCE, atol=TOLERANCE),
+            f"{name} is {found.ravel()[:5]} compiled and {expected.ravel()[:5]} in NumPy",
+        )
+    for a, b in zip(compiled.trajectories, exact.trajectories, strict=True):
+        for name, found, expected in (("controls", a.controls, b.controls), ("states", a.states, b.states)):
+            size = np.abs(expected).max(initial=1.0)
+            off = np.abs(found - expected).max(axis=1) > TOLERANCE * size
+            expect(not off.any(), f"{name} differ from sample {int(off.argmax())} of {a.name} on")

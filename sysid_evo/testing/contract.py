@@ -1,4 +1,4 @@
-"""The one runner of contract checks, and what checks expect of arrays.
+"""Sentences and verdicts, what every kit is made of; and what checks expect of arrays.
 
 A kit is a list of checks. A check is a function of what it looks at; its docstring is the sentence
 that must hold, and it raises `ContractViolation` with a reason where the sentence is broken.

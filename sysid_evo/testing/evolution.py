@@ -25,7 +25,7 @@ PEAK = 1.5
 
 
 @dataclass(frozen=True)
-class Given:
+class StrategyExample:
     """A spec from which strategies of several sizes and seeds are made."""
 
     spec: Spec
@@ -43,15 +43,15 @@ def check_strategy(name: str, **parameters: Any) -> None:
 def run_strategy_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
     """Yield the result of every check of the registered strategy ``name``; it is made with n_parameters and seed."""
 
-    def make() -> Given:
-        given = Given(strategies.check(name, **parameters))
+    def make() -> StrategyExample:
+        given = StrategyExample(strategies.check(name, **parameters))
         given.make()
         return given
 
     return verdicts(make, CHECKS)
 
 
-def ask_gives_candidates(given: Given) -> None:
+def ask_gives_candidates(given: StrategyExample) -> None:
     """ask gives finite candidates (population, n_parameters) in float64, also for one parameter"""
     for n in (1, N_PARAMETERS):
         strategy = given.make(n_parameters=n)
@@ -62,14 +62,14 @@ def ask_gives_candidates(given: Given) -> None:
             strategy.tell(population, fitness(population))
 
 
-def the_seed_decides(given: Given) -> None:
+def the_seed_decides(given: StrategyExample) -> None:
     """The same seed asks the same candidates, another seed asks others"""
     first, again, other = (_candidates(given.make(seed=seed), 3) for seed in (1, 1, 2))
     expect(same(first, again), "the same seed asks other candidates")
     expect(not same(first, other), "another seed asks the same candidates")
 
 
-def fitness_is_maximised(given: Given) -> None:
+def fitness_is_maximised(given: StrategyExample) -> None:
     """Fitness is maximised: on a hill the elite climbs"""
     for seed in (1, 2):
         strategy = given.make(seed=seed)
@@ -84,7 +84,7 @@ def fitness_is_maximised(given: Given) -> None:
         )
 
 
-def the_elite_stands_best_first(given: Given) -> None:
+def the_elite_stands_best_first(given: StrategyExample) -> None:
     """The elite is one candidate or more, the best first"""
     strategy = given.make()
     for _ in evolve(strategy, lambda population, _: fitness(population), 5):
@@ -94,7 +94,7 @@ def the_elite_stands_best_first(given: Given) -> None:
         expect((np.diff(fitness(elite)) <= 0.0).all(), "a later one of the elite is better than an earlier one")
 
 
-def tell_leaves_its_arguments(given: Given) -> None:
+def tell_leaves_its_arguments(given: StrategyExample) -> None:
     """tell leaves candidates and fitness as they are, and keeps no hold of them"""
     strategy, other = given.make(), given.make()
     population = strategy.ask()
@@ -107,7 +107,7 @@ def tell_leaves_its_arguments(given: Given) -> None:
     expect(same(_candidates(strategy, 2), _candidates(other, 2)), "what its caller does with the arrays changes it")
 
 
-def tell_refuses_what_is_no_fitness(given: Given) -> None:
+def tell_refuses_what_is_no_fitness(given: StrategyExample) -> None:
     """tell refuses nan and a fitness that is not one number for each candidate"""
     strategy = given.make()
     population = strategy.ask()
@@ -121,14 +121,14 @@ def tell_refuses_what_is_no_fitness(given: Given) -> None:
         raise ContractViolation(f"expected {error.__name__}, got no error")
 
 
-def a_plateau_is_no_end(given: Given) -> None:
+def a_plateau_is_no_end(given: StrategyExample) -> None:
     """A fitness that is the same for everyone, however low, does not stop it"""
     strategy = given.make()
     for generation in evolve(strategy, lambda population, _: np.full(len(population), -1e300), 5):
         expect(np.isfinite(generation.population).all(), "it asks candidates that are not finite")
 
 
-def a_restored_strategy_goes_on(given: Given) -> None:
+def a_restored_strategy_goes_on(given: StrategyExample) -> None:
     """The state can be stored, and a strategy restored from it goes on bit for bit"""
     for before in (0, 4):
         strategy = given.make()
@@ -145,7 +145,7 @@ def a_restored_strategy_goes_on(given: Given) -> None:
             expect(same(expected, (_candidates(other, 4), other.elite)), when)
 
 
-def what_is_forgotten_does_not_count(given: Given) -> None:
+def what_is_forgotten_does_not_count(given: StrategyExample) -> None:
     """After forget_fitness nobody stays in the elite for what it scored before, however much that was"""
     strategy = given.make()
     for _ in evolve(strategy, lambda population, _: 1e6 + fitness(population), 5):
@@ -158,7 +158,7 @@ def what_is_forgotten_does_not_count(given: Given) -> None:
     expect(not stayed, f"{GENERATIONS} generations later, on another hill, {stayed} of the elite are still there")
 
 
-CHECKS: tuple[Check[Given], ...] = (
+CHECKS: tuple[Check[StrategyExample], ...] = (
     ask_gives_candidates,
     the_seed_decides,
     fitness_is_maximised,
@@ -185,7 +185,7 @@ def _candidates(strategy: EvolutionStrategy, generations: int) -> list[Array]:
     return [generation.population.copy() for generation in loop]
 
 
-def _asked(given: Given, generations: int) -> EvolutionStrategy:
+def _asked(given: StrategyExample, generations: int) -> EvolutionStrategy:
     """Return a strategy after so many generations that was asked for the next, and not told of it."""
     strategy = given.make()
     _candidates(strategy, generations)

@@ -1,4 +1,4 @@
-"""Example systems, recordings and dynamics that checks use by default."""
+"""What checks use by default: made-up cars, a pendulum, a recording, dynamics for any system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contracts of a model family and of a noise, and checks of anything that steps.
+"""The contract of a model family, sentence by sentence, and what must hold for anything that steps.
 
 Each check is a function of a fitted model and the data it was fitted to.
 """
@@ -27,6 +27,11 @@ from sysid_evo.registry.registry import models
 from sysid_evo.testing.contract import CheckResult, copied, normal, raise_broken, rows_off, same, twice, verdict
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.types import Array, IntArray
+
+CHAINED_STEPS = 10
+
+COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
+"""Of a number and of the largest in its column."""
 
 
 def check_model(name: str, dataset: Dataset | None = None, **parameters: object) -> None:
@@ -232,10 +237,10 @@ CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
 )
 
 
-def _some_inputs(model: DynamicsModel, dataset: Dataset) -> Inputs:
+def _some_inputs(model: DynamicsModel, dataset: Dataset) -> StepInputs:
     windows = dataset.windows(1, stride=7, history=model.n_lags)
     carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows)))
-    return Inputs(carry, windows.controls[:, 0], normal(model.n_noise, len(windows)))
+    return StepInputs(carry, windows.controls[:, 0], normal(model.n_noise, len(windows)))
 
 
 def _at_rest(model: DynamicsModel, rows: int) -> Array:
@@ -255,36 +260,30 @@ def _after_a_pulse(model: DynamicsModel) -> Array:
     return model.start(np.tile(system.neutral_state, (1, lags + 1, 1)), controls, normal(model.n_draws, 1))
 
 
-CHAINED_STEPS = 10
-
-COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
-"""Of a number and of the largest in its column."""
-
-
 @dataclass(frozen=True)
-class Inputs:
+class StepInputs:
     """What a step is given: carries (B, n_carry), controls (B, nu) and noise (B, n_noise) or None."""
 
     carry: Array
     control: Array
     noise: Array | None
 
-    def rows(self, rows: IntArray | slice) -> Inputs:
+    def rows(self, rows: IntArray | slice) -> StepInputs:
         """Return some of the rows."""
-        return Inputs(self.carry[rows], self.control[rows], None if self.noise is None else self.noise[rows])
+        return StepInputs(self.carry[rows], self.control[rows], None if self.noise is None else self.noise[rows])
 
-    def followed_by(self, carry: Array, control: Array) -> Inputs:
+    def followed_by(self, carry: Array, control: Array) -> StepInputs:
         """Return these inputs and further ones, with the noise of the first rows."""
         noise = None if self.noise is None else np.concatenate([self.noise, self.noise[: len(carry)]])
-        return Inputs(np.concatenate([self.carry, carry]), np.concatenate([self.control, control]), noise)
+        return StepInputs(np.concatenate([self.carry, carry]), np.concatenate([self.control, control]), noise)
 
 
-def step(dynamics: Dynamics, inputs: Inputs) -> Array:
+def step(dynamics: Dynamics, inputs: StepInputs) -> Array:
     """Return the next carry (B, n_carry); ``inputs`` stay as they are, whatever a step does to its arguments."""
     return dynamics.step(*copied((inputs.carry, inputs.control, inputs.noise)))
 
 
-def expect_shape_and_type(dynamics: Dynamics, inputs: Inputs) -> None:
+def expect_shape_and_type(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` unless a step gives finite carries of the same shape, in float64."""
     carry, after = inputs.carry, step(dynamics, inputs)
     if carry.shape[1] != dynamics.n_carry:
@@ -295,7 +294,7 @@ def expect_shape_and_type(dynamics: Dynamics, inputs: Inputs) -> None:
         raise ContractViolation("a step from a training state is not finite")
 
 
-def expect_independent_rows(dynamics: Dynamics, inputs: Inputs) -> None:
+def expect_independent_rows(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` if the row of a batch depends on the others."""
     together = step(dynamics, inputs)
     alone = np.concatenate([step(dynamics, inputs.rows(slice(i, i + 1))) for i in range(len(inputs.carry))])
@@ -306,12 +305,12 @@ def expect_independent_rows(dynamics: Dynamics, inputs: Inputs) -> None:
         raise ContractViolation("a row's result changes with the other rows of its batch")
 
 
-def expect_pure(dynamics: Dynamics, inputs: Inputs) -> None:
+def expect_pure(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` if a step changes its arguments or its own later results."""
     twice("step", dynamics.step, inputs.carry, inputs.control, inputs.noise)
 
 
-def expect_compiled_alike(dynamics: Dynamics, inputs: Inputs) -> None:
+def expect_compiled_alike(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` if the compiled form, where there is one, steps otherwise than `step`."""
     kernel = dynamics.kernel()
     if kernel is None:

@@ -19,7 +19,7 @@ NO_COLUMN = "a column that no file has"
 
 
 @dataclass(frozen=True)
-class Given:
+class ReaderExample:
     """A reader called ``name``, and a file that it reads, which held ``content`` before."""
 
     name: str
@@ -57,10 +57,10 @@ def run_reader_checks(name: str, path: Path, **parameters: Any) -> Iterator[Chec
     if not path.is_file():
         raise InvalidArgument(f"reader {name!r}: expected a file of its kind to read, found none at {path}")
     content = path.read_bytes()
-    return verdicts(lambda: Given(name, readers.make(name, **parameters), path, content), CHECKS)
+    return verdicts(lambda: ReaderExample(name, readers.make(name, **parameters), path, content), CHECKS)
 
 
-def it_names_its_suffixes(given: Given) -> None:
+def it_names_its_suffixes(given: ReaderExample) -> None:
     """It names the suffixes of its files, in lower case and with the point; the example has one of them"""
     suffixes = given.reader.suffixes
     sound = isinstance(suffixes, tuple) and suffixes and all(s.startswith(".") and s == s.lower() for s in suffixes)
@@ -68,14 +68,14 @@ def it_names_its_suffixes(given: Given) -> None:
     expect(given.path.suffix.lower() in suffixes, f"{given.path.name} has none of {', '.join(suffixes)}")
 
 
-def no_other_reader_has_its_suffixes(given: Given) -> None:
+def no_other_reader_has_its_suffixes(given: ReaderExample) -> None:
     """No other reader has one of its suffixes"""
     for other, make in readers.load_all():
         shared = sorted(set(given.reader.suffixes) & set(make().suffixes)) if other != given.name else []
         expect(not shared, f"{' and '.join(shared)} belong to reader {other!r} too")
 
 
-def the_header_names_the_columns(given: Given) -> None:
+def the_header_names_the_columns(given: ReaderExample) -> None:
     """header gives the names of the columns, each once"""
     header = given.reader.header(given.path)
     expect(
@@ -86,7 +86,7 @@ def the_header_names_the_columns(given: Given) -> None:
     expect(given.reader.header(given.path) == header, "a second look gives another header")
 
 
-def read_gives_finite_numbers(given: Given) -> None:
+def read_gives_finite_numbers(given: ReaderExample) -> None:
     """read gives the columns asked for, in that order, as finite float64 numbers of one length"""
     columns = given.columns
     expect(columns, "no column of the example holds numbers")
@@ -98,7 +98,7 @@ def read_gives_finite_numbers(given: Given) -> None:
         expect_numbers(f"column {name!r}", values, (len(table),))
 
 
-def rows_are_numbered(given: Given) -> None:
+def rows_are_numbered(given: ReaderExample) -> None:
     """Every row has its number in the file, rising from row to row"""
     table = given.whole()
     rows = np.asarray(table.rows)
@@ -107,7 +107,7 @@ def rows_are_numbered(given: Given) -> None:
     expect(table.path == given.path, f"the table says it is of {table.path}")
 
 
-def a_column_does_not_depend_on_the_others(given: Given) -> None:
+def a_column_does_not_depend_on_the_others(given: ReaderExample) -> None:
     """A column is the same, whichever others are read with it, and each time"""
     whole = given.whole()
     for name in given.columns:
@@ -115,12 +115,12 @@ def a_column_does_not_depend_on_the_others(given: Given) -> None:
         expect(same(alone.columns[name], whole.columns[name]), f"column {name!r} alone differs")
 
 
-def a_missing_column_is_named(given: Given) -> None:
+def a_missing_column_is_named(given: ReaderExample) -> None:
     """A column that is missing is an InvalidData that names the file and the column"""
     _expect_refused(given, given.path, [NO_COLUMN], NO_COLUMN)
 
 
-def a_damaged_file_is_told(given: Given) -> None:
+def a_damaged_file_is_told(given: ReaderExample) -> None:
     """A file that is empty, or of other bytes, is an InvalidData that names the file"""
     columns = list(given.columns)
     with tempfile.TemporaryDirectory() as folder:
@@ -130,13 +130,13 @@ def a_damaged_file_is_told(given: Given) -> None:
             _expect_refused(given, path, columns)
 
 
-def the_file_is_left_alone(given: Given) -> None:
+def the_file_is_left_alone(given: ReaderExample) -> None:
     """Reading leaves the file as it is"""
     given.whole()
     expect(given.path.read_bytes() == given.content, "the file has changed")
 
 
-CHECKS: tuple[Check[Given], ...] = (
+CHECKS: tuple[Check[ReaderExample], ...] = (
     it_names_its_suffixes,
     no_other_reader_has_its_suffixes,
     the_header_names_the_columns,
@@ -149,7 +149,7 @@ CHECKS: tuple[Check[Given], ...] = (
 )
 
 
-def _expect_refused(given: Given, path: Path, columns: list[str], *named: str) -> None:
+def _expect_refused(given: ReaderExample, path: Path, columns: list[str], *named: str) -> None:
     try:
         given.reader.read(path, columns)
     except InvalidData as error:

@@ -17,8 +17,8 @@ from sysid_evo.registry.registry import KINDS
 
 
 @dataclass(frozen=True)
-class Kind:
-    """What differs between kinds: where the kit of the contract is, how the thing is used, further files.
+class PluginTemplate:
+    """What is special about one kind: where the kit of its contract is, how the thing is used, further files.
 
     ``check`` are the options of `plugin check` that are wanted besides the name; ``files`` are sources
     and targets, with ``{name}`` for the name.
@@ -35,12 +35,12 @@ TEST = "tests/test_{name}.py"
 COMMON = {"pyproject.toml.txt": "pyproject.toml", "README.md.txt": "README.md"}
 
 PLUGINS = {
-    "model": Kind("sysid-evo compare --models $name,parametrised"),
-    "task": Kind("sysid-evo compare --task $name"),
-    "controller": Kind("sysid-evo compare --controller $name"),
-    "strategy": Kind("sysid-evo compare --strategy $name"),
-    "robot": Kind("sysid-evo compare --robot $name", kit="hardware.testing"),
-    "reader": Kind(
+    "model": PluginTemplate("sysid-evo compare --models $name,parametrised"),
+    "task": PluginTemplate("sysid-evo compare --task $name"),
+    "controller": PluginTemplate("sysid-evo compare --controller $name"),
+    "strategy": PluginTemplate("sysid-evo compare --strategy $name"),
+    "robot": PluginTemplate("sysid-evo compare --robot $name", kit="hardware.testing"),
+    "reader": PluginTemplate(
         "sysid-evo inspect logs/",
         check=" --data tests/example.jsonl",
         files={"test_reader.py.txt": TEST, "example.jsonl.txt": "tests/example.jsonl"},

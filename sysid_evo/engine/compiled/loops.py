@@ -36,7 +36,6 @@ EVERY = 5
 """Steps between two samples of the behaviour; odd, so that a control which changes at every other step is seen on both
 sides."""
 
-
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
     "pose_row", "n_pose", "seen", "doubt_at",
@@ -152,7 +151,6 @@ CLOSED_LOOP = Signature.of(
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
 
-
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 
 
@@ -211,7 +209,6 @@ def imagine(
 
 
 IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
-
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
 

@@ -28,7 +28,6 @@ from sysid_evo.kernels import LANES, QUARTER
 FASTMATH = ("contract", "arcp", "nsz")
 """What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
 
-
 WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": Inlined}
 """How what an operation becomes is compiled: only kernels call it."""
 
@@ -162,7 +161,6 @@ def _choice(comparison: str) -> Any:
 where_less = _choice("<")
 """Return x in the lanes where a < b, else y."""
 
-
 where_at_most = _choice("<=")
 """Return x in the lanes where a <= b, else y."""
 
@@ -194,7 +192,6 @@ def _marks(comparison: str) -> Any:
 
 lanes_less = _marks("<")
 """Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
-
 
 lanes_at_most = _marks("<=")
 """Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""

@@ -203,7 +203,7 @@ def test_every_task_keeps_every_sentence(name: str) -> None:
 def test_the_shipped_task_keeps_every_sentence_under_switches_and_continuous_controls(system: System) -> None:
     results = list(run_task_checks("point_to_point", system, waypoint_radius=0.5, horizon=80))
     assert broken(results) == {}
-    assert len(results) == 1 + len(kit.TASKS_CHECKS)
+    assert len(results) == 1 + len(kit.TASK_CHECKS)
 
 
 def test_a_task_that_is_not_for_cars_finds_a_system_and_keeps_every_sentence(register: Callable[..., Any]) -> None:
@@ -211,7 +211,7 @@ def test_a_task_that_is_not_for_cars_finds_a_system_and_keeps_every_sentence(reg
     results = list(run_task_checks("upright"))
     assert broken(results) == {}
     left_out = {sentence(kit.the_compiled_form_is_the_reference), sentence(kit.a_tracked_pose_is_believed)}
-    assert len(results) == 1 + len(kit.TASKS_CHECKS) - 2
+    assert len(results) == 1 + len(kit.TASK_CHECKS) - 2
     assert not left_out & {result.sentence for result in results}
 
 
@@ -227,7 +227,7 @@ def test_a_broken_task_is_caught_with_the_one_sentence_it_breaks(
 
 
 def test_every_sentence_has_something_that_breaks_it() -> None:
-    assert {check for _, check, _ in BROKEN} == set(kit.TASKS_CHECKS)
+    assert {check for _, check, _ in BROKEN} == set(kit.TASK_CHECKS)
 
 
 def test_a_horizon_is_a_whole_number(register: Callable[..., Any]) -> None:
