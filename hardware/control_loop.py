@@ -19,15 +19,10 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 STALE = 0.1  # s: an older pose means neutral
-
 LOST = 0.5  # s: an older pose ends the run
-
 FIRST_POSE = 1.0  # s within which the first estimate must exist
-
 POLL = 0.02  # s: the longest the loop waits without looking up
-
 SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
-
 CLOCK_TOLERANCE = 1e-9  # s
 
 
@@ -223,9 +218,7 @@ class Pilot(ABC):
 
 
 LATEST = 0.05  # s that a command may be late without the robot stopping in between
-
 SLOWEST = TIME_TO_LIVE - LATEST  # s: the longest sampling time
-
 PLANAR = 3  # numbers of a pose that the gate can judge
 
 

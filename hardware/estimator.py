@@ -38,17 +38,13 @@ class StateEstimator(Protocol):
 
 
 WINDOW = 0.1  # s
-
 LAG = 0.02
 """s; with this window, where the error of the yaw rate as it is used is least on the emulated car
 (``python -m tests.benchmarks.robot.estimator``)."""
-
 READY = 0.6
 """Share of the window that poses must cover, so that a curvature can be told from noise,"""
-
 MIN_POSES = 6
 """and the fewest poses: after a dropout, or of a slow tracker, older ones are kept for that, up to"""
-
 LONGEST = 2.5  # windows
 
 
@@ -155,9 +151,7 @@ class NewestPose:
 
 
 LONGEST_DELAY = 0.2  # s: the latest estimate looked for
-
 STEP = 0.001  # s
-
 FREQUENCIES = (0.3, 0.7, 1.1)  # Hz: how fast the speeds of a known drive change
 
 

@@ -13,12 +13,9 @@ from hardware.connection import GateLimits, Measurement
 from sysid_evo.types import Array
 
 ACCEPTED = ""
-
 JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST = "jumped", "flipped", "too fast", "turned too fast"
-
 CONTRADICTIONS = (JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST)
 """Why a frame cannot follow on the one before."""
-
 LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
 
 
@@ -172,9 +169,7 @@ class PoseGate:
 
 SHARE = 0.9
 """Quantile of the speeds from frame to frame that is taken for the robot's: one frame far away does not count."""
-
 REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run goes on without a pose
-
 WORDS = {
     "speed": ("it moves at {:.1f} m/s", "m/s"),
     "yaw_rate": ("it turns at {:.1f} rad/s", "rad/s"),

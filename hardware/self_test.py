@@ -30,9 +30,7 @@ class SelfTestFinding:
 
 
 SECONDS = 3.0
-
 STILL_DISTANCE = 0.02  # m and
-
 STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
@@ -176,7 +174,6 @@ def _loop(report: LoopReport) -> SelfTestFinding:
 
 STEPS = 300
 """Steps of a trial: how long the equations are tried under each control."""
-
 BATCH = 64
 """Trials whose step is timed."""
 

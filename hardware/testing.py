@@ -40,12 +40,9 @@ from sysid_evo.testing.models import (
 from sysid_evo.types import Array
 
 FRAMES = 40
-
 LOOKS = 100
 """Calls of measure within which the next frame must come."""
-
 SECONDS = 2.0
-
 ROWS = 8
 
 

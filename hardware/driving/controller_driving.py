@@ -26,12 +26,9 @@ from sysid_evo.types import Array, Seeds
 
 LONGEST = 20.0
 """Seconds that a trial played back may take: one of a slow process is played faster."""
-
 PAUSE = 1.0
 """Seconds between two trials played back, to see how one ended."""
-
 POLL = 0.02  # s
-
 SETTLING, CONTROLLED, FINISHED = "settling", "controlled", "finished"
 
 

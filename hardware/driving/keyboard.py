@@ -14,9 +14,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 HOLD = 0.15  # s after the last word of the page by which the robot must be in neutral
-
 LATE = 0.1  # s on the way, more than the fastest, that make a word of the page too old to act on
-
 CREEP = 0.001  # s/s by which the fastest way is forgotten: more than two clocks drift apart
 
 

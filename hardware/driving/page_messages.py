@@ -13,9 +13,7 @@ from sysid_evo.tasks import Scene, Task
 from sysid_evo.types import Array
 
 FORWARD, BACKWARD, LEFT, RIGHT = 1, 2, 4, 8
-
 ALL_KEYS = FORWARD | BACKWARD | LEFT | RIGHT
-
 LARGEST_CLOCK = 1e12  # s
 
 
@@ -47,7 +45,6 @@ def keys_message(word: Any) -> KeysMessage:
 
 MOST_TRACES = 4
 """States whose course is drawn where the task has no targets."""
-
 MOST_CONTROLS = 2  # whose course is drawn below them
 
 

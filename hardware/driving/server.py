@@ -35,7 +35,6 @@ PACKAGES = ("starlette", "uvicorn", "websockets")
 """What the page is served with."""
 
 PAGE = Path(__file__).parent / "page"
-
 FILES = {
     "": "index.html",
     "drive.css": "drive.css",
@@ -44,7 +43,6 @@ FILES = {
     "traces.js": "traces.js",
 }
 """What is served under which name."""
-
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -52,17 +50,11 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-
 PERIOD = 0.02  # s between two readings that the page is sent
-
 WORD_BYTES = 256  # the longest thing that a page says
-
 MOST_CONNECTIONS = 32
-
 PING = 1.0  # s after which a page that does not answer is gone
-
 START_UP = 5.0  # s
-
 INVALID = 1008  # the web socket's code for a message that breaks the rules
 
 
@@ -235,7 +227,6 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 TOKEN_BYTES = 16
-
 FORBIDDEN = 403
 
 

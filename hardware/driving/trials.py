@@ -24,13 +24,9 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, Seeds, check_shape
 
 ENGINE = "robot"
-
 REST_TIME = 0.5  # s over which a robot at rest stays within
-
 REST_DISTANCE = 0.01  # m and
-
 REST_ANGLE = 0.06  # rad: some times the errors of an optical tracker
-
 REST_LIMIT = 10.0  # s by which it must have come to rest
 
 

@@ -1,1 +1,1 @@
-"""Emulated robots: physics, the tracker beside them, and a connection in simulated time."""
+"""Emulated robots: physics, sensors or an optical tracker, and sessions in simulated time."""

@@ -19,15 +19,11 @@ from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, load,
 from sysid_evo.models.kernels.stepping import copy
 
 HEAD = Layout("repeats")
-
 COMMANDS = BUFFER.start
-
 NOISE_KEEP, FORCE_NOISE, YAW_NOISE = (
     Coefficients._fields.index(name) for name in ("noise_keep", "force_noise", "yaw_noise")
 )
-
 CREEP = 1.0 / CREEP_SPEED
-
 SIXTH = 1.0 / 6.0
 
 

@@ -93,16 +93,12 @@ class CarParameters(Quantities):
 
 
 LATENCY = 10  # fine steps: 50 ms from the parallel port through the remote to the car
-
 CREEP_SPEED = 0.05  # m/s: friction falls from static to rolling up to here
-
 REST_SPEED = 0.01  # m/s and
-
 REST_YAW_RATE = 0.1  # rad/s: what static friction stops within one fine step
 
 BUFFER = slice(3, 3 + 2 * LATENCY)
 """Where the carry holds the commands under way, (drive, steer) pairs, the oldest first."""
-
 BODY = 3 + 2 * LATENCY
 """Where the carry holds motor, sag, battery, slack, steering, force noise, yaw noise."""
 
@@ -187,9 +183,7 @@ def coefficients(parameters: CarParameters) -> Coefficients:
 
 Lane: TypeAlias = Any
 """A number for each rollout, an `Array` (B,), or a float for the only one: the same arithmetic for both."""
-
 ARRAYS = (np.maximum, np.minimum, np.tanh)
-
 NUMBERS = (max, min, lambda x: float(np.tanh(x)))
 """What `fine_step` calls for lanes of numbers and for single ones, which take a third of the time: the same values."""
 

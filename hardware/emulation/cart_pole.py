@@ -17,13 +17,9 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 FINE_DT = 0.005  # s
-
 REPEATS = 10  # fine steps in one sample of 50 ms
-
 GRAVITY = 9.81  # m/s2
-
 FORCE = 5.0  # N, what the motor gives
-
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(

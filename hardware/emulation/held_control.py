@@ -84,4 +84,4 @@ def held(carry, control, noise, parameters, scratch):
     """Repeat the fine step, each time with the next rows of noise."""
     own, rows = view(parameters, HEAD.size), int(parameters[HEAD.n_noise]) * LANES
     for k in range(int(parameters[HEAD.repeats])):
-        fine(carry, control, view(noise, k * rows), own, scratch)
+        fine(carry, control, view(noise, k * rows), own, scratch)  # noqa: F821

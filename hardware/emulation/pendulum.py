@@ -17,13 +17,9 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 FINE_DT = 0.005  # s
-
 REPEATS = 10  # fine steps in one sample of 50 ms
-
 STICKING = 0.1  # rad/s: dry friction grows up to here
-
 TORQUE = 0.45  # N m, what the motor gives; holding the pendulum level takes 1.2
-
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(

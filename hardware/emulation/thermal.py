@@ -17,11 +17,8 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 FINE_DT = 0.05  # s
-
 REPEATS = 4  # fine steps in one sample of 0.2 s
-
 LATENCY = 8  # fine steps: 0.4 s from the command to the power stage
-
 ROOM = 20.0  # degC
 
 SYSTEM = System(

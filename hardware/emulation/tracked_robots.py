@@ -82,11 +82,8 @@ class EmulatedConnection(SimulatedConnection):
 
 
 TRACKER_DELAY = 0.004  # s from frame to arrival: "in the order of milliseconds" (paper, section 3)
-
 POSITION_ERROR = 0.001  # m: "in the order of millimeters" (paper, section 3)
-
 HEADING_ERROR = math.radians(0.3)  # what 1 mm on markers some 15 cm apart amounts to
-
 CORRELATION = 0.3
 """Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
 
@@ -112,7 +109,6 @@ class OpticalTracker:
 
 
 FRAMES = 10  # of the tracker in one sample: 200 Hz at 20 Hz
-
 LEAD = 2
 """Frames between the command that starts a session and the sample that it starts.
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from binascii import crc_hqx
 
 DECODED_MAX = 32
-
 ENCODED_MAX = DECODED_MAX + 1
-
 CRC_SIZE = 2
-
 DELIMITER = 0
 
 

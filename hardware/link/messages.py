@@ -9,9 +9,7 @@ from enum import IntEnum, IntFlag
 from typing import Any, ClassVar, Self
 
 MAJOR, MINOR = 1, 0
-
 TIME_TO_LIVE_UNIT = 0.01  # s
-
 BUTTONS = 0x0F
 
 

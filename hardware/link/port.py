@@ -11,13 +11,9 @@ from pathlib import Path
 from sysid_evo.errors import InvalidArgument, LinkLost
 
 BAUD = 115200
-
 BY_ID = Path("/dev/serial/by-id")
-
 NO_DEVICE = "no such device; is the robot plugged in?"
-
 CHUNK = 4096
-
 CHUNKS = 16  # read at most at once, so that a chattering device cannot hold the host up
 
 

@@ -252,7 +252,6 @@ class SerialConnection(Connection):
 
 
 DRIVE = {-1.0: Buttons.BACKWARD, 0.0: Buttons.NONE, 1.0: Buttons.FORWARD}
-
 STEER = {-1.0: Buttons.RIGHT, 0.0: Buttons.NONE, 1.0: Buttons.LEFT}
 
 

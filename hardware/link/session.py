@@ -23,9 +23,7 @@ from hardware.link.messages import (
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost
 
 SILENCE = 0.25  # s without a word of the robot after which the link is lost
-
 STOPS = 3
-
 REMEMBERED = 64  # commands whose time of sending is kept until their status comes
 
 

@@ -1,1 +1,1 @@
-"""Manoeuvres that excite a robot, and what writes down how it answers."""
+"""Recording: manoeuvres that excite a robot, journals of how it answers, and data sets made of them."""

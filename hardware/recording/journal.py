@@ -1,7 +1,7 @@
-"""The journal of a session: record format, writer, reader, and the Recorder that listens.
+"""The journal of a session: record format, writer, the recorder that listens, and reader.
 
-An append-only file of checked records. Each is handed to the system by one write as it happens, so a
-process that is killed loses at most the record it was writing.
+Readable up to the moment of a crash: an append-only file of checked records. Each is handed to the system by
+one write as it happens, so a process that is killed loses at most the record it was writing.
 
 A record is its length (u32, of the payload), its kind (u8), the payload and a CRC-32 of all before it;
 little-endian throughout. Text in a payload is UTF-8 behind its length.
@@ -31,21 +31,15 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 SUFFIX = ".rcj"
-
 MAGIC = b"RCJ\r\n\x1a\n\x00"
-
 SCHEMA = "sysid-evo/journal/1"
 
 LONGEST = 1 << 16  # bytes of a payload
-
 FRONT = struct.Struct("<IB")
-
 CHECK = struct.Struct("<I")
 
 _FRAME = struct.Struct("<ddqBB")
-
 _COMMAND = struct.Struct("<qddd")
-
 _STATUS = struct.Struct("<ddBH")
 
 

@@ -55,7 +55,6 @@ def column_names(system: System) -> tuple[str, ...]:
 
 BREAK = 3.0
 """How many periods of the tracker are left out where a track breaks: the preparation bridges up to 2.5."""
-
 CLOCK_TOLERANCE = 1e-6  # s
 
 

@@ -30,14 +30,10 @@ Segment: TypeAlias = tuple[Array, float]
 """A control (nu,) and how long to hold it, in s."""
 
 DURATION = 360.0  # s: "about 6 minutes of driving data"
-
 ROUND = 300
 """Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
-
 SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
-
 LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
-
 HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
 
 
@@ -170,13 +166,10 @@ def _sample(segments: Iterator[Segment], steps: int, dt: float) -> Array:
 
 STEP_HOLDS = (3, 10, 30, 100)
 """Mean time between random steps, in samples."""
-
 SWITCH_HOLDS = (5, 15, 45)
 """Mean time between random switches from one limit to the other, in samples."""
-
 FASTEST, SLOWEST = 6, 150
 """Periods between which a sine sweeps, in samples."""
-
 SWEEP = 280
 """Samples that the sweeps of all controls take, one after the other; then they begin anew."""
 
@@ -259,12 +252,9 @@ def _legal(channel: Channel, value: float) -> float:
 
 
 KINDS = ("step", "coast_down", "circle")
-
 HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
 """How long in s a command is held, of a system that drives; of others, 80 samples."""
-
 SAMPLES = 80
-
 REST = 3.0  # s without a command after it, in which the body comes to rest
 
 

@@ -1,4 +1,4 @@
-"""Drives a robot through manoeuvres and records how it answers: emulated robots and real ones alike."""
+"""Drives a robot, emulated or real, through manoeuvres into journals, and makes a data set of them."""
 
 from __future__ import annotations
 

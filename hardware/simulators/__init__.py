@@ -1,1 +1,1 @@
-"""Environments of Gymnasium as robots: what they are made of, how they are recorded and how controllers run in them."""
+"""Simulators of others as robots, one module each: how they are recorded and how controllers run in them."""

@@ -13,9 +13,7 @@ from sysid_evo.kernels import LANES, Layout, nearest, view
 from sysid_evo.motion_kernels import PER_TURN
 
 FASTEST_SWING = 8.0  # rad/s, beyond which the pendulum does not turn
-
 CART_REACH, POLE_REACH = 2.4, 24.0 * math.pi / 360.0  # m, rad
-
 CONTINUOUS_GOAL, GOAL = 0.45, 0.5
 
 
@@ -73,9 +71,7 @@ def raised(after, lane):
 
 
 ROWS = Layout("fitness", "alive")
-
 HEAD = Layout("nx")
-
 STATE = Layout("periodic", "centre", "scale")
 
 

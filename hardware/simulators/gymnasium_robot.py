@@ -180,14 +180,11 @@ CART = KnownEnvironment(
     controls=(Channel("force", "N", levels=(-10.0, 10.0)),),
     scale=(2.4, 3.0, 0.21, 3.0),
 )
-
 HILL = (
     Channel("position", low=-1.2, high=0.6, neutral=-math.pi / 6.0),
     Channel("speed", low=-0.07, high=0.07),
 )
-
 HILL_SCALE = (0.9, 0.07)
-
 PUSHES = (-1.0, 0.0, 1.0)
 
 KNOWN: Mapping[str, KnownEnvironment] = {
@@ -217,10 +214,8 @@ KNOWN: Mapping[str, KnownEnvironment] = {
 
 LARGEST = 1e6
 """A limit beyond this is none."""
-
 MOST = 64
 """More observations than this are no state of a small model but a picture."""
-
 NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 

@@ -241,7 +241,6 @@ def starts(name: str, seeds: tuple[int, ...]) -> Array:
 
 TRIED = 400
 """Random steps from which the lowest reward and the size of the states are taken."""
-
 LONGEST = 500
 """Steps of a trial where the environment has no end of its time."""
 

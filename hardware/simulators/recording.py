@@ -19,7 +19,6 @@ from sysid_evo.types import Array
 
 FEWEST = 100
 """Samples that every script must last to be worth a recording."""
-
 SHORTEST = 2
 """Samples of an episode that is kept."""
 
@@ -137,13 +136,10 @@ def _counter(progress: Progress | None, before: int, total: int) -> Callable[[in
 
 SWEEP = 200
 """Samples of one sine sweep."""
-
 FASTEST, SLOWEST = 4.0, 100.0
 """Samples in one period at either end of a sweep."""
-
 FEEDBACK = 0.2
 """Mean share of a feedback's samples in which a step stands in for it."""
-
 FEW, AGAIN, NEAR = 20, 0.5, 0.1
 """Feedbacks tried before one comes again, the share of episodes in which one does, and how far its weights move."""
 

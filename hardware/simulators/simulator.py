@@ -55,7 +55,6 @@ class SimulatorSession(Closeable):
 
 
 ENGINE = "environment"
-
 AT_ONCE = 128
 """Sessions that run side by side, so that controller and task are asked once for all."""
 

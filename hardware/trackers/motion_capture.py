@@ -108,7 +108,6 @@ class VrpnTracker(MotionCaptureTracker):
 
 
 ANSWER = 3.0  # s within which the server and its list of bodies must come
-
 SILENCE = 0.1  # s after which it says that nothing came
 
 

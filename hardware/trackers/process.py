@@ -27,7 +27,6 @@ from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import LinkLost
 
 RECORD = 512  # bytes: what POSIX promises to write whole into a pipe
-
 PATIENCE = 10.0  # s for the source to answer
 
 

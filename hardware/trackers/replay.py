@@ -20,7 +20,6 @@ from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 
 COLUMNS = ("t", "x", "y", "heading")
-
 STEP = 0.1  # s: the longest it waits without a word
 
 

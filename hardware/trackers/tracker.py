@@ -91,7 +91,6 @@ class Axes:
 
 LEAK = 2e-4
 """Upward drift of the offset that is followed, in s per s: more than two quartz clocks part by."""
-
 RESTART = 1.0  # s that the source's clock may jump back or ahead of the host's before it counts as set anew
 
 

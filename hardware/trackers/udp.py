@@ -22,7 +22,6 @@ from sysid_evo.registry import register_tracker
 from sysid_evo.types import Array
 
 BUFFER = 1 << 18  # bytes the system keeps for us: over two seconds of a body at 200 Hz
-
 FUTURE = 0.01  # s that a frame on the host's own clock may be ahead of it
 
 
@@ -148,12 +147,9 @@ class UdpStream(TrackerStream):
 
 
 LONGEST = 1024  # bytes of a message
-
 LARGEST_FRAME = 2**63 - 1
-
 LARGEST = 1e12
 """Of times in s, coordinates in m and angles in rad: room for a clock in any use, none for an overflow."""
-
 N_POSE = 3
 
 
