@@ -10,6 +10,7 @@ import numpy as np
 
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.support import Support
+from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidData
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
@@ -64,7 +65,7 @@ class Steps:
         """Return at most so many of them, evenly spread."""
         if len(self) <= most:
             return self
-        rows = np.linspace(0, len(self) - 1, most).round().astype(np.int64)
+        rows = evenly_spaced(len(self), most, nearest=True)
         return Steps(self.system, self.before[rows], self.control[rows], self.after[rows])
 
     @classmethod

@@ -46,12 +46,20 @@ def read_with_arrays(path: Path) -> tuple[Any, dict[str, Array]]:
 
 
 def plain(value: Any) -> Any:
-    """Return ``value`` as strict JSON has it: tuples are lists, and what is no finite number is null."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+    """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)
 
 
 def _with(path: Path, suffix: str) -> Path:

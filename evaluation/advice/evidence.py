@@ -14,7 +14,7 @@ from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset
 from sysid_evo.data.response import acting_controls
-from sysid_evo.data.trajectory import recording
+from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
@@ -112,10 +112,7 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
     system = dataset.system
     places = dataset.window_places(horizon, stride=STRIDE, history=model.n_lags, first=FIRST, moving=True)
     count = len(places)
-    rows = np.arange(count)
-    if count > MOST_WINDOWS:
-        rows = np.linspace(0, count - 1, MOST_WINDOWS).round().astype(np.int64)
-    windows = places[rows]
+    windows = places[evenly_spaced(count, MOST_WINDOWS, nearest=True)]
     if not len(windows):
         none = np.empty((0, system.nx))
         return WindowErrors(none, none, np.empty((0, system.nu)), np.empty(0, dtype=object), np.empty(0, np.int64))

@@ -12,6 +12,7 @@ from evaluation.formatting import percent
 from evaluation.prediction.residuals import LAGS
 from sysid_evo.data.advice import spell
 from sysid_evo.data.response import acting_controls
+from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.types import Array, BoolArray, IntArray
 
 FEWEST = 250
@@ -88,7 +89,7 @@ def estimate_noise(evidence: Evidence) -> Noise | None:
         return None
     left = steps.errors[rows][known] / evidence.std
     now, earlier, places = now[known], earlier[known], np.flatnonzero(rows)[known]
-    some = np.linspace(0, len(left) - 1, min(len(left), MOST_PAIRS)).round().astype(np.int64)
+    some = evenly_spaced(len(left), MOST_PAIRS, nearest=True)
     pairs = _nearest(standardised(np.concatenate([now, earlier], axis=1))[some], places[some])
     floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)

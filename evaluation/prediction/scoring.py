@@ -22,6 +22,7 @@ from evaluation.prediction.scores import (
     Prediction,
 )
 from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
 from sysid_evo.progress import Progress
@@ -240,7 +241,7 @@ def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Cover
     if not (model.n_noise or model.n_draws) or not len(cases.windows):
         return ()
     windows = cases.windows
-    few = np.unique(np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64))
+    few = evenly_spaced(len(windows), MOST_WINDOWS)
     pieces = np.array_split(few, -(-len(few) // PIECE))
     held = np.concatenate([_held(model, cases, rows) for rows in pieces], axis=1)
     found = []

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from evaluation.advice.evidence import advice_to_json
 from evaluation.behaviour import manners
-from evaluation.report.document import json_text, plain
+from evaluation.report.document import json_text
 from evaluation.report.elements import Section, Story
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
@@ -45,6 +45,7 @@ from evaluation.report.sections.prediction import condition_sheet, prediction_to
 from evaluation.report.sections.summary import SAID, headlines, verdict
 from evaluation.report.sections.transfer import matrix_to_json
 from evaluation.results import Report
+from evaluation.storage import plain
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import summary_of
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from evaluation.formatting import lines, number, percent
 from evaluation.plots import plot_spreads
-from evaluation.report.document import json_text, plain
+from evaluation.report.document import json_text
 from evaluation.report.elements import (
     NARROW,
     WIDE,
@@ -30,6 +30,7 @@ from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.terminal import findings_lines, to_rich
 from evaluation.report.save import write_text
+from evaluation.storage import plain
 from evaluation.study.figures import (
     CHOSEN,
     HINDSIGHT,

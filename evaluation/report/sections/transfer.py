@@ -17,8 +17,7 @@ from evaluation.report.sections.controllers import (
 )
 from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
 from evaluation.results import Report
-from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix
-from evaluation.transfer.matrix import TransferResult as Cell
+from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import Figures, judges_of
 from evaluation.transfer.uncertainty import SHARE, PairedEstimate
 from sysid_evo.evolution import Champion
@@ -131,7 +130,7 @@ def _value(figure: PairedEstimate | None) -> float:
     return float("nan") if figure is None else figure.value
 
 
-def _fitness_cell(cell: Cell, own: bool) -> str:
+def _fitness_cell(cell: TransferResult, own: bool) -> str:
     if cell.failed:
         return "–" if cell.reason == NOT_RUN else "failed"
     return lines(
@@ -216,7 +215,7 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
     )
 
 
-def _paper_cell(cell: Cell, published: float) -> str:
+def _paper_cell(cell: TransferResult, published: float) -> str:
     there = f"paper {published:g}"
     if cell.failed:
         return lines("–", there)
@@ -245,7 +244,7 @@ def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     }
 
 
-def _cell_to_json(cell: Cell, figures: Figures) -> dict[str, Any]:
+def _cell_to_json(cell: TransferResult, figures: Figures) -> dict[str, Any]:
     figure = figures.singles.get((cell.champion, cell.column))
     return {
         "champion": cell.champion,
