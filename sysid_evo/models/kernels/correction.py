@@ -1,4 +1,4 @@
-"""Any kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.Terms`."""
+"""A kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.Terms`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A kernel with noise, delay or lost commands around it."""
+"""A kernel with noise, delay or lost commands around it: the compiled forms of `sysid_evo.models.disturbances`."""
 
 from __future__ import annotations
 
@@ -25,16 +25,12 @@ from sysid_evo.types import Array
 
 SENSORS = Layout("nx", "at", "shown_at", "n_noise", "own", align=CACHE_LINE)
 
-PLANT = Layout("nx", "nu", "at", "latency", "stored", "process_at", "dropout_at", "own", align=CACHE_LINE)
-
 
 def sensors_kernel(
     inner: DynamicsKernel, nx: int, n_inner: int, *, shown_at: int, n_noise: int, envelope: Array | None
 ) -> DynamicsKernel:
-    """Return the kernel of ``inner`` (n_inner rows of carry), then what is observed, its bias and its noise."""
-    if envelope is None:
-        envelope = np.stack([np.full(nx, -np.inf), np.full(nx, np.inf)])
-    limits = padded(np.ravel(envelope))
+    """Return the kernel of `NoisySensors`: ``inner`` (n_inner rows of carry), what is observed, its bias and noise."""
+    limits = _limits(envelope, nx)
     parameters = SENSORS.pack(
         limits,
         inner.parameters,
@@ -52,10 +48,8 @@ def sensed(carry, control, noise, parameters, scratch):
     nx = int(parameters[SENSORS.nx])
     rows = nx * LANES
     inner(carry, control, noise, view(parameters, int(parameters[SENSORS.own])), scratch)
-    shown, drawn = (
-        view(carry, int(parameters[SENSORS.shown_at]) * LANES),
-        view(noise, int(parameters[SENSORS.n_noise]) * LANES),
-    )
+    shown = view(carry, int(parameters[SENSORS.shown_at]) * LANES)
+    drawn = view(noise, int(parameters[SENSORS.n_noise]) * LANES)
     observed = view(carry, int(parameters[SENSORS.at]) * LANES)
     bias, level = view(observed, rows), view(observed, 2 * rows)
     for row in range(nx):
@@ -64,6 +58,14 @@ def sensed(carry, control, noise, parameters, scratch):
         low, high = parameters[SENSORS.size + row], parameters[SENSORS.size + nx + row]
         for lane in range(LANES):
             there[lane] = min(max(here[lane], low), high) + off[lane] + size[lane] * z[lane]
+
+
+def _limits(envelope: Array | None, nx: int) -> Array:
+    """Return lowest and highest states, infinite without an ``envelope``."""
+    return padded(np.ravel(np.repeat([-np.inf, np.inf], nx) if envelope is None else envelope))
+
+
+PLANT = Layout("nx", "nu", "at", "latency", "stored", "process_at", "dropout_at", "own", align=CACHE_LINE)
 
 
 def perturbed_kernel(
@@ -77,7 +79,7 @@ def perturbed_kernel(
     process_at: int,
     dropout_at: int,
 ) -> DynamicsKernel:
-    """Return the kernel of ``inner`` (n_inner rows of carry) with late, lost and stronger commands and answers."""
+    """Return the kernel of `Perturbed`: ``inner`` (n_inner rows of carry) with late, lost and stronger commands."""
     numbers = padded(np.concatenate([system.neutral_state, system.neutral_control, free_controls]))
     parameters = PLANT.pack(
         numbers,
@@ -152,18 +154,16 @@ def perturbed(carry, control, noise, parameters, scratch):
                 here[lane] += level[lane] * z[lane]
 
 
-HEAD = Layout("nx", "at", "whole", "share", "own", align=CACHE_LINE)
+DELAY = Layout("nx", "at", "whole", "share", "own", align=CACHE_LINE)
 
 
 def delayed_kernel(
     inner: DynamicsKernel, nx: int, n_inner: int, *, whole: int, share: float, envelope: Array | None
 ) -> DynamicsKernel:
-    """Return the kernel of ``inner`` (n_inner rows of carry), then what is observed, then the last ``whole`` states."""
-    if envelope is None:
-        envelope = np.stack([np.full(nx, -np.inf), np.full(nx, np.inf)])
-    limits = padded(np.ravel(envelope))
-    parameters = HEAD.pack(
-        limits, inner.parameters, nx=nx, at=n_inner, whole=whole, share=share, own=HEAD.size + len(limits)
+    """Return the kernel of `DelayedEstimate`: ``inner``, then what is observed, then the last ``whole`` states."""
+    limits = _limits(envelope, nx)
+    parameters = DELAY.pack(
+        limits, inner.parameters, nx=nx, at=n_inner, whole=whole, share=share, own=DELAY.size + len(limits)
     )
     return DynamicsKernel(
         KernelSource(delayed, {"inner": inner.source}), parameters, 2 * nx + inner.n_scratch, inner.precision
@@ -172,16 +172,16 @@ def delayed_kernel(
 
 def delayed(carry, control, noise, parameters, scratch):
     """Step the inner dynamics, then write what is observed and move the past states one place back."""
-    nx, whole, share = int(parameters[HEAD.nx]), int(parameters[HEAD.whole]), parameters[HEAD.share]
+    nx, whole, share = int(parameters[DELAY.nx]), int(parameters[DELAY.whole]), parameters[DELAY.share]
     rows = nx * LANES
     before, after = view(scratch, 0), view(scratch, rows)
     copy(carry, before, rows)
-    inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, 2 * rows))
-    observed = view(carry, int(parameters[HEAD.at]) * LANES)
+    inner(carry, control, noise, view(parameters, int(parameters[DELAY.own])), view(scratch, 2 * rows))
+    observed = view(carry, int(parameters[DELAY.at]) * LANES)
     past = view(observed, rows)
     for row in range(nx):
         here, there = view(carry, row * LANES), view(after, row * LANES)
-        low, high = parameters[HEAD.size + row], parameters[HEAD.size + nx + row]
+        low, high = parameters[DELAY.size + row], parameters[DELAY.size + nx + row]
         for lane in range(LANES):
             there[lane] = min(max(here[lane], low), high)
     if whole == 0:
@@ -202,14 +202,15 @@ def between(later, earlier, share, observed, count):
         observed[i] = later[i] - share * (later[i] - earlier[i])
 
 
-DISTURBED_HEAD = Layout("nx", "at", "edges", "sizes", "limits", "own", align=CACHE_LINE)
+NOISE = Layout("nx", "at", "edges", "sizes", "limits", "own", align=CACHE_LINE)
 
 
 def disturbed_kernel(
     inner: DynamicsKernel, system: System, n_inner: int, *, edges: Sequence[int], white: Array, lasting: Array
 ) -> DynamicsKernel:
-    """Return the kernel of ``inner`` (n_inner rows of carry), then the lasting draws (nx) and the count of steps.
+    """Return the kernel of `Uncertain`: ``inner``, then the lasting draws (nx) and the count of steps.
 
+    The noise of every step is new and lasting, and its size depends on the steps since the start.
     ``white`` and ``lasting`` (len(edges) + 1, nx) are the sizes of the noise, in units of the states; one row holds
     until the count reaches its edge. The state stays within the limits of its channels.
     """
@@ -217,8 +218,8 @@ def disturbed_kernel(
     low, high = system.limits if system.limited else (np.full(nx, -np.inf), np.full(nx, np.inf))
     sizes = np.concatenate([white, lasting], axis=1)
     numbers = padded(np.concatenate([np.array(edges, dtype=np.float64), np.ravel(sizes), low, high]))
-    first = DISTURBED_HEAD.size + len(edges)
-    parameters = DISTURBED_HEAD.pack(
+    first = NOISE.size + len(edges)
+    parameters = NOISE.pack(
         numbers,
         inner.parameters,
         nx=nx,
@@ -226,29 +227,27 @@ def disturbed_kernel(
         edges=len(edges),
         sizes=first,
         limits=first + sizes.size,
-        own=DISTURBED_HEAD.size + len(numbers),
+        own=NOISE.size + len(numbers),
     )
     return DynamicsKernel(KernelSource(disturb, {"inner": inner.source}), parameters, inner.n_scratch, inner.precision)
 
 
 def disturb(carry, control, noise, parameters, scratch):
     """Step, move the state by the noise of this step, and count it."""
-    nx, edges = int(parameters[DISTURBED_HEAD.nx]), int(parameters[DISTURBED_HEAD.edges])
-    inner(carry, control, noise, view(parameters, int(parameters[DISTURBED_HEAD.own])), scratch)
-    held = view(carry, int(parameters[DISTURBED_HEAD.at]) * LANES)
+    nx, edges = int(parameters[NOISE.nx]), int(parameters[NOISE.edges])
+    inner(carry, control, noise, view(parameters, int(parameters[NOISE.own])), scratch)
+    held = view(carry, int(parameters[NOISE.at]) * LANES)
     sizes, limits = (
-        view(parameters, int(parameters[DISTURBED_HEAD.sizes])),
-        view(parameters, int(parameters[DISTURBED_HEAD.limits])),
+        view(parameters, int(parameters[NOISE.sizes])),
+        view(parameters, int(parameters[NOISE.limits])),
     )
     count = load(held, nx * LANES)
     for row in range(nx):
         white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])
         for back in range(edges):
             edge = edges - 1 - back
-            white = where_less(count, parameters[DISTURBED_HEAD.size + edge], sizes[2 * nx * edge + row], white)
-            lasting = where_less(
-                count, parameters[DISTURBED_HEAD.size + edge], sizes[2 * nx * edge + nx + row], lasting
-            )
+            white = where_less(count, parameters[NOISE.size + edge], sizes[2 * nx * edge + row], white)
+            lasting = where_less(count, parameters[NOISE.size + edge], sizes[2 * nx * edge + nx + row], lasting)
         moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
         there = load(carry, row * LANES) + moved
         store(carry, row * LANES, min(max(there, limits[row]), limits[nx + row]))

@@ -1,4 +1,4 @@
-"""Several kernels that step side by side from the same state: `sysid_evo.models.Cautious`, a mean."""
+"""Several kernels from one state: the disagreement that `sysid_evo.models.Cautious` counts, and a mean."""
 
 from __future__ import annotations
 
@@ -25,13 +25,7 @@ from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
-GROUP = Layout("nx", "count", "next")
-
-MEMBER = Layout("at", "noise_at", "own")
-
 DOUBT = Layout("nx", "count", "weight", "chain", align=CACHE_LINE)
-
-MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
 
 
 def cautious_kernel(
@@ -84,6 +78,9 @@ def doubted(carry, control, noise, parameters, scratch):
     copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)
     for member in range(count):
         copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
 
 
 def mean_kernel(
@@ -152,6 +149,9 @@ def averaged(carry, control, noise, parameters, scratch):
             store(carry, row * LANES, where_at_most(load(scratch, 0), 0.0, rest[nx + row], mean))
     for member in range(count):
         copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
+
+
+GROUP, MEMBER = Layout("nx", "count", "next"), Layout("at", "noise_at", "own")
 
 
 def chained(

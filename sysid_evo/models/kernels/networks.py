@@ -1,8 +1,4 @@
-"""Networks over lanes, one for each command.
-
-A weight of all commands is a table of sixteen numbers, or of several pages of sixteen: every lane looks up that of
-its own command.
-"""
+"""Networks over lanes: one, the mean of several, several side by side, and one for each command."""
 
 from __future__ import annotations
 
@@ -32,7 +28,7 @@ from sysid_evo.kernels import (
 from sysid_evo.models.kernels.stepping import copy, move_rows
 from sysid_evo.types import Array, IntArray
 
-HEAD = Layout("n_networks", "n_layers", "n_carry", "n_control")
+NETWORKS = Layout("n_networks", "n_layers", "n_carry", "n_control")
 
 Layers: TypeAlias = Sequence[tuple[Array, Array]]
 """Weights (n_in, n_out) and bias (n_out,) of every layer; hidden layers are tanh, the last is linear."""
@@ -61,7 +57,7 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
     ):
         raise InvalidArgument(f"networks: expected {n_carry} + {n_control} inputs and equal shapes, got {sizes}")
     flat = [np.concatenate([bias, weights.ravel()]) for layers in networks for weights, bias in layers]
-    parameters = HEAD.pack(
+    parameters = NETWORKS.pack(
         sizes, *flat, n_networks=len(networks), n_layers=len(sizes) - 1, n_carry=n_carry, n_control=n_control
     )
     return Predictor(function, parameters, n_scratch=sizes[0] + 3 * max(sizes))
@@ -69,9 +65,9 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
 
 def network(x, u, p, y, scratch):
     """Write the mean output of all networks (a predictor, see `stepping`)."""
-    n_networks = int(p[HEAD.n_networks])
-    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
-    n_out = int(p[HEAD.size + int(p[HEAD.n_layers])])
+    n_networks = int(p[NETWORKS.n_networks])
+    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, NETWORKS.size + int(p[NETWORKS.n_layers]) + 1)
+    n_out = int(p[NETWORKS.size + int(p[NETWORKS.n_layers])])
     weights = view(weights, forward(p, weights, scratch, room, y))
     if n_networks > 1:
         other = view(room, 2 * widest(p) * LANES)
@@ -85,15 +81,15 @@ def network(x, u, p, y, scratch):
 
 def separate_networks(x, u, p, y, scratch):
     """Write the outputs of every network one after the other (a predictor, see `stepping`)."""
-    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, HEAD.size + int(p[HEAD.n_layers]) + 1)
-    size = int(p[HEAD.size + int(p[HEAD.n_layers])]) * LANES
-    for member in range(int(p[HEAD.n_networks])):
+    room, weights = view(scratch, gather(x, u, p, scratch)), view(p, NETWORKS.size + int(p[NETWORKS.n_layers]) + 1)
+    size = int(p[NETWORKS.size + int(p[NETWORKS.n_layers])]) * LANES
+    for member in range(int(p[NETWORKS.n_networks])):
         weights = view(weights, forward(p, weights, scratch, room, view(y, member * size)))
 
 
 def gather(x, u, p, scratch):
     """Write the inputs of the networks to the head of ``scratch``; return where they end."""
-    n_carry, n_control = int(p[HEAD.n_carry]), int(p[HEAD.n_control])
+    n_carry, n_control = int(p[NETWORKS.n_carry]), int(p[NETWORKS.n_control])
     copy(x, scratch, n_carry * LANES)
     copy(u, view(scratch, n_carry * LANES), n_control * LANES)
     return (n_carry + n_control) * LANES
@@ -102,17 +98,17 @@ def gather(x, u, p, scratch):
 def widest(p):
     """Return the number of rows of the widest layer."""
     rows = 0
-    for layer in range(int(p[HEAD.n_layers]) + 1):
-        rows = max(rows, int(p[HEAD.size + layer]))
+    for layer in range(int(p[NETWORKS.n_layers]) + 1):
+        rows = max(rows, int(p[NETWORKS.size + layer]))
     return rows
 
 
 def forward(p, weights, inputs, room, y):
     """Write the output of one network; return how many weights it has."""
-    n_layers, even, place = int(p[HEAD.n_layers]), room, 0
+    n_layers, even, place = int(p[NETWORKS.n_layers]), room, 0
     odd = view(room, widest(p) * LANES)
     for layer in range(n_layers):
-        n_in, n_out = int(p[HEAD.size + layer]), int(p[HEAD.size + layer + 1])
+        n_in, n_out = int(p[NETWORKS.size + layer]), int(p[NETWORKS.size + layer + 1])
         source = inputs if layer == 0 else (even if layer % 2 == 1 else odd)
         if layer == n_layers - 1:
             dense(source, n_in, view(weights, place), y, n_out)
@@ -155,7 +151,10 @@ def dense(x, n_in, p, y, n_out):
         j += 1
 
 
-COMMAND_NETWORKS_HEAD = Layout("n_states", "n_exact", "n_controls", "pages", "weights", align=CACHE_LINE)
+# One small network for each command and each output (paper, section 4.1). A weight of all commands is a table of
+# sixteen numbers, or of several pages of sixteen: every lane looks up that of its own command.
+
+COMMANDS = Layout("n_states", "n_exact", "n_controls", "pages", "weights", align=CACHE_LINE)
 
 
 def command_network_predictor(
@@ -186,14 +185,14 @@ def command_network_predictor(
     table = np.zeros((*weights.shape[1:], pages * QUARTER))
     table[..., : len(serving)] = weights.transpose(1, 2, 0)
     head = padded(np.array(lookup))
-    parameters = COMMAND_NETWORKS_HEAD.pack(
+    parameters = COMMANDS.pack(
         head,
         table,
         n_states=n_states,
         n_exact=len(exact),
         n_controls=len(midpoints),
         pages=pages,
-        weights=COMMAND_NETWORKS_HEAD.size + len(head),
+        weights=COMMANDS.size + len(head),
     )
     sizes = {"N_IN": n_in, "HIDDEN": hidden, "N_OUT": n_out}
     return Predictor(KernelSource(command_networks, sizes), parameters, n_scratch=1 + n_in)
@@ -201,19 +200,15 @@ def command_network_predictor(
 
 def command_networks(x, u, p, y, scratch):
     """Write every output of the networks of each lane's command (a predictor, see `stepping`)."""
-    n_states, n_exact, pages = (
-        int(p[COMMAND_NETWORKS_HEAD.n_states]),
-        int(p[COMMAND_NETWORKS_HEAD.n_exact]),
-        int(p[COMMAND_NETWORKS_HEAD.pages]),
-    )
+    n_states, n_exact, pages = int(p[COMMANDS.n_states]), int(p[COMMANDS.n_exact]), int(p[COMMANDS.pages])
     cells, inputs = scratch, view(scratch, LANES)
-    command_cells(u, view(p, COMMAND_NETWORKS_HEAD.size + n_exact), int(p[COMMAND_NETWORKS_HEAD.n_controls]), cells)
+    command_cells(u, view(p, COMMANDS.size + n_exact), int(p[COMMANDS.n_controls]), cells)
     copy(x, inputs, n_states * LANES)
     for row in range(n_exact):
-        copy(view(u, int(p[COMMAND_NETWORKS_HEAD.size + row]) * LANES), view(inputs, (n_states + row) * LANES), LANES)
+        copy(view(u, int(p[COMMANDS.size + row]) * LANES), view(inputs, (n_states + row) * LANES), LANES)
     step = pages * QUARTER
     for lane in range(0, LANES, QUARTER):
-        cell, table = load_quarter(cells, lane), view(p, int(p[COMMAND_NETWORKS_HEAD.weights]))
+        cell, table = load_quarter(cells, lane), view(p, int(p[COMMANDS.weights]))
         for output in range(N_OUT):
             total = own(view(table, HIDDEN * (N_IN + 2) * step), cell, pages)
             for _ in range(HIDDEN):

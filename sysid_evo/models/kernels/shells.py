@@ -1,4 +1,8 @@
-"""Predictors around predictors: turning frame, clipping, angles, functions of inputs, sums."""
+"""Predictors around predictors.
+
+A turning frame (`turning_frame`), inputs kept in a range (`within`), changes added to states (`on_top`), a sum of two
+(`added`), sines and cosines of periodic states (`with_angles`) and elementary functions of inputs (`of_functions`).
+"""
 
 from __future__ import annotations
 
@@ -190,7 +194,7 @@ def add(x, u, p, y, scratch):
         store(y, row * LANES, load(y, row * LANES) + load(more, row * LANES))
 
 
-HEAD = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
+ANGLES = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
 
 
 def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)) -> Predictor:
@@ -204,12 +208,12 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
     per_row = np.array([*per_state * (1 + lags[0]), *[0.0] * (system.nu * lags[1])])
     n_seen = len(per_row) + int(np.count_nonzero(per_row))
     rows = padded(per_row)
-    parameters = HEAD.pack(
+    parameters = ANGLES.pack(
         rows,
         inner.parameters,
         n_carry=len(per_row),
         n_seen=n_seen,
-        own=HEAD.size + len(rows),
+        own=ANGLES.size + len(rows),
     )
     return Predictor(
         KernelSource(seen_as_angles, inner.bindings),
@@ -221,14 +225,14 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
 
 def prepare_inner(u, p, scratch):
     """Prepare what is inside; its room comes after what it is shown."""
-    prepare(u, view(p, int(p[HEAD.own])), view(scratch, int(p[HEAD.n_seen]) * LANES))
+    prepare(u, view(p, int(p[ANGLES.own])), view(scratch, int(p[ANGLES.n_seen]) * LANES))
 
 
 def seen_as_angles(x, u, p, y, scratch):
     """Predict from the sines and cosines."""
     row = 0
-    for i in range(int(p[HEAD.n_carry])):
-        factor, here, there = p[HEAD.size + i], view(x, i * LANES), view(scratch, row * LANES)
+    for i in range(int(p[ANGLES.n_carry])):
+        factor, here, there = p[ANGLES.size + i], view(x, i * LANES), view(scratch, row * LANES)
         if factor > 0.0:
             for lane in range(LANES):
                 there[lane] = math.sin(factor * here[lane])
@@ -237,16 +241,16 @@ def seen_as_angles(x, u, p, y, scratch):
         else:
             copy(here, there, LANES)
             row += 1
-    predict(scratch, u, view(p, int(p[HEAD.own])), y, view(scratch, int(p[HEAD.n_seen]) * LANES))
+    predict(scratch, u, view(p, int(p[ANGLES.own])), y, view(scratch, int(p[ANGLES.n_seen]) * LANES))
 
 
-FUNCTIONS_HEAD = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
+FUNCTIONS = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
 
 NUMBERS = 5
 
 PLAIN, ABS, SIGN, SIN, COS, TANH, EXP, SQRT_ABS, X_ABS = range(9)
 
-KINDS = {
+CODES = {
     "": PLAIN,
     "abs": ABS,
     "sign": SIGN,
@@ -271,15 +275,15 @@ class SeenRow(NamedTuple):
 
 def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequence[SeenRow]) -> Predictor:
     """Return a predictor that shows ``inner`` functions of rows of the carry, and of the control."""
-    flat = [[KINDS[row.function], *row[1:]] for row in (*of_carry, *of_control)]
+    flat = [[CODES[row.function], *row[1:]] for row in (*of_carry, *of_control)]
     rows = padded(np.array(flat, dtype=np.float64).ravel())
-    parameters = FUNCTIONS_HEAD.pack(
+    parameters = FUNCTIONS.pack(
         rows,
         inner.parameters,
         n_carry=len(of_carry),
         n_control=len(of_control),
-        of_control=FUNCTIONS_HEAD.size + NUMBERS * len(of_carry),
-        own=FUNCTIONS_HEAD.size + len(rows),
+        of_control=FUNCTIONS.size + NUMBERS * len(of_carry),
+        own=FUNCTIONS.size + len(rows),
     )
     return Predictor(
         KernelSource(seen_as_functions, inner.bindings),
@@ -291,21 +295,21 @@ def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequ
 
 def prepare_functions(u, p, scratch):
     """Write the functions of the control to the head of the scratch, and prepare with them."""
-    n_control = int(p[FUNCTIONS_HEAD.n_control])
-    write_functions(u, view(p, int(p[FUNCTIONS_HEAD.of_control])), n_control, scratch)
+    n_control = int(p[FUNCTIONS.n_control])
+    write_functions(u, view(p, int(p[FUNCTIONS.of_control])), n_control, scratch)
     prepare(
         scratch,
-        view(p, int(p[FUNCTIONS_HEAD.own])),
-        view(scratch, (n_control + int(p[FUNCTIONS_HEAD.n_carry])) * LANES),
+        view(p, int(p[FUNCTIONS.own])),
+        view(scratch, (n_control + int(p[FUNCTIONS.n_carry])) * LANES),
     )
 
 
 def seen_as_functions(x, u, p, y, scratch):
     """Write the functions of the carry after those of the control, and predict from both."""
-    n_control, n_carry = int(p[FUNCTIONS_HEAD.n_control]), int(p[FUNCTIONS_HEAD.n_carry])
+    n_control, n_carry = int(p[FUNCTIONS.n_control]), int(p[FUNCTIONS.n_carry])
     seen = view(scratch, n_control * LANES)
-    write_functions(x, view(p, FUNCTIONS_HEAD.size), n_carry, seen)
-    predict(seen, scratch, view(p, int(p[FUNCTIONS_HEAD.own])), y, view(scratch, (n_control + n_carry) * LANES))
+    write_functions(x, view(p, FUNCTIONS.size), n_carry, seen)
+    predict(seen, scratch, view(p, int(p[FUNCTIONS.own])), y, view(scratch, (n_control + n_carry) * LANES))
 
 
 def write_functions(x, rows, count, y):

@@ -1,4 +1,4 @@
-"""From a prediction to the next carry: integration, lags, limits, rest; Runge-Kutta."""
+"""From a prediction to the next carry: integration by the motion, lags, limits, rest; Runge-Kutta."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sysid_evo.types import Array
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
-HEAD = Layout(
+STEP = Layout(
     "nx",
     "nu",
     "state_lags",
@@ -84,8 +84,8 @@ def stepping_kernel(
         rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
     parts = [padded(motion.parameters), padded(rest), padded(limits)]
-    places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
-    parameters = HEAD.pack(
+    places = np.cumsum([STEP.size, *(len(part) for part in parts)])
+    parameters = STEP.pack(
         *parts,
         predictor.parameters,
         nx=system.nx,
@@ -106,21 +106,21 @@ def stepping_kernel(
 
 def step(carry, control, noise, parameters, scratch):
     """Predict, integrate, keep within limits, and shift the lags."""
-    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    nx, nu = int(parameters[STEP.nx]), int(parameters[STEP.nu])
     rows = nx * LANES
-    own, room = view(parameters, int(parameters[HEAD.own])), view(scratch, rows)
+    own, room = view(parameters, int(parameters[STEP.own])), view(scratch, rows)
     prepare(control, own, room)
     predict(carry, control, own, scratch, room)
-    integrate(carry, scratch, nx, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.frame])))
-    state_lags, control_lags = int(parameters[HEAD.state_lags]), int(parameters[HEAD.control_lags])
+    integrate(carry, scratch, nx, parameters[STEP.dt], view(parameters, int(parameters[STEP.frame])))
+    state_lags, control_lags = int(parameters[STEP.state_lags]), int(parameters[STEP.control_lags])
     past = view(carry, (1 + state_lags) * rows)
-    if parameters[HEAD.limited] > 0.0:
-        limits = view(parameters, int(parameters[HEAD.limits]))
+    if parameters[STEP.limited] > 0.0:
+        limits = view(parameters, int(parameters[STEP.limits]))
         for row in range(nx):
             there = load(scratch, row * LANES)
             store(scratch, row * LANES, min(max(there, limits[row]), limits[nx + row]))
-    if parameters[HEAD.held] > 0.0:
-        hold(carry, control, past, control_lags, view(parameters, int(parameters[HEAD.rest])), nx, nu, scratch)
+    if parameters[STEP.held] > 0.0:
+        hold(carry, control, past, control_lags, view(parameters, int(parameters[STEP.rest])), nx, nu, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
     size = nu * LANES
@@ -161,7 +161,7 @@ def copy(source, target, count):
         store(target, first, load(source, first))
 
 
-RUNGE_KUTTA_HEAD = Layout("nx", "n_carry", "substeps", "h", align=CACHE_LINE)
+RUNGE_KUTTA = Layout("nx", "n_carry", "substeps", "h", align=CACHE_LINE)
 
 
 def runge_kutta_predictor(
@@ -169,22 +169,20 @@ def runge_kutta_predictor(
 ) -> Predictor:
     """Return a predictor of the next state from one of dx/dt.
 
-    One ``system.dt`` is cut into ``substeps``. Lags in a carry of ``n_carry`` rows (default: the
-    state alone) are held during the step.
+    It is the classical fourth-order step with the control held; one ``system.dt`` is cut into ``substeps``. Lags in
+    a carry of ``n_carry`` rows (default: the state alone) are held during the step.
     """
     rows = n_carry or system.nx
     return Predictor(
         KernelSource(runge_kutta, {**derivative.bindings, "NX": system.nx, "N_CARRY": rows}),
-        RUNGE_KUTTA_HEAD.pack(
-            derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps
-        ),
+        RUNGE_KUTTA.pack(derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps),
         n_scratch=rows + 2 * system.nx + derivative.n_scratch,
     )
 
 
 def runge_kutta(x, u, p, y, scratch):
     """Write the state after one dt: k1 to k4 at both ends and twice in the middle of every substep."""
-    h, own_parameters = p[RUNGE_KUTTA_HEAD.h], view(p, RUNGE_KUTTA_HEAD.size)
+    h, own_parameters = p[RUNGE_KUTTA.h], view(p, RUNGE_KUTTA.size)
     trial = scratch
     slope = view(scratch, N_CARRY * LANES)
     total = view(slope, NX * LANES)
@@ -192,7 +190,7 @@ def runge_kutta(x, u, p, y, scratch):
     prepare(u, own_parameters, room)
     copy_rows(x, trial, N_CARRY)
     copy_rows(x, y, NX)
-    for _ in range(int(p[RUNGE_KUTTA_HEAD.substeps])):
+    for _ in range(int(p[RUNGE_KUTTA.substeps])):
         for stage in range(4):
             predict(trial, u, own_parameters, slope, room)
             if stage == 0:

@@ -1,4 +1,4 @@
-"""Any kernel that counts how often it is asked outside its data, see `sysid_evo.models.Supported`."""
+"""A kernel that counts steps outside its data, see `sysid_evo.models.Supported`."""
 
 from __future__ import annotations
 

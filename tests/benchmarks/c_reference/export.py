@@ -14,7 +14,7 @@ from hardware.emulation.car_physics import BODY
 from model_zoo.control_grid import CommandCells
 from sysid_evo.models.kernels import networks
 from sysid_evo.models.kernels.neighbours import BUCKET, packed, split
-from sysid_evo.models.kernels.stepping import HEAD
+from sysid_evo.models.kernels.stepping import STEP
 from sysid_evo.randomness import trial_draws
 from sysid_evo.types import Array, Seeds
 
@@ -40,7 +40,7 @@ def parametrised(model: Any, seeds: Seeds) -> Exported:
 
 def evolved3(model: Any, seeds: Seeds) -> Exported:
     kernel = model.kernel().parameters
-    layers = kernel[int(kernel[HEAD.own]) :]  # behind the header of the shell: that of the networks, three sizes
+    layers = kernel[int(kernel[STEP.own]) :]  # behind the header of the shell: that of the networks, three sizes
     hidden, n = model.hidden, 5
     first = layers[4 + 3 :]
     bias, weights = first[: 3 * hidden], first[3 * hidden : 3 * hidden * (1 + n)].reshape(n, 3 * hidden)
@@ -51,9 +51,9 @@ def evolved3(model: Any, seeds: Seeds) -> Exported:
 
 
 def backprop27(model: Any, seeds: Seeds) -> Exported:
-    head = networks.COMMAND_NETWORKS_HEAD
+    head = networks.COMMANDS
     kernel = model.kernel().parameters
-    own = kernel[int(kernel[HEAD.own]) :]
+    own = kernel[int(kernel[STEP.own]) :]
     size = 3 * (5 * model.hidden + 1) * LANES
     return [own[int(own[head.weights]) :][:size]], {"H": model.hidden}
 
