@@ -1,10 +1,8 @@
 """How a controller behaves in recorded trials: numbers, differences between systems, sentences.
 
-Names are those of channels and plain words; each number is of one trial, nan where the trial has none.
-
-A behaviour is a share of the time in [0, 1]: how long each state and each control is above and below neutral, and how
-long everything stands still. It is generic: channels are named as the system names them, and a task may add measures
-of its own (`Task.measures`).
+A `Manner` holds the numbers of all recorded trials of a controller on one system: for any system, and more of a body on
+a plane, of targets and of markers. They are named by channels and plain words. A `BehaviourDifference` compares shares
+of the time on two systems, to find what no probe of single steps can see.
 """
 
 from __future__ import annotations
@@ -23,15 +21,6 @@ from sysid_evo.data import Trajectory
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
-
-UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
-"""By the end of a measure's name; all others are shares."""
-
-USUAL = 0.75
-"""Share of the trials that are slower than what counts as fast: a single exploited model may be faster than all."""
-
-LEAST = 2
-"""Trials from which on a measure has an interval."""
 
 
 @dataclass(frozen=True)
@@ -63,30 +52,6 @@ class Manner:
         return float("nan") if found is None else found.value
 
 
-def unit_of(name: str) -> str:
-    """Return the unit of the measure ``name``, empty for a share."""
-    return next((unit for end, unit in UNITS if name.endswith(end)), "")
-
-
-def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> Manner:
-    """Return the manner of these trials; ``fastest`` (nx,) is the largest size that each state has anywhere."""
-    found = [measured(trace, system, fastest) for trace in traces]
-    names = dict.fromkeys(name for one in found for name in one)
-    measures = {}
-    for name in names:
-        values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
-        if len(values):
-            enough = len(values) >= LEAST
-            low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
-            measures[name] = Measure(float(values.mean()), *_within(name, low, high), len(values))
-    return Manner(controller, column, len(traces), measures)
-
-
-def _within(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return an interval without what no such number can be: below 0, or a share above 1."""
-    return float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
-
-
 def manners(matrix: TransferMatrix) -> tuple[Manner, ...]:
     """Return the manner of every controller on the robots and on what it was evolved against, as far as recorded."""
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
@@ -103,6 +68,155 @@ def manners(matrix: TransferMatrix) -> tuple[Manner, ...]:
             if traces:
                 found.append(manner_of(champion.name, column, traces, system, fastest))
     return tuple(found)
+
+
+USUAL = 0.75
+"""Share of the trials that are slower than what counts as fast: a single exploited model may be faster than all."""
+
+
+def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> Manner:
+    """Return the manner of these trials; ``fastest`` (nx,) is the largest size that each state has anywhere."""
+    found = [measured(trace, system, fastest) for trace in traces]
+    names = dict.fromkeys(name for one in found for name in one)
+    measures = {}
+    for name in names:
+        values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
+        if len(values):
+            enough = len(values) >= FEWEST_TRIALS
+            low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
+            measures[name] = Measure(float(values.mean()), *_possible(name, low, high), len(values))
+    return Manner(controller, column, len(traces), measures)
+
+
+FEWEST_TRIALS = 2
+"""Trials from which on a measure has an interval."""
+
+
+def _possible(name: str, low: float, high: float) -> tuple[float, float]:
+    """Return an interval without what no such number can be: below 0, or a share above 1."""
+    return float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
+
+
+UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
+"""By the end of a measure's name; all others are shares."""
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of the measure ``name``, empty for a share."""
+    return next((unit for end, unit in UNITS if name.endswith(end)), "")
+
+
+SWITCH = 0.1
+"""A control switches where it changes by more than this share of its range within one step."""
+
+LIMIT = 0.01
+"""It is at a limit within this share of its range."""
+
+MOVING = 0.1
+"""A body moves above this share of its largest speed, and turns above this share of its largest yaw rate."""
+
+STOP = 0.2
+"""Seconds at rest that make a stop."""
+
+SETTLED = 0.1
+"""A trial has settled if nothing leaves the tolerance in this last share of it."""
+
+
+def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
+    """Return the numbers of one trial by their names, nan where the trial has none.
+
+    ``fastest`` (nx,) is the largest size that each state has anywhere.
+    """
+    found: dict[str, float] = {}
+    run = trace.trajectory
+    for j, channel in enumerate(system.controls):
+        found |= _control(channel, run.controls[:, j], run.dt)
+    for i, channel in enumerate(system.states):
+        if channel.bounded:
+            found[f"{channel.name} at a limit"] = float(_at_limit(channel, run.states[1:, i]).mean())
+    if trace.targets:
+        found |= _targets(trace)
+    if isinstance(system.motion, PlanarBody):
+        found |= _on_a_plane(trace, system, system.motion, fastest)
+    return found
+
+
+def _control(channel: Channel, values: Array, dt: float) -> dict[str, float]:
+    size = channel.high - channel.low if channel.bounded else np.ptp(values)
+    switches = np.abs(np.diff(values)) > SWITCH * size if size > 0 else np.zeros(len(values) - 1, dtype=bool)
+    found = {f"{channel.name} switches per second": float(switches.sum() / (len(values) * dt))}
+    if channel.bounded and channel.levels is None:
+        found[f"{channel.name} at a limit"] = float(_at_limit(channel, values).mean())
+    off = values != channel.neutral
+    found[f"{channel.name} above neutral"] = float((values[off] > channel.neutral).mean()) if off.any() else np.nan
+    return found
+
+
+def _at_limit(channel: Channel, values: Array) -> BoolArray:
+    band = LIMIT * (channel.high - channel.low)
+    found: BoolArray = (values <= channel.low + band) | (values >= channel.high - band)
+    return found
+
+
+def _targets(trace: Trace) -> dict[str, float]:
+    """Return how long all states took to come within their tolerances for good, and how long they are there."""
+    run = trace.trajectory
+    outside = np.zeros(len(run.states), dtype=bool)
+    for target in trace.targets:
+        error = run.states[:, target.place] - target.values
+        if target.channel.period is not None:
+            error -= target.channel.period * np.round(error / target.channel.period)
+        outside |= np.abs(error) > target.tolerance
+    late = np.flatnonzero(outside)
+    last = int(late[-1]) + 1 if len(late) else 0
+    settled = last <= (1.0 - SETTLED) * len(outside)
+    return {
+        "within tolerance": float(1.0 - outside.mean()),
+        "settled": float(settled),
+        "settling time": last * run.dt if settled else np.nan,
+    }
+
+
+def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array) -> dict[str, float]:
+    run = trace.trajectory
+    forward, lateral, yaw = motion.indices(system.state_names)
+    ahead = run.states[:, forward]
+    speed = np.abs(ahead) if lateral is None else np.hypot(ahead, run.states[:, lateral])
+    still = MOVING * fastest[forward]
+    moving, turning = speed > still, np.abs(run.states[:, yaw]) > MOVING * fastest[yaw]
+    found = {
+        "speed": float(speed.mean()),
+        "backwards": float((ahead[moving] < 0.0).mean()) if moving.any() else np.nan,
+        "turning left": float((run.states[turning, yaw] > 0.0).mean()) if turning.any() else np.nan,
+        "stops per minute": 60.0 * _stops(~moving, max(1, round(STOP / run.dt))) / run.duration,
+        "standing": float((~moving).mean()),
+    }
+    if len(trace.waypoints) and run.pose is not None:
+        found |= _markers(trace, run.pose[:, :2], ahead, still)
+    return found
+
+
+def _stops(standing: BoolArray, least: int) -> int:
+    """Return how often it stands for ``least`` samples or more after it moved."""
+    moved = np.flatnonzero(~standing)
+    if not len(moved):
+        return 0
+    after = np.concatenate([[False], standing[moved[0] :], [False]]).astype(np.int64)
+    begins, ends = np.flatnonzero(np.diff(after) == 1), np.flatnonzero(np.diff(after) == -1)
+    return int((ends - begins >= least).sum())
+
+
+def _markers(trace: Trace, place: Array, forward: Array, still: float) -> dict[str, float]:
+    found = chase(place, trace.waypoints, trace.waypoint_radius, forward, trace.trajectory.dt, still=still)
+    came_up = min(found.markers, found.reached + 1)
+    misses = len(found.reactions)
+    return {
+        "missed at first": found.missed / came_up,
+        "misses per minute": 60.0 * misses / trace.trajectory.duration,
+        **{f"{what} after a miss": found.reactions.count(what) / misses if misses else np.nan for what in REACTIONS},
+        "reached after a miss in": float(np.median(found.after)) if found.after else np.nan,
+        "orbiting": found.orbiting,
+    }
 
 
 NEAR = 2.5
@@ -214,118 +328,6 @@ def _orbits(off: Array, longest: int) -> BoolArray:
     return marked
 
 
-SWITCH = 0.1
-"""A control switches where it changes by more than this share of its range within one step."""
-
-LIMIT = 0.01
-"""It is at a limit within this share of its range."""
-
-MOVING = 0.1
-"""A body moves above this share of its largest speed, and turns above this share of its largest yaw rate."""
-
-STOP = 0.2
-"""Seconds at rest that make a stop."""
-
-SETTLED = 0.1
-"""A trial has settled if nothing leaves the tolerance in this last share of it."""
-
-NAN = float("nan")
-
-
-def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
-    """Return the numbers of one trial; ``fastest`` (nx,) is the largest size that each state has anywhere."""
-    found: dict[str, float] = {}
-    run = trace.trajectory
-    for j, channel in enumerate(system.controls):
-        found |= _control(channel, run.controls[:, j], run.dt)
-    for i, channel in enumerate(system.states):
-        if channel.bounded:
-            found[f"{channel.name} at a limit"] = float(_at_limit(channel, run.states[1:, i]).mean())
-    if trace.targets:
-        found |= _targets(trace)
-    if isinstance(system.motion, PlanarBody):
-        found |= _on_a_plane(trace, system, system.motion, fastest)
-    return found
-
-
-def _control(channel: Channel, values: Array, dt: float) -> dict[str, float]:
-    size = channel.high - channel.low if channel.bounded else np.ptp(values)
-    switches = np.abs(np.diff(values)) > SWITCH * size if size > 0 else np.zeros(len(values) - 1, dtype=bool)
-    found = {f"{channel.name} switches per second": float(switches.sum() / (len(values) * dt))}
-    if channel.bounded and channel.levels is None:
-        found[f"{channel.name} at a limit"] = float(_at_limit(channel, values).mean())
-    off = values != channel.neutral
-    found[f"{channel.name} above neutral"] = float((values[off] > channel.neutral).mean()) if off.any() else NAN
-    return found
-
-
-def _at_limit(channel: Channel, values: Array) -> BoolArray:
-    band = LIMIT * (channel.high - channel.low)
-    found: BoolArray = (values <= channel.low + band) | (values >= channel.high - band)
-    return found
-
-
-def _targets(trace: Trace) -> dict[str, float]:
-    """How long all states took to come within their tolerances for good, and how much of the time they are there."""
-    run = trace.trajectory
-    outside = np.zeros(len(run.states), dtype=bool)
-    for target in trace.targets:
-        error = run.states[:, target.place] - target.values
-        if target.channel.period is not None:
-            error -= target.channel.period * np.round(error / target.channel.period)
-        outside |= np.abs(error) > target.tolerance
-    late = np.flatnonzero(outside)
-    last = int(late[-1]) + 1 if len(late) else 0
-    settled = last <= (1.0 - SETTLED) * len(outside)
-    return {
-        "within tolerance": float(1.0 - outside.mean()),
-        "settled": float(settled),
-        "settling time": last * run.dt if settled else NAN,
-    }
-
-
-def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array) -> dict[str, float]:
-    run = trace.trajectory
-    forward, lateral, yaw = motion.indices(system.state_names)
-    ahead = run.states[:, forward]
-    speed = np.abs(ahead) if lateral is None else np.hypot(ahead, run.states[:, lateral])
-    still = MOVING * fastest[forward]
-    moving, turning = speed > still, np.abs(run.states[:, yaw]) > MOVING * fastest[yaw]
-    found = {
-        "speed": float(speed.mean()),
-        "backwards": float((ahead[moving] < 0.0).mean()) if moving.any() else NAN,
-        "turning left": float((run.states[turning, yaw] > 0.0).mean()) if turning.any() else NAN,
-        "stops per minute": 60.0 * _stops(~moving, max(1, round(STOP / run.dt))) / run.duration,
-        "standing": float((~moving).mean()),
-    }
-    if len(trace.waypoints) and run.pose is not None:
-        found |= _markers(trace, run.pose[:, :2], ahead, still)
-    return found
-
-
-def _stops(standing: BoolArray, least: int) -> int:
-    """Return how often it stands for ``least`` samples or more after it moved."""
-    moved = np.flatnonzero(~standing)
-    if not len(moved):
-        return 0
-    after = np.concatenate([[False], standing[moved[0] :], [False]]).astype(np.int64)
-    begins, ends = np.flatnonzero(np.diff(after) == 1), np.flatnonzero(np.diff(after) == -1)
-    return int((ends - begins >= least).sum())
-
-
-def _markers(trace: Trace, place: Array, forward: Array, still: float) -> dict[str, float]:
-    found = chase(place, trace.waypoints, trace.waypoint_radius, forward, trace.trajectory.dt, still=still)
-    came_up = min(found.markers, found.reached + 1)
-    misses = len(found.reactions)
-    return {
-        "missed at first": found.missed / came_up,
-        "misses per minute": 60.0 * misses / trace.trajectory.duration,
-        **{f"{what} after a miss": found.reactions.count(what) / misses if misses else NAN for what in REACTIONS},
-        "reached after a miss in": float(np.median(found.after)) if found.after else NAN,
-        "orbiting": found.orbiting,
-    }
-
-
 MOSTLY, HARDLY = 0.5, 0.1
 """Shares from which on, and below which, something is worth its words."""
 
@@ -334,17 +336,6 @@ SIDED = 0.75
 
 APART = 0.15
 """Difference of two shares, or of two rates as a share of the larger, that is told between two systems."""
-
-
-def describe(here: Manner, there: Sequence[Manner] = (), *, place: str = "") -> str:
-    """Return what a controller does on one system, and what it does otherwise on others.
-
-    ``place`` are the words for the system ("on the robot").
-    """
-    parts = [*_driving(here), *_chasing(here), *_settling(here), *_switching(here)]
-    text = f"{f'{place[0].upper()}{place[1:]}: ' if place else ''}{'; '.join(parts)}." if parts else ""
-    others = [said for other in there if (said := _otherwise(here, other))]
-    return " ".join(filter(None, (text, *others)))
 
 
 def described(manners: Sequence[Manner], robot: str | None) -> dict[str, str]:
@@ -358,6 +349,17 @@ def described(manners: Sequence[Manner], robot: str | None) -> dict[str, str]:
         place = "on the robot" if here.column == robot else f"in {here.column}"
         told[controller] = describe(here, [one for one in several if one is not here], place=place)
     return {controller: text for controller, text in told.items() if text}
+
+
+def describe(here: Manner, there: Sequence[Manner] = (), *, place: str = "") -> str:
+    """Return what a controller does on one system, and what it does otherwise on others.
+
+    ``place`` are the words for the system ("on the robot").
+    """
+    parts = [*_driving(here), *_chasing(here), *_settling(here), *_switching(here)]
+    text = f"{f'{place[0].upper()}{place[1:]}: ' if place else ''}{'; '.join(parts)}." if parts else ""
+    others = [said for other in there if (said := _otherwise(here, other))]
+    return " ".join(filter(None, (text, *others)))
 
 
 def _driving(manner: Manner) -> list[str]:
@@ -453,8 +455,8 @@ STILL = "stand still"
 QUIET = 0.05
 """A state counts as neutral within this share of the largest size it has in the data."""
 
-BEHAVIOUR_LEAST = 0.25
-"""Difference of two shares of time that is worth telling."""
+LEAST_DIFFERENCE = 0.25
+"""Difference of two shares of the time that is worth telling."""
 
 
 @dataclass(frozen=True)
@@ -476,8 +478,10 @@ class BehaviourDifference:
 
 
 def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array) -> Mapping[str, float]:
-    """Return each behaviour's share of the time over all ``trajectories``; empty without any.
+    """Return each behaviour's share of the time over all ``trajectories``, in [0, 1]; empty without any.
 
+    Behaviours are how long each state and each control is above and below neutral, and how long everything stands
+    still, for any system and by the names of its channels; a task may add measures of its own (`Task.measures`).
     ``largest`` (nx,) is the largest size off neutral that each state has in the training data.
     """
     if not trajectories:
@@ -510,6 +514,6 @@ def behaviour_differences(
     found = [BehaviourDifference(name, here[name], elsewhere[name]) for name in here]
     told: dict[str, BehaviourDifference] = {}
     for difference in sorted(found, key=lambda one: -one.size):
-        if difference.size >= BEHAVIOUR_LEAST:
+        if difference.size >= LEAST_DIFFERENCE:
             told.setdefault(difference.name.rsplit(" ", 2)[0], difference)
     return tuple(told.values())

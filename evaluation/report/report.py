@@ -14,12 +14,11 @@ from rich.text import Text
 
 from evaluation.advice.evidence import advice_to_json
 from evaluation.behaviour import manners
-from evaluation.report.document import json_text
 from evaluation.report.elements import Section, Story
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.terminal import findings_lines, indented, to_rich
-from evaluation.report.save import write_page, write_text
+from evaluation.report.save import json_text, write_page, write_text
 from evaluation.report.sections import (
     advice,
     behaviour,

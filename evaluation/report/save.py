@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from evaluation.report.elements import Story
 from evaluation.report.render.html import page_of
@@ -19,6 +20,11 @@ TEXT, FIGURES = "report.md", "figures"
 
 EVALUATION = Path(__file__).parents[1]
 """The package whose sources decide how a page looks."""
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Return the text of a document that `evaluation.storage.plain` has made strict."""
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_text(path: Path, text: str) -> Path:

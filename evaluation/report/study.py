@@ -1,4 +1,4 @@
-"""The report of a study: document, answers, tables, figures."""
+"""The report of a study: its page, document and terminal form; answers, tables and figures over robots and seeds."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from evaluation.formatting import lines, number, percent
-from evaluation.plots import plot_spreads
-from evaluation.report.document import json_text
+from evaluation.plots import MeanAndInterval, plot_spreads
 from evaluation.report.elements import (
     NARROW,
     WIDE,
@@ -29,7 +28,7 @@ from evaluation.report.elements import (
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.terminal import findings_lines, to_rich
-from evaluation.report.save import write_text
+from evaluation.report.save import json_text, write_text
 from evaluation.storage import plain
 from evaluation.study.figures import (
     CHOSEN,
@@ -51,39 +50,158 @@ from evaluation.study.study import group_name, label_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CONTROLLER_NOTE = (
-    "share: achieved on the robot, of the best that is achieved there by any controller of the study (its yardstick). "
-    "worst: the lowest share of a point. claimed - achieved: what is claimed too much{unit}. "
-    f"{CHOSEN}: what the program picks in each point without the robot; {HINDSIGHT}: what it would have picked knowing "
-    "the outcome."
-)
+
+def study_story(results: StudyResults) -> Story:
+    """Tell what a study found."""
+    controllers = present(share_picture(results), controller_sheet(results), gap_picture(results))
+    models = present(error_picture(results), prediction_sheet(results), exploit_sheet(results))
+    forecasts = present(forecast_sheet(results))
+    failed = present(failure_sheet(results))
+    sections = [
+        Section("Controllers", controllers, absent=[] if controllers else ["No controller was run on a robot."]),
+        Section("Models", models, absent=[] if models else ["No model is fitted yet."]),
+        Section(
+            "Forecasts", forecasts, absent=[] if forecasts else ["No finished point has controllers with forecasts."]
+        ),
+        Section("Time", [time_sheet(results)]),
+        Section("Points", [point_sheet(results)]),
+        *([Section("Failures", failed)] if failed else []),
+        Section("Settings", [settings_sheet(results)], background=True),
+    ]
+    return Story(results.study.title, headlines(results), findings(results), short_sheet(results), sections)
 
 
-def controller_sheet(results: StudyResults) -> Sheet | None:
-    """Every controller of every group over robots and seeds; None without one that was run on a robot."""
-    figures = controller_figures(results)
-    reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
-    compared = any(one.difference is not None for one in figures)
-    axes, labels = _told_apart(results, [one.group for one in figures])
-    heads = ["controller", *axes, "share", "worst", "claimed -\nachieved"]
-    heads += ["reference\nminus this"] if compared else []
-    rows = []
-    for one in figures:
-        row = [
-            lines(one.controller, "(reference)" if one.is_reference else ""),
-            *labels(one.group),
-            spread(one.share, 2),
-        ]
-        row += [number(None if one.share is None else one.share.lowest, 2), spread(one.gap, 1, sign=True)]
-        row += [spread(one.difference, 2, sign=True)] if compared else []
-        rows.append((*row, _points(one)))
-    if not rows:
-        return None
-    unit = _unit(results, ", in ")
-    told = CONTROLLER_NOTE.format(unit=unit) + (
-        f" Reference: {reference}, paired by robot and seed." if compared else ""
-    )
-    return Sheet("Controllers", (*heads, "points"), tuple(rows), note=f"{told} {basis(results)}")
+DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
+
+
+def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
+    """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
+    story = study_story(results)
+    texts = {
+        DOCUMENT: json_text(study_document(results)),
+        MARKDOWN: story_to_markdown(_without_details(story)),
+        PAGE: page_of(story),
+    }
+    return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
+
+
+def _without_details(story: Story) -> Story:
+    """Return a story without what the page folds away."""
+    sections = [
+        replace(one, items=[item for item in one.items if not (isinstance(item, Sheet) and item.details)])
+        for one in story.sections
+    ]
+    return replace(story, sections=[one for one in sections if one.items or one.absent])
+
+
+def study_brief(results: StudyResults, *, verbose: bool = False) -> list[RenderableType]:
+    """Return the answers and the short table; with ``verbose`` every table that the page does not fold away."""
+    story = study_story(results)
+    parts: list[RenderableType] = [
+        Text(story.title, style="bold"),
+        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in story.headlines]),
+        *findings_lines(story.findings),
+    ]
+    short = story.overview or prediction_sheet(results)
+    parts += [] if short is None else to_rich(short)
+    if verbose:
+        for section in story.sections:
+            for sheet in section.sheets:
+                parts += [] if sheet.details else to_rich(sheet)
+    return parts
+
+
+def headlines(results: StudyResults) -> tuple[Headline, ...]:
+    """Return the three answers that the page begins with."""
+    return _achieving(results), _forecasting(results), _predicting(results)
+
+
+def _achieving(results: StudyResults) -> Headline:
+    question = "Which controllers hold on the robot?"
+    figures = [one for one in controller_figures(results) if one.share is not None and one.controller != HINDSIGHT]
+    axes = results.study.group_axes
+    named = [one for one in figures if one.controller != CHOSEN and one.kind != "robot"]
+    if not named:
+        return Headline(question, "Not known", "No controller was run on a robot.", "open")
+    best = max(named, key=_mean_share)
+    assert best.share is not None
+    alone = [one for one in named if one.kind == "single"]
+    told = f"It achieves {_shares(best.share)} of the yardstick, {percent(best.share.lowest)} at worst."
+    if alone and best.kind != "single":
+        other = max(alone, key=_mean_share)
+        assert other.share is not None
+        told += f" The best family alone: {other.name(axes)}, {_shares(other.share)}"
+        told += f", {percent(other.share.lowest)} at worst."
+    return Headline(question, best.name(axes), told, "good")
+
+
+def _mean_share(one: ControllerFigures) -> float:
+    return -1e9 if one.share is None else one.share.mean
+
+
+def _shares(found: Spread) -> str:
+    if found.low is None or found.high is None:
+        return percent(found.mean)
+    return f"{percent(found.mean)} ({percent(found.low)} to {percent(found.high)})"
+
+
+def _forecasting(results: StudyResults) -> Headline:
+    question = "Can one choose without the robot?"
+    figures = forecast_figures(results)
+    by_forecast = [one for one in figures if one.figure == "forecast" and one.correlation is not None]
+    if not by_forecast:
+        return Headline(question, "Not known", "No finished point has controllers with forecasts.", "open")
+    one = by_forecast[0]
+    claim = next((other for other in figures if other.group == one.group and other.figure == "claim"), None)
+    assert one.correlation is not None
+    answer = f"Rank correlation {one.correlation.mean:.2f}"
+    told = f"Within a point, of the forecast with what is achieved{_in_group(results, one.group)}."
+    if one.loss is not None and claim is not None and claim.loss is not None:
+        told += (
+            f" Choosing by it loses {percent(one.loss.mean)} of the yardstick, choosing by the claim "
+            f"{percent(claim.loss.mean)}."
+        )
+    if one.inside is not None:
+        told += f" {percent(one.inside.mean)} of the 90 % intervals hold."
+    return Headline(question, answer, told, "good" if one.correlation.mean > 0.5 else "bad")
+
+
+def _in_group(results: StudyResults, group: tuple[str, ...]) -> str:
+    name = group_name(results.study.group_axes, group)
+    return f" ({name})" if name else ""
+
+
+def _predicting(results: StudyResults) -> Headline:
+    question = "Which models predict?"
+    figures = [one for one in prediction_figures(results) if one.n[20] is not None]
+    if not figures:
+        return Headline(question, "Not known", "No prediction was made.", "open")
+    told = [f"{one.model} {n.mean:.3f}" for one in figures[:4] if (n := one.n[20]) is not None]
+    return Headline(question, figures[0].model, f"N after 20 steps: {', '.join(told)}.", "good")
+
+
+def findings(results: StudyResults) -> list[Finding]:
+    """Say what the numbers rest on: points, robots and seeds, yardsticks, and what failed or is missing."""
+    finished, all_points = len(results.finished), len(results.points)
+    done = [f"{all_points} points. {_basis(results)}"]
+    if finished < all_points:
+        missing = sum(point.missing for point in results.points)
+        first = next(point.name for point in results.points if not point.finished)
+        done.append(
+            f"{all_points - finished} of {all_points} points are not finished ({missing} cells are missing, the first "
+            f"in {first}): the figures are those of what is there."
+        )
+    if results.failures:
+        done.append(f"{len(results.failures)} cells failed; the reasons are listed below.")
+    yardsticks = {}
+    for row in results.controllers:
+        if row.yardstick is not None:
+            yardsticks[results.point(row.point).where] = row.yardstick
+    found = [Finding("What do the numbers rest on?", tuple(done))]
+    if yardsticks:
+        told = ", ".join(f"{robot} {value:.1f}" for robot, value in yardsticks.items())
+        found.append(Finding("What is possible?", (f"Best achieved on each robot, its yardstick: {told}.",)))
+    return found
 
 
 def short_sheet(results: StudyResults) -> Sheet | None:
@@ -101,13 +219,48 @@ def short_sheet(results: StudyResults) -> Sheet | None:
         for one in shown:
             name = f"{one.controller} (best family alone)" if one in singles else one.controller
             worst = number(None if one.share is None else one.share.lowest, 2)
-            rows.append((name, *labels(one.group), spread(one.share, 2), worst, spread(one.gap, 1, sign=True)))
+            rows.append((name, *labels(one.group), _spread(one.share, 2), worst, _spread(one.gap, 1, sign=True)))
     if not rows:
         return None
     heads = ("controller", *axes, "share", "worst", "claimed -\nachieved")
-    unit = _unit(results, ", in ")
+    unit = _unit(results, ", in {}")
     note = f"share: achieved on the robot, of the best known there. claimed - achieved{unit}. Below: 95 % intervals."
     return Sheet("In short", heads, tuple(rows), note=note)
+
+
+def controller_sheet(results: StudyResults) -> Sheet | None:
+    """Every controller of every group over robots and seeds; None without one that was run on a robot."""
+    figures = controller_figures(results)
+    reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
+    compared = any(one.difference is not None for one in figures)
+    axes, labels = _told_apart(results, [one.group for one in figures])
+    heads = ["controller", *axes, "share", "worst", "claimed -\nachieved"]
+    heads += ["reference\nminus this"] if compared else []
+    rows = []
+    for one in figures:
+        row = [
+            lines(one.controller, "(reference)" if one.is_reference else ""),
+            *labels(one.group),
+            _spread(one.share, 2),
+        ]
+        row += [number(None if one.share is None else one.share.lowest, 2), _spread(one.gap, 1, sign=True)]
+        row += [_spread(one.difference, 2, sign=True)] if compared else []
+        rows.append((*row, _points(one)))
+    if not rows:
+        return None
+    paired = f" Reference: {reference}, paired by robot and seed." if compared else ""
+    note = (
+        "share: achieved on the robot, of the best that is achieved there by any controller of the study (its "
+        "yardstick). worst: the lowest share of a point. claimed - achieved: what is claimed too much"
+        f"{_unit(results, ', in {}')}. {CHOSEN}: what the program picks in each point without the robot; {HINDSIGHT}: "
+        f"what it would have picked knowing the outcome.{paired} {_basis(results)}"
+    )
+    return Sheet("Controllers", (*heads, "points"), tuple(rows), note=note)
+
+
+def _points(one: ControllerFigures) -> str:
+    count = 0 if one.share is None else one.share.points
+    return f"{count}, {one.failed} failed" if one.failed else str(count)
 
 
 def prediction_sheet(results: StudyResults) -> Sheet | None:
@@ -120,14 +273,18 @@ def prediction_sheet(results: StudyResults) -> Sheet | None:
         (
             one.model,
             *one.group,
-            *(spread(one.n[h], 3) for h in HORIZONS),
+            *(_spread(one.n[h], 3) for h in HORIZONS),
             number(None if one.seconds is None else one.seconds.mean, 1),
             _fits(one.fits, one.failed),
         )
         for one in figures
     ]
     note = "N: mean over channels of RMSE / standard deviation on held-out data (0 is perfect). fit: mean duration."
-    return Sheet("Prediction", heads, tuple(rows), note=f"{note} {basis(results)}")
+    return Sheet("Prediction", heads, tuple(rows), note=f"{note} {_basis(results)}")
+
+
+def _fits(fits: int, failed: int) -> str:
+    return f"{fits - failed}, {failed} failed" if failed else str(fits)
 
 
 def exploit_sheet(results: StudyResults) -> Sheet | None:
@@ -137,12 +294,14 @@ def exploit_sheet(results: StudyResults) -> Sheet | None:
         return None
     axes, labels = _told_apart(results, [one.group for one in figures])
     heads = ("model", *axes, "exploited\nin", "claim kept")
-    rows = [(one.model, *labels(one.group), f"{one.exploited} of {one.judged}", spread(one.kept, 2)) for one in figures]
+    rows = [
+        (one.model, *labels(one.group), f"{one.exploited} of {one.judged}", _spread(one.kept, 2)) for one in figures
+    ]
     note = (
         "exploited in: points in which the claims of its own controllers exceed what they achieve on the robot by a "
         "tenth and two standard errors. claim kept: share of the claim that is achieved."
     )
-    return Sheet("Exploitability", heads, tuple(rows), note=f"{note} {basis(results)}")
+    return Sheet("Exploitability", heads, tuple(rows), note=f"{note} {_basis(results)}")
 
 
 def forecast_sheet(results: StudyResults) -> Sheet | None:
@@ -157,15 +316,15 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
         "rank\ncorrelation",
         "lowest",
         "loss",
-        f"RMSE{_unit(results, ', ')}",
+        f"RMSE{_unit(results, ', {}')}",
     )
     rows = [
         (
             one.figure,
             *labels(one.group),
-            spread(one.correlation, 2),
+            _spread(one.correlation, 2),
             number(None if one.correlation is None else one.correlation.lowest, 2),
-            spread(one.loss, 3),
+            _spread(one.loss, 3),
             number(one.rmse, 2),
             "–" if one.inside is None else lines(percent(one.inside.mean), _between(one.inside, 2)),
             str(one.controllers),
@@ -177,7 +336,7 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
         "controller chosen in a point falls short of the best there; intervals hold: share of the 90 % intervals of "
         "forecasts in which what is achieved lies. prediction error: of the models that a controller was evolved in."
     )
-    return Sheet("Forecasts", (*heads, "intervals\nhold", "controllers"), tuple(rows), note=f"{note} {basis(results)}")
+    return Sheet("Forecasts", (*heads, "intervals\nhold", "controllers"), tuple(rows), note=f"{note} {_basis(results)}")
 
 
 def time_sheet(results: StudyResults) -> Sheet:
@@ -218,7 +377,17 @@ def failure_sheet(results: StudyResults) -> Sheet | None:
     return Sheet("Failures", ("point", "cell", "reason"), tuple(rows), prose=True) if rows else None
 
 
-def spread(found: Spread | None, digits: int, *, sign: bool = False) -> str:
+def settings_sheet(results: StudyResults) -> Sheet:
+    """What all points share, the axes, and the versions of what computed them."""
+    study = results.study
+    rows = [(name, label_of(value)) for name, value in study.experiment.items()]
+    for grid in study.grids:
+        rows += [(f"{axis} (axis)", "; ".join(values.values)) for axis, values in grid.items()]
+    rows += [(f"version of {name}", version) for name, version in results.versions.items()]
+    return Sheet("Settings", ("name", "value"), tuple(rows), prose=True, details=True)
+
+
+def _spread(found: Spread | None, digits: int, *, sign: bool = False) -> str:
     """Return a mean, and below it its interval where there is one."""
     if found is None:
         return "–"
@@ -226,7 +395,14 @@ def spread(found: Spread | None, digits: int, *, sign: bool = False) -> str:
     return lines(mean, _between(found, digits, sign=sign))
 
 
-def basis(results: StudyResults) -> str:
+def _between(found: Spread, digits: int, *, sign: bool = False) -> str:
+    if found.low is None or found.high is None:
+        return ""
+    low, high = (f"{end:+.{digits}f}" if sign else number(end, digits) for end in (found.low, found.high))
+    return f"{low} to {high}"
+
+
+def _basis(results: StudyResults) -> str:
     """Say over how many robots and seeds intervals are, or why there are none."""
     begun = {row.point for row in results.models} | {row.point for row in results.controllers}
     robots = len({point.where for point in results.points if point.name in begun})
@@ -238,13 +414,6 @@ def basis(results: StudyResults) -> str:
     return f"Means over {counted}: too few for an interval, which takes three robots, or three seeds of one."
 
 
-def _between(found: Spread, digits: int, *, sign: bool = False) -> str:
-    if found.low is None or found.high is None:
-        return ""
-    low, high = (f"{end:+.{digits}f}" if sign else number(end, digits) for end in (found.low, found.high))
-    return f"{low} to {high}"
-
-
 def _told_apart(
     results: StudyResults, groups: Sequence[tuple[str, ...]]
 ) -> tuple[list[str], Callable[[tuple[str, ...]], list[str]]]:
@@ -254,18 +423,75 @@ def _told_apart(
     return axes, lambda group: [group[place] for place in places]
 
 
-def _unit(results: StudyResults, before: str) -> str:
+def _unit(results: StudyResults, form: str) -> str:
+    """Return the one unit of all fitnesses in this form, such as ``" ({})"``; empty if there are several or none."""
     units = dict.fromkeys(point.unit for point in results.points if point.unit)
-    return f"{before}{next(iter(units))}" if len(units) == 1 else ""
+    return form.format(next(iter(units))) if len(units) == 1 else ""
 
 
-def _points(one: ControllerFigures) -> str:
-    count = 0 if one.share is None else one.share.points
-    return f"{count}, {one.failed} failed" if one.failed else str(count)
+def share_picture(results: StudyResults) -> Picture | None:
+    """Draw the share of the yardstick that each controller achieves."""
+    figures = [(one.group, one.controller, one.share) for one in controller_figures(results)]
+    caption = "Share of the best that is known to be achieved on each robot."
+    label = "share of the yardstick"
+    return _picture("share", "What controllers achieve", _drawn(figures), label, caption, line=1.0)
 
 
-def _fits(fits: int, failed: int) -> str:
-    return f"{fits - failed}, {failed} failed" if failed else str(fits)
+def gap_picture(results: StudyResults) -> Picture | None:
+    """Draw what each controller claims too much."""
+    figures = [(one.group, one.controller, one.gap) for one in controller_figures(results)]
+    unit = _unit(results, " ({})")
+    caption = "Right of 0 they claim more than the robot shows."
+    label = f"claimed - achieved{unit}"
+    return _picture("gap", "What controllers claim too much", _drawn(figures), label, caption, line=0)
+
+
+def error_picture(results: StudyResults) -> Picture | None:
+    """Draw how well each model predicts a second ahead."""
+    axes = prediction_axes(results)
+    figures = [(one.group if axes else (), one.model, one.n[20]) for one in prediction_figures(results)]
+    caption = "On data that were held back; 0 is perfect, 1 as bad as the mean."
+    return _picture("errors", "How well models predict", _drawn(figures), "N after 20 steps", caption)
+
+
+def _drawn(figures: list[tuple[tuple[str, ...], str, Spread | None]]) -> dict[str, dict[str, MeanAndInterval]]:
+    found: dict[str, dict[str, MeanAndInterval]] = {}
+    for group, name, one in figures:
+        if one is not None:
+            low, high = (one.mean if end is None else end for end in (one.low, one.high))
+            found.setdefault(", ".join(group) or "mean", {})[name] = (one.mean, low, high)
+    return found
+
+
+ROW, FURTHER = 0.34, 0.13
+"""Inches of a row, and what each further group adds."""
+
+
+def _picture(
+    key: str,
+    title: str,
+    drawn: Mapping[str, Mapping[str, MeanAndInterval]],
+    label: str,
+    caption: str,
+    line: float | None = None,
+) -> Picture | None:
+    if not drawn:
+        return None
+    rows = len({name for found in drawn.values() for name in found})
+    bars = any(low < high for found in drawn.values() for _, low, high in found.values())
+
+    def drawing(name: str, width: float, name_width: int) -> Drawing:
+        def draw(figure: Figure) -> None:
+            plot_spreads(drawn, figure.add_subplot(), label=label, name_width=name_width, line=line)
+
+        height = 0.9 + rows * (ROW + FURTHER * (len(drawn) - 1))
+        return Drawing(
+            name, f"{title}, for each name and group, with intervals", draw, width, height, keyed=len(drawn) > 1
+        )
+
+    pair = DrawingPair(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
+    no_bars = "There are no intervals: the study has too few robots and seeds."
+    return Picture(title, f"{caption} {'Bars: 95 % intervals over robots and seeds.' if bars else no_bars}", (pair,))
 
 
 SCHEMA = "sysid-evo/study/1"
@@ -303,231 +529,3 @@ def _times(results: StudyResults) -> dict[str, dict[str, float]]:
         one["cells"] += 1
         one["seconds"] += time.seconds
     return found
-
-
-def headlines(results: StudyResults) -> tuple[Headline, ...]:
-    """Return the three answers that the page begins with."""
-    return _achieving(results), _forecasting(results), _predicting(results)
-
-
-def findings(results: StudyResults) -> list[Finding]:
-    """Say what the numbers rest on: points, robots and seeds, yardsticks, and what failed or is missing."""
-    finished, all_points = len(results.finished), len(results.points)
-    done = [f"{all_points} points. {basis(results)}"]
-    if finished < all_points:
-        missing = sum(point.missing for point in results.points)
-        first = next(point.name for point in results.points if not point.finished)
-        done.append(
-            f"{all_points - finished} of {all_points} points are not finished ({missing} cells are missing, the first "
-            f"in {first}): the figures are those of what is there."
-        )
-    if results.failures:
-        done.append(f"{len(results.failures)} cells failed; the reasons are listed below.")
-    yardsticks = {}
-    for row in results.controllers:
-        if row.yardstick is not None:
-            yardsticks[results.point(row.point).where] = row.yardstick
-    found = [Finding("What do the numbers rest on?", tuple(done))]
-    if yardsticks:
-        told = ", ".join(f"{robot} {value:.1f}" for robot, value in yardsticks.items())
-        found.append(Finding("What is possible?", (f"Best achieved on each robot, its yardstick: {told}.",)))
-    return found
-
-
-def _achieving(results: StudyResults) -> Headline:
-    question = "Which controllers hold on the robot?"
-    figures = [one for one in controller_figures(results) if one.share is not None and one.controller != HINDSIGHT]
-    axes = results.study.group_axes
-    named = [one for one in figures if one.controller != CHOSEN and one.kind != "robot"]
-    if not named:
-        return Headline(question, "Not known", "No controller was run on a robot.", "open")
-    best = max(named, key=_mean_share)
-    assert best.share is not None
-    alone = [one for one in named if one.kind == "single"]
-    told = f"It achieves {_shares(best.share)} of the yardstick, {percent(best.share.lowest)} at worst."
-    if alone and best.kind != "single":
-        other = max(alone, key=_mean_share)
-        assert other.share is not None
-        told += f" The best family alone: {other.name(axes)}, {_shares(other.share)}"
-        told += f", {percent(other.share.lowest)} at worst."
-    return Headline(question, best.name(axes), told, "good")
-
-
-def _forecasting(results: StudyResults) -> Headline:
-    question = "Can one choose without the robot?"
-    figures = forecast_figures(results)
-    by_forecast = [one for one in figures if one.figure == "forecast" and one.correlation is not None]
-    if not by_forecast:
-        return Headline(question, "Not known", "No finished point has controllers with forecasts.", "open")
-    one = by_forecast[0]
-    claim = next((other for other in figures if other.group == one.group and other.figure == "claim"), None)
-    assert one.correlation is not None
-    answer = f"Rank correlation {one.correlation.mean:.2f}"
-    told = f"Within a point, of the forecast with what is achieved{_in_group(results, one.group)}."
-    if one.loss is not None and claim is not None and claim.loss is not None:
-        told += (
-            f" Choosing by it loses {percent(one.loss.mean)} of the yardstick, choosing by the claim "
-            f"{percent(claim.loss.mean)}."
-        )
-    if one.inside is not None:
-        told += f" {percent(one.inside.mean)} of the 90 % intervals hold."
-    return Headline(question, answer, told, "good" if one.correlation.mean > 0.5 else "bad")
-
-
-def _predicting(results: StudyResults) -> Headline:
-    question = "Which models predict?"
-    figures = [one for one in prediction_figures(results) if one.n[20] is not None]
-    if not figures:
-        return Headline(question, "Not known", "No prediction was made.", "open")
-    told = [f"{one.model} {n.mean:.3f}" for one in figures[:4] if (n := one.n[20]) is not None]
-    return Headline(question, figures[0].model, f"N after 20 steps: {', '.join(told)}.", "good")
-
-
-def _mean_share(one: ControllerFigures) -> float:
-    return -1e9 if one.share is None else one.share.mean
-
-
-def _shares(found: Spread) -> str:
-    if found.low is None or found.high is None:
-        return percent(found.mean)
-    return f"{percent(found.mean)} ({percent(found.low)} to {percent(found.high)})"
-
-
-def _in_group(results: StudyResults, group: tuple[str, ...]) -> str:
-    name = group_name(results.study.group_axes, group)
-    return f" ({name})" if name else ""
-
-
-ROW, FURTHER = 0.34, 0.13
-"""Inches of a row, and what each further group adds."""
-
-BARS = "Bars: 95 % intervals over robots and seeds."
-
-NO_BARS = "There are no intervals: the study has too few robots and seeds."
-
-Drawn = Mapping[str, Mapping[str, tuple[float, float, float]]]
-
-
-def share_picture(results: StudyResults) -> Picture | None:
-    """Draw the share of the yardstick that each controller achieves."""
-    figures = [(one.group, one.controller, one.share) for one in controller_figures(results)]
-    drawn = _drawn(figures)
-    caption = "Share of the best that is known to be achieved on each robot."
-    return _picture("share", "What controllers achieve", drawn, "share of the yardstick", caption, line=1.0)
-
-
-def gap_picture(results: StudyResults) -> Picture | None:
-    """Draw what each controller claims too much."""
-    figures = [(one.group, one.controller, one.gap) for one in controller_figures(results)]
-    units = {point.unit for point in results.points if point.unit}
-    unit = f" ({next(iter(units))})" if len(units) == 1 else ""
-    caption = "Right of 0 they claim more than the robot shows."
-    return _picture(
-        "gap", "What controllers claim too much", _drawn(figures), f"claimed - achieved{unit}", caption, line=0
-    )
-
-
-def error_picture(results: StudyResults) -> Picture | None:
-    """Draw how well each model predicts a second ahead."""
-    axes = prediction_axes(results)
-    figures = [(one.group if axes else (), one.model, one.n[20]) for one in prediction_figures(results)]
-    caption = "On data that were held back; 0 is perfect, 1 as bad as the mean."
-    return _picture("errors", "How well models predict", _drawn(figures), "N after 20 steps", caption)
-
-
-def _drawn(figures: list[tuple[tuple[str, ...], str, Spread | None]]) -> Drawn:
-    found: dict[str, dict[str, tuple[float, float, float]]] = {}
-    for group, name, one in figures:
-        if one is not None:
-            low, high = (one.mean if end is None else end for end in (one.low, one.high))
-            found.setdefault(", ".join(group) or "mean", {})[name] = (one.mean, low, high)
-    return found
-
-
-def _picture(key: str, title: str, drawn: Drawn, label: str, caption: str, line: float | None = None) -> Picture | None:
-    if not drawn:
-        return None
-    rows = len({name for found in drawn.values() for name in found})
-    bars = any(low < high for found in drawn.values() for _, low, high in found.values())
-
-    def drawing(name: str, width: float, name_width: int) -> Drawing:
-        def draw(figure: Figure) -> None:
-            plot_spreads(drawn, figure.add_subplot(), label=label, name_width=name_width, line=line)
-
-        height = 0.9 + rows * (ROW + FURTHER * (len(drawn) - 1))
-        return Drawing(
-            name, f"{title}, for each name and group, with intervals", draw, width, height, keyed=len(drawn) > 1
-        )
-
-    panel = DrawingPair(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
-    return Picture(title, f"{caption} {BARS if bars else NO_BARS}", (panel,))
-
-
-DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
-
-
-def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
-    """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
-    story = study_story(results)
-    texts = {
-        DOCUMENT: json_text(study_document(results)),
-        MARKDOWN: story_to_markdown(_short(story)),
-        PAGE: page_of(story),
-    }
-    return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
-
-
-def _short(story: Story) -> Story:
-    """Return a story without what the page folds away."""
-    sections = [
-        replace(one, items=[item for item in one.items if not (isinstance(item, Sheet) and item.details)])
-        for one in story.sections
-    ]
-    return replace(story, sections=[one for one in sections if one.items or one.absent])
-
-
-def study_story(results: StudyResults) -> Story:
-    """Tell what a study found."""
-    controllers = present(share_picture(results), controller_sheet(results), gap_picture(results))
-    models = present(error_picture(results), prediction_sheet(results), exploit_sheet(results))
-    forecasts = present(forecast_sheet(results))
-    failed = present(failure_sheet(results))
-    sections = [
-        Section("Controllers", controllers, absent=[] if controllers else ["No controller was run on a robot."]),
-        Section("Models", models, absent=[] if models else ["No model is fitted yet."]),
-        Section(
-            "Forecasts", forecasts, absent=[] if forecasts else ["No finished point has controllers with forecasts."]
-        ),
-        Section("Time", [time_sheet(results)]),
-        Section("Points", [point_sheet(results)]),
-        *([Section("Failures", failed)] if failed else []),
-        Section("Settings", [settings_sheet(results)], background=True),
-    ]
-    return Story(results.study.title, headlines(results), findings(results), short_sheet(results), sections)
-
-
-def settings_sheet(results: StudyResults) -> Sheet:
-    """What all points share, the axes, and the versions of what computed them."""
-    study = results.study
-    rows = [(name, label_of(value)) for name, value in study.experiment.items()]
-    for grid in study.grids:
-        rows += [(f"{axis} (axis)", "; ".join(values.values)) for axis, values in grid.items()]
-    rows += [(f"version of {name}", version) for name, version in results.versions.items()]
-    return Sheet("Settings", ("name", "value"), tuple(rows), prose=True, details=True)
-
-
-def study_brief(results: StudyResults, *, verbose: bool = False) -> list[RenderableType]:
-    """Return the answers and the short table; with ``verbose`` every table that the page does not fold away."""
-    story = study_story(results)
-    parts: list[RenderableType] = [
-        Text(story.title, style="bold"),
-        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in story.headlines]),
-        *findings_lines(story.findings),
-    ]
-    short = story.overview or prediction_sheet(results)
-    parts += [] if short is None else to_rich(short)
-    if verbose:
-        for section in story.sections:
-            for sheet in section.sheets:
-                parts += [] if sheet.details else to_rich(sheet)
-    return parts

@@ -1,4 +1,4 @@
-"""The report in other forms: every table in Markdown, every figure as a file."""
+"""The report in its forms: every section in each, every table in Markdown, every figure as a file."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from evaluation.report import Report, verdict
-from evaluation.report.elements import Sheet
+from evaluation.report import Report, tables, to_html, to_markdown, verdict
+from evaluation.report import report as report_module
+from evaluation.report.elements import Section, Sheet
 from evaluation.report.render.markdown import sheet_to_markdown
-from evaluation.report.report import sections, story_of, to_markdown
+from evaluation.report.report import sections, story_of
 from evaluation.report.save import write_format
 from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
 from tests.evaluation.known_models import Known, Sliding, fitted
+from tests.evaluation.test_brief import printed
 from tests.evaluation.test_report import make_report
 
 AWKWARD = Sheet("50 % of a_b", ("name", "x|y\n(m/s²)"), (("a_b & {c}", "1 ±2\n< 3"), ("#1", "–")))
@@ -55,6 +57,19 @@ def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report:
     assert all(f">{name}<" in curve for name in ("persistence", "known", "sliding"))
     assert "var(--" not in curve
     assert ">measured<" in (tmp_path / "figures" / "free-run.svg").read_text()
+
+
+def test_a_further_section_is_one_function_in_the_list_and_shows_in_every_form(
+    report: Report, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tyres(shown: Report) -> Section:
+        rows = tuple((model.name, "0.9") for model in shown.models)
+        return Section("Tyres", [Sheet("Wear of tyres", ("model", "wear"), rows)], absent=["No tyre was weighed."])
+
+    monkeypatch.setattr(report_module, "SECTIONS", (*report_module.SECTIONS, tyres))
+    for text in (to_html(report), to_markdown(report), "\n".join(printed(tables(report)))):
+        assert "Wear of tyres" in text
+        assert "No tyre was weighed." in text
 
 
 def test_an_unknown_form_is_refused(report: Report, tmp_path: Path) -> None:
